@@ -1,0 +1,1 @@
+"""Acquisition daemon and decoder for a quartz-resonator tactile plate."""

@@ -1,0 +1,69 @@
+"""Field lists: round trips, unknown fields, and what is malformed."""
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_protocol.messages import (
+    BoardLog,
+    BoardStatus,
+    Configuration,
+    Description,
+    Identity,
+    MalformedMessageError,
+    decode_message,
+    encode_message,
+)
+
+numbers = st.integers(0, 2**64 - 1)
+short_text = st.text(max_size=60)
+
+
+@given(st.builds(Identity, short_text, short_text, short_text, numbers))
+def test_identity_round_trip(identity: Identity) -> None:
+    assert decode_message(Identity, encode_message(identity)) == identity
+
+
+@given(st.builds(Description, *[numbers] * 6, short_text, numbers, numbers))
+def test_description_round_trip(description: Description) -> None:
+    assert decode_message(Description, encode_message(description)) == description
+
+
+def test_bytes_are_those_of_the_page() -> None:
+    assert encode_message(Configuration(1_000_000)) == bytes((1, 3, 0x40, 0x42, 0x0F))
+    assert encode_message(BoardStatus(0)) == bytes((1, 1, 0))
+    assert encode_message(BoardStatus(258, 298_150)) == bytes((1, 2, 2, 1, 2, 3, 0xA6, 0x8C, 0x04))
+
+
+def test_unknown_fields_are_skipped_and_order_is_free() -> None:
+    payload = bytes((9, 2, 0, 0)) + bytes((2, 1, 5)) + bytes((1, 1, 7)) + bytes((200, 0))
+    assert decode_message(BoardStatus, payload) == BoardStatus(7, 5)
+
+
+@pytest.mark.parametrize(
+    ("payload", "complaint"),
+    [
+        (b"", "missing gate_ticks"),
+        (bytes((1,)), "byte 0 is cut off"),
+        (bytes((1, 4, 0, 0)), "byte 0 is cut off"),
+        (bytes((1, 0)), "gate_ticks must have 1 to 8 bytes, got 0"),
+        (bytes((1, 9, *range(9))), "gate_ticks must have 1 to 8 bytes, got 9"),
+    ],
+)
+def test_malformed(payload: bytes, complaint: str) -> None:
+    with pytest.raises(MalformedMessageError, match=complaint):
+        decode_message(Configuration, payload)
+
+
+@given(st.binary(max_size=80))
+def test_any_payload_is_a_message_or_malformed(payload: bytes) -> None:
+    for kind in (Identity, Description, Configuration, BoardStatus, BoardLog):
+        with suppress(MalformedMessageError):
+            assert isinstance(decode_message(kind, payload), kind)
+
+
+def test_long_text_is_cut_at_a_character() -> None:
+    decoded = decode_message(BoardLog, encode_message(BoardLog(30, "é" * 200)))
+    assert decoded.text == "é" * 127
