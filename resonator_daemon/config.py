@@ -1,0 +1,299 @@
+"""The configuration file of one board, checked once with its plate file: every finding at once."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    StrictBool,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic_core import InitErrorDetails
+
+from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
+from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.toml_file import Number, Table, check_with, finding, load_model, nearest, read_toml
+
+_BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
+_MQTT_PORT = 1883
+_EXAMPLE = """\
+name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number
+plate = "quartz16"                       # a shipped plate or a path, relative to this file
+link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port
+[mqtt]
+url = "mqtt://127.0.0.1:1883"            # mqtt://user:password@host:port
+prefix = "resonator"
+[measurement]
+window_ms = 10
+step_ms = 5                              # publishing rate of forces and contacts: 200 Hz
+[decoding]
+method = "open-plane"                    # fourier, off
+contact_physics = true
+friction_coefficient = "unknown"         # or a number
+"""
+
+
+@dataclass(frozen=True)
+class SerialLink:
+    """A board on a serial port."""
+
+    path: str
+    baud: int
+
+
+@dataclass(frozen=True)
+class TcpLink:
+    """A board that listens on the network."""
+
+    host: str
+    port: int
+
+
+def parse_link(text: object) -> SerialLink | TcpLink:
+    """Parse `serial:PATH?baud=N` or `tcp://host:port`; ValueError says what is allowed."""
+    if not isinstance(text, str):
+        raise ValueError("must be a string: serial:PATH?baud=N or tcp://host:port")
+    scheme, _, rest = text.partition(":")
+    match scheme:
+        case "serial":
+            return _serial_link(rest)
+        case "tcp":
+            url = _split(text)
+            if not url.hostname or url.port is None or url.netloc.count("@") or url.path or url.query or url.fragment:
+                raise ValueError("must be tcp://host:port, nothing more")
+            return TcpLink(url.hostname, url.port)
+        case "usb" | "replay":
+            raise ValueError(
+                f"{scheme}: links are not available in this version; use serial:PATH?baud=N or tcp://host:port"
+            )
+        case _:
+            raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, ['serial', 'tcp'])}")
+
+
+def _serial_link(rest: str) -> SerialLink:
+    path, _, query = rest.partition("?")
+    options = dict(parse_qsl(query, keep_blank_values=True))
+    if unknown := [key for key in options if key != "baud"]:
+        raise ValueError(f"no option is called {unknown[0]!r}; {nearest(unknown[0], ['baud'])}")
+    baud = options.get("baud", "")
+    if not path or "\0" in path or not (baud.isascii() and baud.isdecimal() and 0 < int(baud[:12]) <= 1e9):
+        raise ValueError("must be serial:PATH?baud=N with N from 1 to 1e9, as serial:/dev/ttyACM0?baud=4000000")
+    return SerialLink(path, int(baud))
+
+
+def _split(url: str) -> SplitResult:
+    """Split a URL; ValueError, without the password in it, where host or port cannot be read."""
+    try:
+        parts = urlsplit(url)
+        if url.isprintable() and " " not in url and parts.port != 0:
+            return parts
+    except ValueError:
+        pass
+    raise ValueError(
+        "host and port (1 to 65535) cannot be read; write signs such as # / @ in a password as %23 %2F %40"
+    )
+
+
+def _topic_level(text: str) -> str:
+    """Check one level of an MQTT topic."""
+    if not text.isprintable() or not text or any(sign in text for sign in " /+#") or text.startswith("$"):
+        raise ValueError(
+            "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
+        )
+    return text
+
+
+def _topic(text: str) -> str:
+    for level in text.split("/"):
+        _topic_level(level)
+    return text
+
+
+def _broker_url(text: str) -> str:
+    url = _split(text)
+    if url.scheme == "mqtts":
+        raise ValueError("mqtts: (TLS) is not available in this version; use mqtt://host:port")
+    if url.scheme != "mqtt" or not url.hostname or url.path not in ("", "/") or url.query or url.fragment:
+        raise ValueError("must be mqtt://host:port or mqtt://user:password@host:port")
+    return text
+
+
+def _friction(value: object) -> object:
+    if value == "unknown":
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be 'unknown' or a number above 0, at most 10")
+    return value
+
+
+class Mqtt(Table):
+    """Where to publish."""
+
+    url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = f"mqtt://127.0.0.1:{_MQTT_PORT}"
+    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = "resonator"
+
+    @property
+    def host(self) -> str:
+        return urlsplit(self.url).hostname or ""
+
+    @property
+    def port(self) -> int:
+        return urlsplit(self.url).port or _MQTT_PORT
+
+    @property
+    def username(self) -> str | None:
+        name = urlsplit(self.url).username
+        return None if name is None else unquote(name)
+
+    @property
+    def password(self) -> str | None:
+        password = urlsplit(self.url).password
+        return None if password is None else unquote(password)
+
+
+class Measurement(Table):
+    """How long to count for one force, and how often to publish one."""
+
+    window_ms: Annotated[Number, Field(gt=0, le=1000)] = 10.0
+    step_ms: Annotated[Number, Field(gt=0, le=1000)] = 5.0
+
+    @property
+    def window_s(self) -> float:
+        return self.window_ms * 1e-3
+
+    @property
+    def step_s(self) -> float:
+        return self.step_ms * 1e-3
+
+
+class Decoding(Table):
+    """How signals under a skin are taken back to its surface."""
+
+    method: Literal["open-plane", "fourier", "off"] = "open-plane"
+    contact_physics: StrictBool = True
+    friction_coefficient: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, BeforeValidator(_friction)] = None
+
+
+def _plate(value: object, info: ValidationInfo) -> Plate:
+    """Load the plate that a configuration names, relative to the configuration's directory."""
+    if not isinstance(value, str):
+        raise ValueError("must be a string: the name of a shipped plate or a path")
+    try:
+        return load_plate(value, relative_to=info.context)
+    except ConfigError as error:
+        findings = [finding((), value, message) for message in error.messages]
+        raise ValidationError.from_exception_data("plate", findings) from None
+
+
+class Config(Table):
+    """One board: its plate, its link, and what to do with its counts."""
+
+    name: Annotated[str, Field(max_length=100), AfterValidator(_topic_level)] | None = None  # default: serial number
+    plate: Annotated[Plate, PlainValidator(_plate)]
+    link: Annotated[SerialLink | TcpLink, PlainValidator(parse_link)]
+    mqtt: Mqtt = Mqtt()
+    measurement: Annotated[Measurement, Field(validate_default=True)] = Measurement()
+    decoding: Decoding = Decoding()
+
+    @field_validator("link")
+    @classmethod
+    def _frames_fit_the_link(cls, link: SerialLink | TcpLink, info: ValidationInfo) -> SerialLink | TcpLink:
+        plate = info.data.get("plate")
+        if plate and isinstance(link, SerialLink):
+            _check_load(plate, link.baud)
+        return link
+
+    @field_validator("measurement", mode="wrap")
+    @classmethod
+    def _whole_frames(
+        cls, raw: Any, handler: ModelWrapValidatorHandler[Measurement], info: ValidationInfo
+    ) -> Measurement:
+        table = raw if isinstance(raw, dict) else {}
+        return check_with(_timing_findings(table, info.data.get("plate")), handler, raw)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what was asked for and comes with a later version."""
+        decoding = self.decoding
+        notes = []
+        if decoding.method == "open-plane":
+            notes.append('decoding.method = "open-plane": this version decodes with the Fourier decoder instead')
+        if decoding.method != "off" and decoding.contact_physics:
+            notes.append(
+                "decoding.contact_physics = true: this version decodes with the linear Fourier decoder alone, "
+                "without contact physics; friction_coefficient has no effect"
+            )
+        return tuple(notes)
+
+
+def load_config(path: Path) -> Config:
+    """Load a configuration and the plate file it names.
+
+    Raises
+    ------
+    ConfigError
+        One message for each finding, those of the plate file among them.
+    """
+    return load_model(Config, read_toml(path), context=path.parent)
+
+
+def example_config() -> str:
+    """Return a configuration that passes `load_config`, with a comment on each key that needs one."""
+    return _EXAMPLE
+
+
+def frame_bytes(plate: Plate) -> int:
+    """Return the size of one frame on the wire, packets' overhead included (PROTOCOL.md, sections 4 and 5)."""
+    if plate.counter.kind == "single-tone":
+        return PACKET_OVERHEAD_BYTES + CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
+    tones = len(plate.tones.f0_hz)
+    parts = math.ceil(tones / ((MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size))
+    return CHANNEL_COUNT * (parts * (PACKET_OVERHEAD_BYTES + BLOCK_STRUCT.size) + tones * TONE_STRUCT.size)
+
+
+def _check_load(plate: Plate, baud: int) -> None:
+    size = frame_bytes(plate)
+    rate_hz = plate.counter.frame_rate_hz
+    load = size * _BITS_PER_BYTE * rate_hz
+    if load >= baud:  # status messages need some of it, too
+        fits_hz = (baud - 1) // (size * _BITS_PER_BYTE)
+        raise ValueError(
+            f"{rate_hz:g} frames/s of {size} bytes are {load:.0f} bit/s ({_BITS_PER_BYTE} bits a byte) and need more "
+            f"than {baud} baud; raise baud above {load:.0f}, or lower counter.frame_rate_hz of plate {plate.name!r}: "
+            f"the highest that fits is {fits_hz} Hz"
+        )
+
+
+def _timing_findings(table: dict[str, Any], plate: Plate | None) -> list[InitErrorDetails]:
+    """Check window and step, where both are numbers, against each other and against the plate's frames."""
+    spans = {key: table.get(key, getattr(Measurement(), key)) for key in ("window_ms", "step_ms")}
+    spans = {key: value for key, value in spans.items() if type(value) in (int, float) and 0 < value <= 1000}
+    findings = []
+    if len(spans) == 2 and spans["step_ms"] > spans["window_ms"]:
+        sentence = f"must be at most window_ms = {spans['window_ms']:g}, or counts would be lost between windows"
+        findings.append(finding(("step_ms",), spans["step_ms"], sentence))
+    if plate and plate.counter.kind == "single-tone":
+        period_ms = 1e3 / plate.counter.frame_rate_hz
+        for key, value in spans.items():
+            frames = value / period_ms
+            if abs(frames - round(frames)) > 1e-6 * frames or round(frames) == 0:
+                below = max(1, math.floor(frames))
+                sentence = (
+                    f"must be a whole number of frame periods of {period_ms:g} ms ({plate.counter.frame_rate_hz:g} "
+                    f"frames/s of plate {plate.name!r}); near: {below * period_ms:g} or {(below + 1) * period_ms:g}"
+                )
+                findings.append(finding((key,), value, sentence))
+    return findings

@@ -1,0 +1,1 @@
+"""The plate files that ship with the daemon."""

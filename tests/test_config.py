@@ -1,0 +1,390 @@
+"""Configuration: the example passes, and every mistake is told with its line, key, value, limit and remedy."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from resonator_daemon.config import Config, SerialLink, TcpLink, example_config, frame_bytes, load_config
+from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.plate import Plate, load_plate
+
+MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
+
+SLOW_PLATE = """\
+format = 1
+name = "slow"
+outline_mm = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+transducers_mm = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+force_max_newton = 1
+[counter]
+kind = "single-tone"
+reference_hz = 1e9
+frame_rate_hz = 250
+pilot_hz = 10.01e6
+[[sites]]
+id = 1
+position_mm = [0, 0]
+[[sites.tones]]
+signal = "force"
+f0_hz = [9e6, 9e6, 9e6, 9e6]
+sensitivity = [-6e-6, -6e-6, -6e-6, -6e-6]
+"""
+
+
+def loaded(tmp_path: Path, text: str) -> Config:
+    path = tmp_path / "board.toml"
+    path.write_text(text)
+    return load_config(path)
+
+
+def refusals(tmp_path: Path, text: str) -> list[str]:
+    """Return the messages without the path that each begins with."""
+    with pytest.raises(ConfigError) as caught:
+        loaded(tmp_path, text)
+    start = f"{tmp_path / 'board.toml'}:"
+    assert all(message.startswith(start) and "\n" not in message for message in caught.value.messages)
+    return [message.removeprefix(start) for message in caught.value.messages]
+
+
+def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:
+    config = loaded(tmp_path, example_config())
+    assert config.name == "left-index"
+    assert config.plate.name == "quartz16"
+    assert config.link == SerialLink("/dev/serial/by-id/usb-RD_board_0042-if00", 4_000_000)
+    assert (config.mqtt.host, config.mqtt.port, config.mqtt.prefix) == ("127.0.0.1", 1883, "resonator")
+    assert (config.mqtt.username, config.mqtt.password) == (None, None)
+    assert config.measurement.window_s == pytest.approx(0.01)
+    assert config.measurement.step_s == pytest.approx(0.005)
+    assert (config.decoding.method, config.decoding.contact_physics) == ("open-plane", True)
+    assert config.decoding.friction_coefficient is None
+
+
+def test_the_example_has_every_table_header_alone_on_its_line() -> None:
+    assert {"[mqtt]", "[measurement]", "[decoding]"} <= set(example_config().splitlines())
+    assert tomllib.loads(example_config()) == {
+        "name": "left-index",
+        "plate": "quartz16",
+        "link": "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000",
+        "mqtt": {"url": "mqtt://127.0.0.1:1883", "prefix": "resonator"},
+        "measurement": {"window_ms": 10, "step_ms": 5},
+        "decoding": {"method": "open-plane", "contact_physics": True, "friction_coefficient": "unknown"},
+    }
+
+
+def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
+    short, example = loaded(tmp_path, MINIMAL), loaded(tmp_path, example_config())
+    assert short.name is None
+    assert short.link == TcpLink("127.0.0.1", 5000)
+    assert (short.mqtt, short.measurement, short.decoding) == (example.mqtt, example.measurement, example.decoding)
+
+
+@pytest.mark.parametrize("plate", ["quartz16", "skin32"])
+def test_both_shipped_plates_need_nothing_but_a_link(tmp_path: Path, plate: str) -> None:
+    assert loaded(tmp_path, f'plate = "{plate}"\nlink = "tcp://[::1]:9"').link == TcpLink("::1", 9)
+
+
+def test_a_broker_with_a_user_and_without_a_port(tmp_path: Path) -> None:
+    mqtt = loaded(tmp_path, MINIMAL + '[mqtt]\nurl = "mqtt://ann:p%40ss@broker.local"\nprefix = "lab/one"\n').mqtt
+    assert (mqtt.host, mqtt.port, mqtt.username, mqtt.password) == ("broker.local", 1883, "ann", "p@ss")
+    assert mqtt.prefix == "lab/one"
+    assert "p%40ss" not in repr(mqtt)
+
+
+def test_what_comes_later_is_noted_not_refused(tmp_path: Path) -> None:
+    plane, physics = loaded(tmp_path, example_config()).notes
+    assert "open-plane" in plane
+    assert "Fourier decoder instead" in plane
+    assert "contact_physics" in physics
+    assert "Fourier" in physics
+    fourier = MINIMAL + '[decoding]\nmethod = "fourier"\ncontact_physics = false\nfriction_coefficient = 0.5\n'
+    config = loaded(tmp_path, fourier)
+    assert (config.notes, config.decoding.friction_coefficient) == ((), 0.5)
+    assert loaded(tmp_path, MINIMAL + '[decoding]\nmethod = "off"\n').notes == ()
+
+
+@pytest.mark.parametrize(
+    ("table", "expected"),
+    [
+        ('name = "a/b"', "3: name: got 'a/b'; becomes part of MQTT topics: no space, /, +, #"),
+        ('name = "a b"', "3: name: got 'a b'; becomes part of MQTT topics"),
+        ('name = "+"', "3: name: got '+'; becomes part of MQTT topics"),
+        ('name = "a#"', "3: name: got 'a#'; becomes part of MQTT topics"),
+        ('name = "a\\u0000"', "3: name: got 'a\\x00'; becomes part of MQTT topics"),
+        ('name = ""', "3: name: got ''; becomes part of MQTT topics"),
+        ("name = 5", "3: name: got 5; must be a valid string"),
+        ('nmae = "a"', "3: nmae: unknown key; did you mean name?"),
+        ("window_ms = 10", "3: window_ms: unknown key; did you mean measurement.window_ms?"),
+        (
+            "poisson_ratio = 10",
+            "3: poisson_ratio: unknown key; allowed: name, plate, link, mqtt, measurement, decoding",
+        ),
+        ("xyz = 10", "3: xyz: unknown key; allowed: name, plate, link, mqtt, measurement, decoding"),
+        ("[measurment]", "3: measurment: unknown key; did you mean measurement?"),
+        ("[measurement]\nwindow_mz = 10", "4: measurement.window_mz: unknown key; did you mean window_ms?"),
+        ("[measurement]\nwindow_s = 0.01", "4: measurement.window_s: unknown key; did you mean window_ms?"),
+        ("[measurement]\nurl = 1", "4: measurement.url: unknown key; did you mean mqtt.url?"),
+        (
+            '[measurement]\nwindow_ms = "10 ms"',
+            "4: measurement.window_ms: got '10 ms'; must be a number: give it alone, as 10;",
+        ),
+        ('[measurement]\nwindow_ms = "long"', "4: measurement.window_ms: got 'long'; must be a valid number"),
+        ("[measurement]\nwindow_ms = 0", "4: measurement.window_ms: got 0; must be greater than 0"),
+        ("[measurement]\nwindow_ms = 1001", "4: measurement.window_ms: got 1001; must be less than or equal to 1000"),
+        ("[measurement]\nwindow_ms = nan", "4: measurement.window_ms: got nan; must be a finite number"),
+        (
+            "[measurement]\nwindow_ms = 10.5",
+            "4: measurement.window_ms: got 10.5; must be a whole number of frame periods of 1 ms (1000",
+        ),
+        (
+            "[measurement]\nstep_ms = 0.2",
+            "4: measurement.step_ms: got 0.2; must be a whole number of frame periods of 1 ms",
+        ),
+        ("[measurement]\nstep_ms = 11", "4: measurement.step_ms: got 11; must be at most window_ms = 10"),
+        ("[measurement]\nwindow_ms = 4", "3: measurement.step_ms: got 5.0; must be at most window_ms = 4"),
+        ("measurement = 5", "3: measurement: got 5; must be a table of keys"),
+        (
+            '[mqtt]\nurl = "mqtts://broker"',
+            "4: mqtt.url: got 'mqtts://broker'; mqtts: (TLS) is not available in this version",
+        ),
+        ('[mqtt]\nurl = "http://broker"', "4: mqtt.url: got 'http://broker'; must be mqtt://host:port or mqtt://user"),
+        ('[mqtt]\nurl = "broker"', "4: mqtt.url: got 'broker'; must be mqtt://host:port"),
+        (
+            '[mqtt]\nurl = "mqtt://broker:0"',
+            "4: mqtt.url: got 'mqtt://broker:0'; host and port (1 to 65535) cannot be read",
+        ),
+        (
+            '[mqtt]\nurl = "mqtt://ann:s/e#c@broker"',
+            "4: mqtt.url: got 'mqtt://***@broker'; host and port (1 to 65535) cannot be",
+        ),
+        ('[mqtt]\nprefix = "a//b"', "4: mqtt.prefix: got 'a//b'; becomes part of MQTT topics"),
+        ('[mqtt]\nprefix = "$SYS"', "4: mqtt.prefix: got '$SYS'; becomes part of MQTT topics"),
+        (
+            '[decoding]\nmethod = "open-plain"',
+            "4: decoding.method: got 'open-plain'; allowed: open-plane, fourier, off; did you mean open-plane?",
+        ),
+        ("[decoding]\ncontact_physics = 1", "4: decoding.contact_physics: got 1; must be a valid boolean"),
+        (
+            '[decoding]\nfriction_coefficient = "low"',
+            "4: decoding.friction_coefficient: got 'low'; must be 'unknown' or a number above 0, at most 10",
+        ),
+        ("[decoding]\nfriction_coefficient = -1", "4: decoding.friction_coefficient: got -1; must be greater than 0"),
+    ],
+)
+def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected: str) -> None:
+    (message,) = refusals(tmp_path, MINIMAL + table + "\n")
+    assert message.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("link", "expected"),
+    [
+        (
+            '"usb:1209:0001?serial=0042"',
+            "usb: links are not available in this version; use serial:PATH?baud=N or tcp://host:port",
+        ),
+        ('"replay:run.raw"', "replay: links are not available in this version; use serial:PATH"),
+        ('"seriel:/dev/x?baud=4000000"', "no link is called 'seriel'; allowed: serial, tcp; did you mean serial?"),
+        ('"/dev/ttyACM0"', "no link is called '/dev/ttyACM0'; allowed: serial, tcp"),
+        ('"serial:/dev/x"', "must be serial:PATH?baud=N with N from 1 to 1e9"),
+        ('"serial:?baud=4000000"', "must be serial:PATH?baud=N"),
+        ('"serial:/dev/x?baud=fast"', "must be serial:PATH?baud=N"),
+        ('"serial:/dev/x?baud=0"', "must be serial:PATH?baud=N"),
+        ('"serial:/dev/x?bauds=4000000"', "no option is called 'bauds'; allowed: baud; did you mean baud?"),
+        ('"tcp://host"', "must be tcp://host:port, nothing more"),
+        ('"tcp://:5000"', "must be tcp://host:port, nothing more"),
+        ('"tcp://host:5000/path"', "must be tcp://host:port, nothing more"),
+        ('"tcp:host:5000"', "must be tcp://host:port, nothing more"),
+        ('"tcp://host:70000"', "host and port (1 to 65535) cannot be read"),
+        ('"tcp://ho st:7000"', "host and port (1 to 65535) cannot be read"),
+        ("5", "must be a string: serial:PATH?baud=N or tcp://host:port"),
+    ],
+)
+def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> None:
+    (message,) = refusals(tmp_path, f'plate = "quartz16"\nlink = {link}\n')
+    got = link.replace('"', "'")
+    assert message.startswith(f"2: link: got {got}; {expected}")
+
+
+def test_an_empty_file_lacks_plate_and_link(tmp_path: Path) -> None:
+    assert [message.strip().partition(";")[0] for message in refusals(tmp_path, "")] == [
+        "plate: missing",
+        "link: missing",
+    ]
+
+
+def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"gone\.toml: no such file") as caught:
+        load_config(tmp_path / "gone.toml")
+    assert caught.value.exit_code is ExitCode.CONFIG
+    with pytest.raises(ConfigError, match="not a regular file"):
+        load_config(tmp_path)
+    assert refusals(tmp_path, 'plate = "quartz16"\nlink = \n')[0].startswith("2: not TOML: Invalid value")
+    (tmp_path / "latin.toml").write_bytes(b'plate = "quartz16"\nname = "\xe9"\n')
+    with pytest.raises(ConfigError, match=r"latin\.toml:2: not UTF-8: byte 0xe9"):
+        load_config(tmp_path / "latin.toml")
+
+
+def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(SLOW_PLATE.replace("id = 1", "id = 0").replace("9e6, 9e6]", "-9e6, 9e6]"))
+    text = (
+        'name = "a b"\nplate = "mine.toml"\nlink = "usb:1"\n'
+        "[measurement]\nwindow_mz = 10\nwindow_ms = 3\nstep_ms = 4\n"
+        '[decoding]\nmethod = "of"\n'
+    )
+    mine = tmp_path / "mine.toml"
+    expected = [
+        "1: name: got 'a b'",
+        f"2: plate: got 'mine.toml'; {mine}:12: sites[0].id: got 0; must be greater than or equal to 1",
+        f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0; must be greater than 0",
+        "3: link: got 'usb:1'; usb: links are not available in this version",
+        "5: measurement.window_mz: unknown key",
+        "7: measurement.step_ms: got 4; must be at most window_ms = 3",
+        "9: decoding.method: got 'of'; allowed: open-plane, fourier, off; did you mean off?",
+    ]
+    for message, start in zip(refusals(tmp_path, text), expected, strict=True):
+        assert message.startswith(start)
+
+
+def test_an_unknown_plate_is_told_the_nearest(tmp_path: Path) -> None:
+    (message,) = refusals(tmp_path, MINIMAL.replace("quartz16", "skin23"))
+    assert message.startswith(
+        "1: plate: got 'skin23'; no shipped plate and no file is named 'skin23'; allowed: quartz16,"
+    )
+    assert message.endswith("did you mean skin32?")
+    assert refusals(tmp_path, MINIMAL.replace('"quartz16"', "16")) == [
+        "1: plate: got 16; must be a string: the name of a shipped plate or a path"
+    ]
+
+
+def test_windows_follow_the_plates_frames(tmp_path: Path) -> None:
+    (tmp_path / "slow.toml").write_text(SLOW_PLATE)
+    slow = MINIMAL.replace("quartz16", "slow.toml")
+    step, window = refusals(tmp_path, slow + "[measurement]\nwindow_ms = 10\n")
+    assert window.startswith("4: measurement.window_ms: got 10; must be a whole number of frame periods of 4 ms")
+    assert window.endswith("near: 8 or 12")
+    assert step.startswith("3: measurement.step_ms: got 5.0; must be a whole number of frame periods of 4 ms")
+    assert step.endswith("near: 4 or 8")
+    assert loaded(tmp_path, slow + "[measurement]\nwindow_ms = 12\nstep_ms = 4\n").measurement.window_ms == 12
+    # the defaults are checked as well
+    assert len(refusals(tmp_path, slow)) == 2
+    # a value of the wrong type does not hide its neighbour's
+    assert len(refusals(tmp_path, slow + '[measurement]\nwindow_ms = "x"\nstep_ms = 5\n')) == 2
+
+
+def test_a_frame_period_that_is_no_round_number_still_divides_its_multiples(tmp_path: Path) -> None:
+    (tmp_path / "third.toml").write_text(SLOW_PLATE.replace("= 250", "= 300"))
+    text = MINIMAL.replace("quartz16", "third.toml")
+    assert loaded(tmp_path, text + "[measurement]\nwindow_ms = 70\nstep_ms = 10\n").measurement.step_ms == 10
+
+
+def test_a_serial_line_must_carry_the_frames(tmp_path: Path) -> None:
+    """4 records of 44 bytes in a packet of 28: 204 bytes of 10 bits, 1000 times a second, are 2.04 Mbit/s."""
+    serial = 'plate = "quartz16"\nlink = "serial:/dev/x?baud={}"\n'
+    (message,) = refusals(tmp_path, serial.format(2_000_000))
+    for part in ("1000 frames/s", "204 bytes", "2040000 bit/s", "2000000 baud", "the highest that fits is 980 Hz"):
+        assert part in message
+    assert "the highest that fits is 999 Hz" in refusals(tmp_path, serial.format(2_040_000))[0]
+    assert loaded(tmp_path, serial.format(2_040_001)).link == SerialLink("/dev/x", 2_040_001)
+
+
+def test_a_serial_line_for_the_dense_plate_needs_148_megabaud(tmp_path: Path) -> None:
+    """By hand: 4 channels x (5 parts x (28 + 8) + 3072 x 12 bytes) = 148 176 bytes, 100 times a second."""
+    assert frame_bytes(load_plate("skin32")) == 148_176
+    serial = 'plate = "skin32"\nlink = "serial:/dev/x?baud={}"\n'
+    (message,) = refusals(tmp_path, serial.format(12_000_000))
+    for part in ("100 frames/s of 148176 bytes", "148176000 bit/s", "the highest that fits is 8 Hz"):
+        assert part in message
+    loaded(tmp_path, serial.format(150_000_000))
+
+
+WORDS = [
+    "",
+    "=",
+    '"',
+    "[",
+    "]",
+    "\n",
+    "#",
+    "nan",
+    "-1",
+    "1e999",
+    "true",
+    '"x"',
+    "[1]",
+    "{a = 1}",
+    "[[mqtt]]\n",
+    "\0",
+    "é",
+    "usb:",
+    "skin32",
+    "mqtts",
+    "?",
+    "9" * 400,
+    "1979-05-27",
+    "0.0001",
+    "window_s",
+]
+
+
+@settings(max_examples=400, deadline=None)
+@given(
+    edits=st.lists(
+        st.tuples(
+            st.integers(0, len(example_config())),
+            st.integers(0, 12),
+            st.one_of(st.sampled_from(WORDS), st.text(max_size=4)),
+        ),
+        min_size=1,
+        max_size=4,
+    )
+)
+def test_whatever_is_written_is_a_config_or_an_operators_error(
+    tmp_path_factory: pytest.TempPathFactory, edits: list[tuple[int, int, str]]
+) -> None:
+    text = example_config()
+    for at, length, word in edits:
+        text = text[:at] + word + text[at + length :]
+    path = tmp_path_factory.getbasetemp() / "mutated.toml"
+    path.write_bytes(text.encode(errors="surrogatepass"))
+    try:
+        config = load_config(path)
+    except ConfigError as error:
+        messages = error.messages
+    else:
+        messages = ()
+        assert isinstance(config.plate, Plate)
+    assert all(message.startswith(str(path)) and "\n" not in message for message in messages)
+
+
+PRINTABLE = st.characters(codec="utf-8", exclude_categories=["Cc"], exclude_characters='"\\')
+VALUES = st.one_of(
+    st.sampled_from(
+        ['"x"', "true", "nan", "inf", "-0.0", "1e308", "9" * 400, "[]", "{}", "[[1, 2], 3]", "1979-05-27", '""']
+    ),
+    st.integers(-20, 2000).map(str),
+    st.floats().map(lambda number: repr(float(number))),
+    st.text(PRINTABLE, max_size=8).map(lambda text: f'"{text}"'),
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(changes=st.dictionaries(st.integers(0, 11), VALUES, min_size=1, max_size=4))
+def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, changes: dict[int, str]) -> None:
+    lines = example_config().splitlines()
+    for number, value in changes.items():
+        key, equals, _ = lines[number].partition(" = ")
+        if equals:
+            lines[number] = f"{key} = {value}"
+    path = tmp_path_factory.getbasetemp() / "changed.toml"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        config = load_config(path)
+    except ConfigError as error:
+        messages = error.messages
+    else:
+        messages = ()
+        assert 0 < config.measurement.step_ms <= config.measurement.window_ms <= 1000
+    assert all(message.startswith(f"{path}:") and "\n" not in message for message in messages)

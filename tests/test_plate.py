@@ -1,0 +1,440 @@
+"""Plates: what ships, what a file may say, and what a wrong one is told."""
+
+import tomllib
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.plate import Plate, load_plate, shipped_plates
+
+SHIPPED = Path(__file__).parents[1] / "resonator_daemon" / "plates"
+
+FORCE_PLATE = """\
+format = 1
+name = "two"
+outline_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
+transducers_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
+force_max_newton = 10
+[counter]
+kind = "single-tone"
+reference_hz = 1e9
+frame_rate_hz = 1000
+pilot_hz = 10.01e6
+[[sites]]
+id = 7
+position_mm = [6.0, 4.0]
+[[sites.tones]]
+signal = "force"
+f0_hz = [9996000.0, 9996001.0, 9996002.0, 9996003.0]
+sensitivity = [-6.3e-6, -6.2e-6, -6.1e-6, 6.0e-6]
+[[sites]]
+id = 3
+position_mm = [12.5, 4.0]
+[[sites.tones]]
+signal = "force"
+f0_hz = [9992000.0, 9992001.0, 9992002.0, 9992003.0]
+sensitivity = [-5.3e-6, -5.2e-6, -5.1e-6, 5.0e-6]
+"""
+
+GRID_PLATE = """\
+format = 1
+name = "grid"
+outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+force_max_newton = 5
+[counter]
+kind = "channelised"
+reference_hz = 250e6
+frame_rate_hz = 100
+[skin]
+youngs_modulus_pascal = 2e5
+poisson_ratio = 0.5
+depth_mm = 1.5
+[grid]
+shape = [2, 3]
+pitch_mm = 0.4
+signals = ["eps_xz", "p_n", "eps_yz"]
+f0_hz = 100e6
+spacing_hz = 1000
+order = [1, 3, 6]
+sensitivity = [3e-6, -2e-11, 4e-6]
+"""
+
+SKIN_SITE = """\
+[[sites]]
+id = 1
+position_mm = [1, 0.5]
+[[sites.tones]]
+signal = "eps_yz"
+f0_hz = [3e6, 3e6, 3e6, 3e6]
+sensitivity = [3e-6, 3e-6, 3e-6, 3e-6]
+[[sites.tones]]
+signal = "p_n"
+f0_hz = [1e6, 1e6, 1e6, 1e6]
+sensitivity = [-1e-11, -1e-11, -1e-11, -1e-11]
+[[sites.tones]]
+signal = "eps_xz"
+f0_hz = [2e6, 2e6, 2e6, 2e6]
+sensitivity = [2e-6, 2e-6, 2e-6, 2e-6]
+"""
+
+
+def written(tmp_path: Path, text: str) -> str:
+    path = tmp_path / "plate.toml"
+    path.write_text(text)
+    return str(path)
+
+
+def refusals(tmp_path: Path, text: str) -> list[str]:
+    path = written(tmp_path, text)
+    with pytest.raises(ConfigError) as caught:
+        load_plate(path)
+    assert all(message.startswith(f"{path}:") and "\n" not in message for message in caught.value.messages)
+    return [message.removeprefix(f"{path}:") for message in caught.value.messages]
+
+
+def test_both_plates_ship() -> None:
+    assert {"quartz16", "skin32"} <= set(shipped_plates())
+
+
+def test_a_file_is_given_in_si_units(tmp_path: Path) -> None:
+    plate = load_plate(written(tmp_path, FORCE_PLATE))
+    assert (plate.name, plate.format, plate.force_max_newton, plate.signals) == ("two", 1, 10.0, ("force",))
+    assert (plate.counter.reference_hz, plate.counter.frame_rate_hz, plate.counter.pilot_hz) == (1e9, 1000.0, 10.01e6)
+    assert (plate.skin, plate.grid, plate.load_sharing_exponent) == (None, None, 4.0)
+    corners_m = np.array([[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]])
+    np.testing.assert_allclose(plate.outline_m, corners_m)
+    np.testing.assert_allclose(plate.transducers_m, corners_m)
+    np.testing.assert_array_equal(plate.site_ids, [7, 3])
+    np.testing.assert_allclose(plate.site_positions_m, [[0.006, 0.004], [0.0125, 0.004]])
+
+
+def test_explicit_tones_keep_the_order_of_the_file(tmp_path: Path) -> None:
+    tones = load_plate(written(tmp_path, FORCE_PLATE)).tones
+    np.testing.assert_array_equal(tones.site_index, [0, 1])
+    np.testing.assert_array_equal(tones.signal_index, [0, 0])
+    np.testing.assert_array_equal(tones.f0_hz[1], [9992000.0, 9992001.0, 9992002.0, 9992003.0])
+    np.testing.assert_array_equal(tones.sensitivity[0], [-6.3e-6, -6.2e-6, -6.1e-6, 6.0e-6])
+
+
+def test_arrays_are_read_only(tmp_path: Path) -> None:
+    plate = load_plate(written(tmp_path, FORCE_PLATE))
+    for array in (plate.outline_m, plate.transducers_m, plate.site_ids, plate.site_positions_m, plate.tones.f0_hz):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_explicit_skin_sites_index_the_published_signals(tmp_path: Path) -> None:
+    head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
+    plate = load_plate(written(tmp_path, head + SKIN_SITE))
+    assert plate.signals == ("p_n", "eps_xz", "eps_yz")
+    np.testing.assert_array_equal(plate.tones.site_index, [0, 0, 0])
+    np.testing.assert_array_equal(plate.tones.signal_index, [2, 0, 1])
+    np.testing.assert_array_equal(plate.tones.f0_hz[:, 0], [3e6, 1e6, 2e6])
+
+
+def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
+    plate = load_plate(written(tmp_path, GRID_PLATE))
+    assert plate.skin
+    assert plate.skin.depth_m == pytest.approx(1.5e-3)
+    assert plate.skin.gain_std == 0
+    assert plate.grid
+    assert plate.grid.pitch_m == pytest.approx(4e-4)
+    np.testing.assert_array_equal(plate.site_ids, [1, 2, 3, 4, 5, 6])
+    rows_mm: list[list[float]] = [[-0.4, -0.2], [0, -0.2], [0.4, -0.2], [-0.4, 0.2], [0, 0.2], [0.4, 0.2]]
+    np.testing.assert_allclose(plate.site_positions_m, np.array(rows_mm) * 1e-3, atol=1e-12)
+    # With order = [1, 3, 6], x runs fastest, then y, then the file's signals: eps_xz, p_n, eps_yz.
+    np.testing.assert_array_equal(plate.tones.site_index, [0, 1, 2, 3, 4, 5] * 3)
+    assert plate.signals == ("p_n", "eps_xz", "eps_yz")
+    np.testing.assert_array_equal(plate.tones.signal_index, [1] * 6 + [0] * 6 + [2] * 6)
+    np.testing.assert_array_equal(plate.tones.f0_hz, np.repeat(100e6 + 1e3 * np.arange(18), 4).reshape(18, 4))
+    np.testing.assert_array_equal(plate.tones.sensitivity[:, 2], [3e-6] * 6 + [-2e-11] * 6 + [4e-6] * 6)
+
+
+def test_quartz16_spreads_its_codes_and_sites() -> None:
+    plate = load_plate("quartz16")
+    np.testing.assert_array_equal(plate.site_ids, np.arange(1, 17))
+    assert plate.tones.f0_hz.shape == plate.tones.sensitivity.shape == (16, 4)
+    mm = plate.site_positions_m * 1e3
+    distances = np.linalg.norm(mm[:, None] - mm, axis=-1)[~np.eye(16, dtype=bool)]
+    assert distances.min() >= 3.5 - 1e-9
+    assert np.abs(mm).max() <= 8.5 + 1e-9
+    ppm = (1 - plate.tones.f0_hz / 10e6) * 1e6
+    codes = np.round(ppm / 400)
+    np.testing.assert_array_equal(np.sort(codes[:, 0]), np.arange(1, 17))
+    assert (codes == codes[:, :1]).all()
+    assert not (np.diff(codes[:, 0]) > 0).all()
+    pulling_ppm = (plate.tones.f0_hz / (10e6 * (1 - 400e-6 * codes)) - 1) * 1e6
+    assert 15 < np.abs(pulling_ppm).max() <= 25.1
+    assert (np.ptp(pulling_ppm, axis=1) > 1).all()
+    k = plate.tones.sensitivity
+    assert (k == k[:, :1]).all()
+    assert k.min() == pytest.approx(-6.3e-6 * 1.3)
+    assert k.max() == pytest.approx(-6.3e-6 * 0.7)
+    assert (plate.counter.kind, plate.counter.pilot_hz, plate.counter.frame_rate_hz) == ("single-tone", 10.01e6, 1000)
+    assert (plate.force_max_newton, plate.load_sharing_exponent, plate.counter.reference_hz) == (10, 4, 1e9)
+
+
+def test_skin32_keeps_near_sites_apart_in_frequency() -> None:
+    """Tones of sites within two pitches lie at least 96 steps of 3.25 kHz apart: 312 kHz, by brute force over pairs."""
+    plate = load_plate("skin32")
+    frequency_hz = np.empty((32, 32, 3))
+    ix, iy = np.round(plate.site_positions_m[plate.tones.site_index] / 4e-4 + 15.5).astype(int).T
+    frequency_hz[iy, ix, plate.tones.signal_index] = plate.tones.f0_hz[:, 0]
+    assert np.unique(frequency_hz).size == 3072
+    assert (frequency_hz.min(), frequency_hz.max()) == (100e6, 100e6 + 3071 * 3250)
+    nearest_hz = np.inf
+    for dy, dx, a, b in product(range(3), range(-2, 3), range(3), range(3)):
+        if (dy, dx) == (0, 0) and a == b:
+            continue
+        here = frequency_hz[: 32 - dy, max(0, -dx) : 32 - max(0, dx), a]
+        there = frequency_hz[dy:, max(0, dx) : 32 + min(0, dx), b]
+        nearest_hz = min(nearest_hz, np.abs(here - there).min())
+    assert nearest_hz == 312e3
+
+
+def test_skin32_says_what_its_file_says() -> None:
+    plate = load_plate("skin32")
+    assert plate.skin
+    assert (plate.skin.youngs_modulus_pascal, plate.skin.poisson_ratio, plate.skin.depth_m) == (2e5, 0.5, 1e-3)
+    assert (plate.counter.kind, plate.counter.reference_hz, plate.counter.frame_rate_hz) == ("channelised", 250e6, 100)
+    assert (plate.force_max_newton, plate.counter.pilot_hz) == (5, None)
+    np.testing.assert_allclose(
+        plate.site_positions_m[[0, 1, 32, 1023]] * 1e3, [[-6.2, -6.2], [-5.8, -6.2], [-6.2, -5.8], [6.2, 6.2]]
+    )
+    np.testing.assert_allclose(np.ptp(plate.outline_m, axis=0), 12.8e-3)
+    # Tone numbers by hand: 0 is site (0, 0); 96 is ix = 1; 1319 is iy = 1; 2048 is the second signal of site (0, 0).
+    np.testing.assert_array_equal(plate.tones.site_index[[0, 96, 1319, 2048]], [0, 1, 32, 0])
+    np.testing.assert_array_equal(plate.tones.signal_index[[0, 96, 1319, 2048, 1024]], [0, 0, 0, 1, 2])
+    np.testing.assert_array_equal(plate.tones.sensitivity[[0, 2048, 1024], 3], [-2.0e-11, 2.7e-6, 2.7e-6])
+
+
+def test_a_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
+    written(tmp_path, FORCE_PLATE)
+    assert load_plate("plate.toml", relative_to=tmp_path).name == "two"
+
+
+def test_an_unknown_plate_is_told_the_shipped_ones() -> None:
+    with pytest.raises(ConfigError, match=r"'quarz16'.*quartz16, skin32.*did you mean quartz16\?"):
+        load_plate("quarz16")
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "x" * 5000, "no/such/plate.toml"])
+def test_a_name_that_is_none_is_an_operators_error(name: str) -> None:
+    with pytest.raises(ConfigError):
+        load_plate(name)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ("-6.3e-6", "0.0", "17: sites[0].tones[0].sensitivity[0]: got 0.0; must not be zero"),
+        ("-6.3e-6", "-6.3", "17: sites[0].tones[0].sensitivity: got -6.3; must be within +-0.01"),
+        ("-6.3e-6", "-6.3e-2", "17: sites[0].tones[0].sensitivity: got -0.063; must be within +-0.01"),
+        ("[12.5, 4.0]", "[25, 0]", "20: sites[1].position_mm: got [25.0, 0.0]; lies outside outline_mm"),
+        ("[12.5, 4.0]", "[-5, 0]", "20: sites[1].position_mm: got [-5.0, 0.0]; lies outside outline_mm"),
+        ("9996000.0", "-9996000.0", "16: sites[0].tones[0].f0_hz[0]: got -9996000.0; must be greater than 0"),
+        ("9996000.0", "nan", "16: sites[0].tones[0].f0_hz[0]: got nan; must be a finite number"),
+        ("9996003.0]", "]", "16: sites[0].tones[0].f0_hz: got [9996000.0, 9996001.0, 9996002.0]; must be a list of 4"),
+        (
+            '"force"',
+            '"forse"',
+            "15: sites[0].tones[0].signal: got 'forse'; allowed: force, p_n, eps_xz, eps_yz; did you mean force",
+        ),
+        ("id = 3", "id = 7", "19: sites[1].id: got 7; is the id of sites[0] already"),
+        ("id = 3", "id = -3", "19: sites[1].id: got -3; must be greater than or equal to 1"),
+        ("[12.5, 4.0]", "[6.0, 4.0]", "20: sites[1].position_mm: got [6.0, 4.0]; is the position of sites[0] already"),
+        ("[12.5, 4.0]", "[12.5, 10.5]", "20: sites[1].position_mm: got [12.5, 10.5]; lies outside outline_mm"),
+        ("[12.5, 4.0]", "[12.5]", "20: sites[1].position_mm: got [12.5]; must be a list of 2"),
+        ("[12.5, 4.0]", "[inf, 4.0]", "20: sites[1].position_mm[0]: got inf; must be a finite number"),
+        ("position_mm = [12.5", "position_m = [12.5", "18: sites[1].position_mm: missing"),
+        (
+            "force_max_newton = 10",
+            "force_max_newton = 10\noutline_m = []",
+            "6: outline_m: unknown key; did you mean outline_mm?",
+        ),
+        (
+            "[[0, 0], [20, 0], [20, 10], [0, 10]]\nt",
+            "[[0, 0], [20, 10]]\nt",
+            "3: outline_mm: got [[0, 0], [20, 10]]; must be a list of at least 3",
+        ),
+        (
+            "single-tone",
+            "single",
+            "7: counter.kind: got 'single'; allowed: single-tone, channelised; did you mean single-tone?",
+        ),
+        (
+            "1e9",
+            '"1 GHz"',
+            "8: counter.reference_hz: got '1 GHz'; must be a number: give it alone, as 1; the key says its unit",
+        ),
+        ("format = 1", "format = 2", "1: format: got 2; must be 1"),
+        ("format = 1", "", " format: missing"),
+        ("force_max_newton = 10", "force_max_newton = 0", "5: force_max_newton: got 0; must be greater than 0"),
+        (
+            "[20, 10], [0, 10]]\ntrans",
+            "[10, 0]]\ntrans",
+            "3: outline_mm: got [[0.0, 0.0], [20.0, 0.0], [10.0, 0.0]]; encloses no area",
+        ),
+        ("[0, 10]]\nforce", "[0, 11]]\nforce", "4: transducers_mm[3]: got [0.0, 11.0]; lies outside outline_mm"),
+        (
+            "frame_rate_hz = 1000",
+            "frame_rate_hz = 1000\ndepth_mm = 1",
+            "10: counter.depth_mm: unknown key; did you mean skin.depth_mm?",
+        ),
+        ("force_max_newton = 10", "force_max_newton = true", "5: force_max_newton: got True; must be a valid number"),
+    ],
+)
+def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
+    messages = [m for m in refusals(tmp_path, FORCE_PLATE.replace(before, after, 1)) if "did you mean pos" not in m]
+    assert len(messages) == 1, messages
+    assert messages[0].startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [
+        ("[1, 3, 6]", "[1, 3, 5]", "20: grid.order: got [1, 3, 5]; gives 16 different tone numbers to 18 tones"),
+        ("[1, 3, 6]", "[1, 3]", "20: grid.order: got [1, 3]; must be a list of 3"),
+        ("[2, 3]", "[2, 0]", "15: grid.shape[1]: got 0; must be greater than or equal to 1"),
+        ("[2, 3]", "[2.0, 3]", "15: grid.shape[0]: got 2.0; must be a valid integer"),
+        ("[2, 3]", "[60000, 60000]", "15: grid.shape: got [60000, 60000]; gives 10800000000 tones; at most 46872 fit"),
+        ("pitch_mm = 0.4", "pitch_mm = 2.1", "16: grid.pitch_mm: got 2.1; puts 6 sites outside outline_mm"),
+        ("pitch_mm = 0.4", "pitch_m = 4e-4", "16: grid.pitch_m: unknown key; did you mean pitch_mm?"),
+        (
+            '"eps_yz"]',
+            '"p_n"]',
+            "17: grid.signals: got ['eps_xz', 'p_n', 'p_n']; must name each of p_n, eps_xz, eps_yz once",
+        ),
+        ('"eps_yz"]', '"force"]', "17: grid.signals[2]: got 'force'; allowed: p_n, eps_xz, eps_yz"),
+        (
+            "poisson_ratio = 0.5",
+            "poisson_ratio = 0.6",
+            "12: skin.poisson_ratio: got 0.6; must be less than or equal to 0.5",
+        ),
+        (
+            "depth_mm = 1.5",
+            "depth_mm = 1.5\ngain_std = -0.1",
+            "14: skin.gain_std: got -0.1; must be greater than or equal to 0",
+        ),
+        (
+            "frame_rate_hz = 100",
+            "frame_rate_hz = 100\npilot_hz = 1e6",
+            "10: counter.pilot_hz: got 1000000.0; belongs to a single-tone",
+        ),
+        (
+            '"channelised"',
+            '"single-tone"\npilot_hz = 1e6',
+            "7: counter.kind: got 'single-tone'; one captured tone per corner cannot",
+        ),
+    ],
+)
+def test_one_mistake_in_a_grid_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
+    messages = refusals(tmp_path, GRID_PLATE.replace(before, after, 1))
+    assert any(message.startswith(expected) for message in messages), messages
+    assert len([message for message in messages if "missing" not in message]) == 1, messages
+
+
+def test_a_grid_without_a_skin(tmp_path: Path) -> None:
+    start, end = GRID_PLATE.index("[skin]"), GRID_PLATE.index("[grid]")
+    assert refusals(tmp_path, GRID_PLATE[:start] + GRID_PLATE[end:]) == [
+        " skin: a plate with skin signals needs a [skin]: its elastic constants and its depth"
+    ]
+
+
+def test_sites_and_a_grid_or_neither(tmp_path: Path) -> None:
+    expected = "either [[sites]] or a [grid]"
+    assert any(expected in message for message in refusals(tmp_path, GRID_PLATE + SKIN_SITE))
+    head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
+    assert any(expected in message for message in refusals(tmp_path, head))
+    assert refusals(tmp_path, "sites = []\n" + head) == ["1: sites: got []; must be a list of at least 1: [[sites]]"]
+
+
+def test_force_and_skin_tones_do_not_mix(tmp_path: Path) -> None:
+    messages = refusals(tmp_path, FORCE_PLATE + SKIN_SITE)
+    mixed = "sites: got ['eps_xz', 'eps_yz', 'force', 'p_n']; mixes force and skin tones; a plate has either"
+    assert any(mixed in message for message in messages)
+
+
+def test_a_force_site_with_two_tones_and_a_skin_site_with_two(tmp_path: Path) -> None:
+    tone = FORCE_PLATE[FORCE_PLATE.rindex("[[sites.tones]]") :]
+    assert refusals(tmp_path, FORCE_PLATE + tone) == [
+        "18: sites[1].tones: got ['force', 'force']; a force site has one tone"
+    ]
+    head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
+    (message,) = refusals(tmp_path, head + SKIN_SITE[: SKIN_SITE.rindex("[[sites.tones]]")])
+    assert "sites[0].tones: got ['eps_yz', 'p_n']; a skin site has one tone for each of p_n" in message
+
+
+def test_a_counter_needs_no_more_than_its_kind() -> None:
+    values = "reference_hz = 1e9\nframe_rate_hz = 1000\npilot_hz = 10.01e6\n"
+    plate = Plate.model_validate(tomllib.loads(FORCE_PLATE.replace(values, "")))
+    assert (plate.counter.reference_hz, plate.counter.frame_rate_hz) == (1e9, 1000)
+    assert plate.pilot_hz == pytest.approx(9996003.0 * 1.001)
+    assert Plate.model_validate(tomllib.loads(FORCE_PLATE)).pilot_hz == 10.01e6
+
+
+def test_channelised_force_sites_are_refused(tmp_path: Path) -> None:
+    text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", "")
+    (message,) = refusals(tmp_path, text)
+    assert message.startswith("7: counter.kind: got 'channelised'; such counters read skin signals in this version")
+
+
+def test_every_finding_comes_at_once(tmp_path: Path) -> None:
+    """A site that cannot be read does not hide what its neighbours have wrong."""
+    text = FORCE_PLATE.replace("9996000.0", "-1.0").replace("[12.5, 4.0]", "[12.5, 40.0]").replace("pilot", "pilott")
+    text = text.replace("name =", "nam =")
+    expected = [
+        " name: missing",
+        "2: nam: unknown key; did you mean name?",
+        "10: counter.pilott_hz: unknown key; did you mean pilot_hz?",
+        "16: sites[0].tones[0].f0_hz[0]: got -1.0",
+        "20: sites[1].position_mm: got [12.5, 40.0]; lies outside outline_mm",
+    ]
+    for message, start in zip(refusals(tmp_path, text), expected, strict=True):
+        assert message.startswith(start)
+
+
+def test_a_concave_outline_has_its_notch_outside(tmp_path: Path) -> None:
+    outline = "[[0, 0], [20, 0], [20, 10], [14, 10], [14, 3], [10, 3], [10, 10], [0, 10]]"
+    text = FORCE_PLATE.replace("[[0, 0], [20, 0], [20, 10], [0, 10]]", outline, 1)
+    assert refusals(tmp_path, text) == ["20: sites[1].position_mm: got [12.5, 4.0]; lies outside outline_mm"]
+    load_plate(written(tmp_path, text.replace("[12.5, 4.0]", "[12.5, 3.0]")))  # on the border
+    load_plate(written(tmp_path, text.replace("[12.5, 4.0]", "[14.5, 9.0]")))
+
+
+def test_a_repeated_corner_of_the_outline_encloses_nothing_more(tmp_path: Path) -> None:
+    text = FORCE_PLATE.replace("[[0, 0], [20, 0]", "[[0, 0], [0, 0], [20, 0]", 1).replace("[12.5, 4.0]", "[25, 4]")
+    assert refusals(tmp_path, text) == ["20: sites[1].position_mm: got [25.0, 4.0]; lies outside outline_mm"]
+
+
+def test_calibration_is_optional_and_typed(tmp_path: Path) -> None:
+    text = FORCE_PLATE + '[calibration]\nid = "c1"\ndate = 2024-05-01\ntemperature_kelvin = 298.2\nresiduals = [1e-3]\n'
+    calibration = load_plate(written(tmp_path, text)).calibration
+    assert calibration.date
+    assert (calibration.id, calibration.date.isoformat(), calibration.expiry) == ("c1", "2024-05-01", None)
+    assert "calibration.date" in refusals(tmp_path, text.replace("2024-05-01", "20240501"))[0]
+
+
+def test_the_model_itself_checks_as_a_whole() -> None:
+    content: dict[str, Any] = tomllib.loads(GRID_PLATE)
+    content["grid"]["order"] = [0, 0, 0]
+    with pytest.raises(ValidationError, match="different tone numbers"):
+        Plate.model_validate(content)
+
+
+def test_more_explicit_tones_than_a_frame_holds() -> None:
+    """4 channels x 63 parts x 744 tones: 255 parts at most, so 46 872 tones; one site more is too many."""
+    content: dict[str, Any] = tomllib.loads(GRID_PLATE[: GRID_PLATE.index("[grid]")] + SKIN_SITE)
+    tones = content["sites"][0]["tones"]
+    places = [(-2 + 4 * (index % 200) / 200, -1 + 2 * (index // 200) / 80) for index in range(15_625)]
+    content["sites"] = [{"id": i, "position_mm": list(place), "tones": tones} for i, place in enumerate(places, 1)]
+    with pytest.raises(ValidationError, match="at most 46872 tones fit into a frame"):
+        Plate.model_validate(content)
+    del content["sites"][-1]
+    assert len(Plate.model_validate(content).tones.f0_hz) == 46_872
