@@ -1,0 +1,216 @@
+"""Partial-slip contact: tractions against sampling and Coulomb's law, signals against sums of point loads."""
+
+import math
+
+import numpy as np
+import pytest
+
+from simulators.contact import PressedSpot, contact_radius_m, hertz_parts, pixel_tractions
+from simulators.half_space_fields import FloatArray, hertz_fields
+
+RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
+E, NU, DEPTH = 2e5, 0.5, 1e-3
+SHAPE, PITCH = (32, 32), 4e-4
+
+
+def sampled_traction(force: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Cattaneo and Mindlin's tractions (3, ...) at points of the surface, written out."""
+    shear = math.hypot(force[0], force[1])
+    a = RADIUS * force[2] ** (1 / 3)
+    c = a * (1 - shear / (FRICTION * force[2])) ** (1 / 3)
+    r2 = (x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2
+    peak = 3 * force[2] / (2 * math.pi * a**2)
+    pressure = peak * np.sqrt(np.maximum(1 - r2 / a**2, 0))
+    stuck = peak * c / a * np.sqrt(np.maximum(1 - r2 / c**2, 0))
+    tangential = FRICTION * (pressure - stuck) / shear
+    return np.stack([tangential * force[0], tangential * force[1], pressure])
+
+
+def midpoints(count: int, pitch: float) -> tuple[FloatArray, FloatArray]:
+    line = (np.arange(count) - (count - 1) / 2) * pitch
+    x, y = np.meshgrid(line, line)
+    return x, y
+
+
+def test_radius_grows_with_the_cube_root_of_force() -> None:
+    radii = contact_radius_m([-1.0, 0.0, 1.0, 8.0], RADIUS)
+    np.testing.assert_allclose(radii, np.array([0, 0, 1, 2]) * RADIUS, rtol=1e-15)
+
+
+def test_stick_radius_at_seven_eighths_of_friction_is_half() -> None:
+    shear = 0.875 * FRICTION * 2.0
+    radii, forces = hertz_parts([0.6 * shear, -0.8 * shear, 2.0], RADIUS, FRICTION)
+    assert radii[1] / radii[0] == pytest.approx(0.5, rel=1e-12)
+    np.testing.assert_allclose(forces.sum(axis=0), [0.6 * shear, -0.8 * shear, 2.0], rtol=1e-12)
+
+
+def test_shear_beyond_friction_slides() -> None:
+    radii, forces = hertz_parts([3.0, 4.0, 2.0], RADIUS, FRICTION)
+    assert radii[1] == 0
+    np.testing.assert_allclose(forces, np.array([[0.6, 0.8, 2.0], [0, 0, 0]]), atol=1e-15)
+
+
+@pytest.mark.parametrize("force", [[0.2, 0.1, 0.0], [0.2, 0.1, -1.0], [0.0, 0.0, 0.0]])
+def test_nothing_acts_without_pressing(force: list[float]) -> None:
+    radii, forces = hertz_parts(force, RADIUS, FRICTION)
+    assert not radii.any()
+    assert not forces.any()
+    assert not pixel_tractions(force, CENTRE, RADIUS, FRICTION, SHAPE, PITCH).any()
+
+
+def test_a_surface_without_friction_carries_no_shear() -> None:
+    traction = pixel_tractions([0.2, 0.1, 1.0], CENTRE, RADIUS, 0.0, SHAPE, PITCH)
+    assert not traction[:2].any()
+    assert traction[2].sum() * PITCH**2 == pytest.approx(1.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("normal", [1e-9, 1e-3, 0.1, 1.0, 3.0])
+@pytest.mark.parametrize("share", [0.0, 1e-6, 0.5, 0.999999, 1.0])
+def test_pixels_sum_to_the_force(normal: float, share: float) -> None:
+    shear = share * FRICTION * normal
+    force = np.array([-0.28 * shear, 0.96 * shear, normal])
+    traction = pixel_tractions(force, CENTRE, RADIUS, FRICTION, SHAPE, PITCH)
+    np.testing.assert_allclose(traction.sum(axis=(1, 2)) * PITCH**2, force, rtol=0, atol=1e-11 * normal)
+
+
+def test_pixels_average_the_traction() -> None:
+    force = np.array([0.3, -0.1, 1.0])
+    fine = 40
+    points = sampled_traction(force, *midpoints(SHAPE[0] * fine, PITCH / fine))
+    expected = points.reshape(3, SHAPE[0], fine, SHAPE[1], fine).mean(axis=(2, 4))
+    found = pixel_tractions(force, CENTRE, RADIUS, FRICTION, SHAPE, PITCH)
+    assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_pixels_keep_rows_along_y() -> None:
+    traction = pixel_tractions([0, 0, 1e-3], (2 * PITCH, 1 * PITCH), RADIUS, FRICTION, (9, 11), PITCH)
+    assert np.unravel_index(traction[2].argmax(), (9, 11)) == (4 + 1, 5 + 2)
+
+
+def test_coulomb_holds_with_equality_in_the_slip_annulus() -> None:
+    force = np.array([0.24, 0.32, 1.0])
+    traction = pixel_tractions(force, CENTRE, RADIUS, FRICTION, (160, 160), PITCH / 5)
+    shear, pressure = np.hypot(*traction[:2]), traction[2]
+    x, y = midpoints(160, PITCH / 5)
+    r = np.hypot(x - CENTRE[0], y - CENTRE[1])
+    stick_radius, margin = RADIUS * 0.2 ** (1 / 3), PITCH / 5
+    assert np.all(shear <= FRICTION * pressure + 1e-9 * pressure.max())
+    slips = (r > stick_radius + margin) & (r < RADIUS - margin)
+    np.testing.assert_allclose(shear[slips], FRICTION * pressure[slips], rtol=1e-9)
+    sticks = r < stick_radius - margin
+    assert np.all(shear[sticks] < 0.97 * FRICTION * pressure[sticks])
+    assert np.all(pressure[r > RADIUS + margin] == pytest.approx(0, abs=1e-9 * pressure.max()))
+    assert pressure.max() == pytest.approx(3 / (2 * math.pi * RADIUS**2), rel=1e-3)
+
+
+def test_what_lies_off_the_grid_is_left_out() -> None:
+    centre = (6.0e-3, -5.5e-3)
+    wide = pixel_tractions([0.2, 0.1, 1.0], centre, RADIUS, FRICTION, (64, 64), PITCH)
+    found = pixel_tractions([0.2, 0.1, 1.0], centre, RADIUS, FRICTION, SHAPE, PITCH)
+    np.testing.assert_allclose(found, wide[:, 16:48, 16:48], rtol=0, atol=1e-10 * wide.max())
+    assert found[2].sum() * PITCH**2 < 0.9
+
+
+@pytest.fixture(scope="module")
+def places() -> FloatArray:
+    return np.random.default_rng(11).uniform(-6e-3, 6e-3, (40, 2))
+
+
+@pytest.fixture(scope="module")
+def spot(places: FloatArray) -> PressedSpot:
+    return PressedSpot(places, DEPTH, E, NU, CENTRE, RADIUS, FRICTION, 4.0)
+
+
+@pytest.mark.parametrize("force", [[0.2, -0.3, 1.0], [-0.9, 0.3, 2.0], [0.001, -0.002, 0.05]])
+def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: FloatArray, force: list[float]) -> None:
+    load = np.array(force)
+    count, fine = 600, 2.2 * RADIUS * np.cbrt(force[2]) / 600
+    x, y = (line.ravel() for line in midpoints(count, fine))
+    x, y = x + CENTRE[0], y + CENTRE[1]
+    forces = sampled_traction(load, x, y) * fine**2
+    forces *= (load / forces.sum(axis=1))[:, np.newaxis]
+    expected = np.empty((3, len(places)))
+    for k, (place_x, place_y) in enumerate(places):
+        d_x, d_y = place_x - x, place_y - y
+        rho2 = d_x**2 + d_y**2 + DEPTH**2
+        along = d_x * forces[0] + d_y * forces[1] + DEPTH * forces[2]
+        stress = -3 * DEPTH * along / (2 * math.pi * rho2**2.5)
+        p_n = -(1 + NU) / (3 * math.pi) * (along / rho2**1.5).sum()
+        expected[:, k] = p_n, (1 + NU) / E * (stress * d_x).sum(), (1 + NU) / E * (stress * d_y).sum()
+    error = np.abs(spot.signals(load) - expected).max(axis=1) / np.abs(expected).max(axis=1)
+    assert error.max() < 1e-4
+
+
+def test_interpolation_between_radii_keeps_four_digits(spot: PressedSpot, places: FloatArray) -> None:
+    for normal in 4.0 * np.append(np.random.default_rng(5).uniform(0, 1, 40), [0.99, 1.0]) ** 3:
+        force = np.array([0.3, 0.2, 1.0]) * normal
+        exact = np.zeros((3, len(places)))
+        for radius, part in zip(*hertz_parts(force, RADIUS, FRICTION), strict=True):
+            exact += np.tensordot(part, hertz_fields(places - CENTRE, DEPTH, [radius], E, NU)[0], 1)
+        error = np.abs(spot.signals(force) - exact).max(axis=1) / np.abs(exact).max(axis=1)
+        assert error.max() < 1e-4
+
+
+def test_signals_change_smoothly_with_force(spot: PressedSpot) -> None:
+    """No step between intervals of the table, at the onset of sliding, or where the table ends."""
+    normal = np.linspace(1e-3, 4.0, 4001)
+    signals = spot.signals(np.stack([0.6 - 0.1 * normal, 0 * normal, normal], axis=-1))
+    step = np.abs(np.diff(signals, axis=0)).max(axis=2)
+    assert np.all(step < 0.01 * np.abs(signals).max(axis=(0, 2)))
+
+
+def test_frames_at_once_equal_frames_alone(spot: PressedSpot) -> None:
+    forces = np.array([[0.1, 0.2, 1.0], [0, 0, 0], [0, 0, 4.0], [1.0, 1.0, 0.5], [0.1, 0, -1.0]])
+    together = spot.signals(forces)
+    for alone, force in zip(together, forces, strict=True):
+        np.testing.assert_array_equal(spot.signals(force), alone)
+    assert not together[[1, 4]].any()
+
+
+def test_signals_under_pressing_have_their_signs() -> None:
+    spot = PressedSpot([[0.0, 0.0], [2e-3, 0.0], [0.0, 2e-3]], DEPTH, E, NU, (0.0, 0.0), RADIUS, FRICTION, 4.0)
+    p_n, eps_xz, eps_yz = spot.signals([0.0, 0.0, 1.0])
+    assert np.all(p_n < 0)
+    assert eps_xz[1] < 0
+    assert eps_yz[2] == pytest.approx(eps_xz[1])
+    sheared = spot.signals([0.2, 0.0, 1.0]) - spot.signals([0.0, 0.0, 1.0])
+    assert sheared[1, 0] < 0
+    assert sheared[0, 1] < 0  # compressed ahead of the shear
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"depth_m": 0.0}, "depth_m is 0.0"),
+        ({"force_max_newton": 0.0}, "force_max_newton is 0"),
+        ({"friction_coefficient": -0.1}, "friction_coefficient is -0.1"),
+        ({"radius_m_at_1_newton": 0.0}, "radius_m_at_1_newton is 0"),
+    ],
+)
+def test_impossible_spots_are_refused(change: dict[str, float], message: str) -> None:
+    numbers = {
+        "depth_m": DEPTH,
+        "friction_coefficient": FRICTION,
+        "radius_m_at_1_newton": RADIUS,
+        "force_max_newton": 1.0,
+    }
+    with pytest.raises(ValueError, match=message):
+        PressedSpot([[0.0, 0.0]], youngs_modulus_pascal=E, poisson_ratio=NU, centre_m=CENTRE, **(numbers | change))
+
+
+@pytest.mark.parametrize(
+    ("force", "message"),
+    [
+        ([0.0, 0.0, 4.1], r"4\.1 N, tabulated up to 4\.0 N"),
+        ([0.0, math.nan, 1.0], "must be finite"),
+        ([1.0, 1.0], r"shape \(2,\)"),
+    ],
+)
+def test_impossible_forces_are_refused(spot: PressedSpot, force: list[float], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        spot.signals(force)
+
+
+def test_a_pixel_without_size_is_refused() -> None:
+    with pytest.raises(ValueError, match="pitch_m is 0"):
+        pixel_tractions([0.0, 0.0, 1.0], CENTRE, RADIUS, FRICTION, SHAPE, 0.0)
