@@ -84,9 +84,7 @@ class Counter(Table):
 
     kind: Literal["single-tone", "channelised"]
     reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _usual(seen, 1e9, 250e6))]
-    frame_rate_hz: Annotated[
-        Number, Field(gt=0, le=100_000, default_factory=lambda seen: _usual(seen, 1000.0, 100.0))
-    ]
+    frame_rate_hz: Annotated[Number, Field(gt=0, le=100_000, default_factory=lambda seen: _usual(seen, 1000.0, 100.0))]
     pilot_hz: Hertz | None = None  # heard by a single-tone counter while nothing is touched; see Plate.pilot_hz
 
     @field_validator("pilot_hz")
@@ -197,7 +195,8 @@ class Plate(Table):
     outline_mm: Outline
     transducers_mm: Annotated[tuple[Point, ...], _Corners]
     force_max_newton: Annotated[Number, Field(gt=0, le=10_000)]
-    load_sharing_exponent: Annotated[Number, Field(gt=0, le=100)] = 4.0  # a touch goes to sites as distance^-exponent
+    # A touch between sites is shared as distance^-exponent; None where sites can only be touched one by one.
+    load_sharing_exponent: Annotated[Number, Field(gt=0, le=100)] | None = None
     counter: Counter
     skin: Skin | None = None
     grid: Grid | None = None

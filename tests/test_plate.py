@@ -106,7 +106,7 @@ def test_a_file_is_given_in_si_units(tmp_path: Path) -> None:
     plate = load_plate(written(tmp_path, FORCE_PLATE))
     assert (plate.name, plate.format, plate.force_max_newton, plate.signals) == ("two", 1, 10.0, ("force",))
     assert (plate.counter.reference_hz, plate.counter.frame_rate_hz, plate.counter.pilot_hz) == (1e9, 1000.0, 10.01e6)
-    assert (plate.skin, plate.grid, plate.load_sharing_exponent) == (None, None, 4.0)
+    assert (plate.skin, plate.grid, plate.load_sharing_exponent) == (None, None, None)
     corners_m = np.array([[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]])
     np.testing.assert_allclose(plate.outline_m, corners_m)
     np.testing.assert_allclose(plate.transducers_m, corners_m)

@@ -1,0 +1,116 @@
+# Set-up, tests, demo and measurements of resonatord. `make` alone lists the targets.
+
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.ONESHELL:
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test bench soak pins clean
+
+# A user's PATH on Debian lacks the place of mosquitto.
+export PATH := $(PATH):/usr/local/sbin:/usr/sbin
+
+# pip-install TITLE ARGUMENTS: one line that names each package as it comes; pip's own words go to a log.
+define pip-install
+@pip-install() {
+  printf 'setup: %s' "$$1"
+  .venv/bin/python -m pip install --no-input --disable-pip-version-check --progress-bar off "$${@:2}" 2>&1 \
+    | tee -a .venv/setup.log \
+    | while read -r verb name _; do
+        case "$$verb $$name" in
+          "Collecting "*) printf ' %s' "$${name%%=*}" ;;
+          "Processing "*.whl) name=$${name##*/}; printf ' %s' "$${name%%-*}" ;;
+          "Installing collected") printf ', unpacking' ;;
+        esac
+      done || { printf '\n'; tail -n 15 .venv/setup.log; echo "setup: pip failed; see .venv/setup.log"; exit 1; } >&2
+  printf '\n'
+}
+endef
+
+# Programs that pip cannot bring, as `command:Debian package`.
+define debian-packages
+@missing=
+for tool in mosquitto:mosquitto systemd-analyze:systemd; do
+  command -v "$${tool%:*}" >/dev/null || missing="$$missing $${tool#*:}"
+done
+if [ -n "$$missing" ] && [ "$$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
+  echo "setup: Debian packages$$missing"
+  export DEBIAN_FRONTEND=noninteractive
+  apt-get update -qq || true
+  apt-get install -qq -y --no-install-recommends -o DPkg::Lock::Timeout=120 $$missing >.venv/apt.log 2>&1 \
+    || { tail -n 15 .venv/apt.log; echo "setup: apt-get failed; see .venv/apt.log"; exit 1; } >&2
+elif [ -n "$$missing" ]; then
+  echo "setup: missing:$$missing; as root: apt-get install$$missing" >&2
+  exit 1
+fi
+endef
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 14
+
+setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages
+
+demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live view
+	@exec .venv/bin/resonatord demo
+
+test: .venv/test-stamp  ## linter, formatter check, type checker, import contracts and all tests
+	$(debian-packages)
+	step() { printf '\n== %s\n' "$$*"; ".venv/bin/$$@"; }
+	step ruff check
+	step ruff format --check
+	step mypy
+	step lint-imports --no-logo
+	step pytest --cov
+
+bench: .venv/run-stamp  ## what the demo costs, and what a damaged wire loses
+	@.venv/bin/python benchmarks/demo_cost.py
+	.venv/bin/python benchmarks/wire_faults.py
+
+soak: .venv/run-stamp  ## 90 s against a broker that is killed for 30 s
+	$(debian-packages)
+	.venv/bin/python benchmarks/broker_outage.py
+
+pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
+	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
+	compile() {
+	  .venv/bin/uv pip compile --quiet --upgrade --universal --python-version 3.11 --fork-strategy fewest \
+	    --generate-hashes --no-annotate --no-emit-index-url --custom-compile-command 'make pins' "$$@"
+	}
+	build_requires='import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")'
+	.venv/bin/python -c "$$build_requires" | compile - --output-file .ci/requirements/build.txt
+	compile pyproject.toml --extra demo --output-file .ci/requirements/run.txt
+	compile pyproject.toml --extra demo --extra test --output-file .ci/requirements/test.txt
+	compile --group pins --output-file .ci/requirements/pins.txt
+
+clean:  ## remove everything that the other targets made
+	@rm -rf .venv build dist *.egg-info .coverage .coverage.* .hypothesis .import_linter_cache .mypy_cache \
+	  .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The environment: the first Python that is new enough and can make one. An interrupted attempt is begun again.
+.venv/bin/python .venv/bin/pip &:
+	@unfit="no Python"
+	for python in python3 python3.14 python3.13 python3.12 python3.11; do
+	  version=$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || continue
+	  if ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
+	    unfit="Python $$version"
+	  elif ! "$$python" -c 'import ensurepip, venv' 2>/dev/null; then
+	    unfit="Python $$version without venv"
+	  else
+	    echo "setup: .venv with Python $$version"
+	    exec "$$python" -m venv --clear .venv
+	  fi
+	done
+	echo "setup: needs Python 3.11 or newer with venv; found $$unfit. On Debian 12 or newer, as root: apt-get install python3-venv" >&2
+	exit 1
+
+.venv/run-stamp: .venv/bin/python .venv/bin/pip pyproject.toml .ci/requirements/build.txt .ci/requirements/run.txt
+	$(pip-install)
+	pip-install "packages" --require-hashes -r .ci/requirements/build.txt -r .ci/requirements/run.txt
+	pip-install "resonatord itself" --no-deps --no-build-isolation --editable .
+	echo 'setup: done, see .venv/bin/resonatord --help'
+	touch $@
+
+.venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
+	$(pip-install)
+	pip-install "packages for tests" --require-hashes -r .ci/requirements/test.txt
+	touch $@

@@ -1,0 +1,298 @@
+"""The reader of one board against emulated boards in this process, and against what is no board at all."""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.frames import (
+    Arrival,
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    Gap,
+    LinkAccount,
+    LinkChange,
+    SingleToneFrame,
+)
+from resonator_daemon.config import SerialLink, TcpLink, parse_link
+from resonator_daemon.plate import load_plate
+from simulators.emulator import Emulator, EmulatorOptions
+from simulators.faults import parse_faults
+
+QUARTZ = load_plate("quartz16")
+SKIN = load_plate("skin32")
+DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
+
+
+@contextmanager
+def emulated(options: EmulatorOptions) -> Iterator[Emulator]:
+    emulator = Emulator(options)
+    thread = threading.Thread(target=emulator.run)
+    thread.start()
+    try:
+        yield emulator
+    finally:
+        emulator.stop()
+        thread.join()
+
+
+class Listener:
+    """A running reader and everything that it has handed on."""
+
+    def __init__(self, link: SerialLink | TcpLink, plate: object = QUARTZ, **options: int) -> None:
+        self._woken = threading.Event()
+        self.reader = BoardReader(link, plate, self._woken.set, **options)  # type: ignore[arg-type]
+        self.arrivals: list[Arrival] = []
+
+    def __enter__(self) -> "Listener":
+        self.reader.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.stop()
+
+    def wait_for(self, enough: Callable[[list[Arrival]], bool]) -> list[Arrival]:
+        """Take arrivals until there are enough."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not enough(self.arrivals):
+            assert time.monotonic() < deadline, self.states
+            self._woken.wait(1.0)
+            self._woken.clear()
+            self.arrivals += self.reader.take()
+        return self.arrivals
+
+    def take_the_rest(self) -> None:
+        self.arrivals += self.reader.take()
+
+    def wait_for_frames(self, count: int) -> None:
+        self.wait_for(lambda arrivals: len(frames(arrivals)) >= count)
+
+    @property
+    def states(self) -> list[tuple[str, str]]:
+        return [(a.state, a.reason) for a in self.arrivals if isinstance(a, LinkChange)]
+
+
+def frames(arrivals: list[Arrival]) -> list[SingleToneFrame | ChannelisedFrame]:
+    return [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame | ChannelisedFrame)]
+
+
+def gaps(arrivals: list[Arrival]) -> list[Gap]:
+    return [arrival for arrival in arrivals if isinstance(arrival, Gap)]
+
+
+def check_bytes(account: LinkAccount) -> None:
+    by_fate = account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction
+    assert account.bytes_received == by_fate + account.bytes_discarded + account.bytes_waiting
+
+
+def check_indices(arrivals: list[Arrival]) -> None:
+    """Every index is a frame or in a gap, in order and once."""
+    expected = 0
+    for arrival in arrivals:
+        if isinstance(arrival, Gap):
+            assert arrival.first_index == expected
+            expected += arrival.loss.total
+        elif isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            assert arrival.index == expected
+            expected += 1
+
+
+def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(300)
+        account = it.reader.account()
+    check_bytes(account)
+    assert account.bytes_discarded == 0
+    assert account.lost.total == 0
+    check_indices(it.arrivals)
+    kinds = [type(arrival) for arrival in it.arrivals if not isinstance(arrival, LinkChange)]
+    assert kinds[0] is BoardOnline
+    assert set(kinds[1:]) == {SingleToneFrame}
+    seen = frames(it.arrivals)
+    assert {b.board_ticks - a.board_ticks for a, b in pairwise(seen)} == {1_000_000}
+    # Stamped by the board's clock: evenly, however the bytes came. The emulated reference is 1.5 ppm fast.
+    spacing_ns = (seen[-1].gate_end.utc_ns - seen[0].gate_end.utc_ns) / (len(seen) - 1)
+    assert spacing_ns == pytest.approx(1e6, rel=2e-3)
+    assert all(abs(frame.gate_end.utc_ns - time.time_ns()) < 60e9 for frame in seen)
+    assert it.states[-1] == ("online", "board EMU-0001 sends 1000 frames/s")
+    assert emulator.report()["frames_dropped"] == 0
+
+
+def test_channelised_frames_over_tcp() -> None:
+    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
+        link = parse_link(emulator.link.address)
+        with Listener(link, SKIN) as it:
+            it.wait_for_frames(30)
+            account = it.reader.account()
+    check_bytes(account)
+    assert account.lost.total == account.parts_lost == 0
+    frame = frames(it.arrivals)[0]
+    assert isinstance(frame, ChannelisedFrame)
+    assert frame.offset_hz16.shape == (4, 3072)
+    assert frame.known.all()
+
+
+def test_damage_is_found_to_the_frame(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("bit_error_rate=1e-4,garbage_rate_hz=20")
+    with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
+        with Listener(SerialLink(str(port), 4000000)) as it:
+            it.wait_for(lambda arrivals: len(frames(arrivals)) + sum(gap.loss.total for gap in gaps(arrivals)) > 1500)
+            account = it.reader.account()
+        it.take_the_rest()
+        last = frames(it.arrivals)[-1].index
+    check_bytes(account)
+    check_indices(it.arrivals)
+    assert account.bytes_discarded > 0
+    hit = emulator.report()["faults"]["frame_sequences_hit"]
+    arrived = {frame.index for frame in frames(it.arrivals)}
+    # The run may have been started twice where an answer was hit; then numbers begin again, and only counts compare.
+    assert it.reader.lost.board_overflow == it.reader.lost.host_overrun == 0
+    missing = set(range(last)) - arrived
+    assert missing == {sequence for sequence in hit if sequence < last}
+    assert len(missing) > 50
+
+
+def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("unplug_at_s=0.3,unplug_for_s=0.5")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000)) as it,
+    ):
+        it.wait_for(lambda arrivals: len(gaps(arrivals)) == 1 and len(frames(arrivals[-200:])) == 200)
+        account = it.reader.account()
+    states = [state for state, _ in it.states]
+    assert "lost" in states
+    assert states[-1] == "online"
+    assert states.index("lost") < len(states) - 1
+    check_indices(it.arrivals)
+    check_bytes(account)
+    (gap,) = gaps(it.arrivals)
+    assert gap.loss.link_gap == gap.loss.total >= 500
+    before, after = (
+        frame for frame in frames(it.arrivals) if frame.index in (gap.first_index - 1, gap.first_index + gap.loss.total)
+    )
+    assert after.board_ticks - before.board_ticks == pytest.approx((gap.loss.total + 1) * 1_000_000, abs=500_000)
+    assert (after.gate_end.utc_ns - before.gate_end.utc_ns) == pytest.approx((gap.loss.total + 1) * 1e6, abs=2e6)
+    assert account.connections >= 2
+
+
+def test_a_reboot_is_told_from_an_unplugging(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=port, faults=parse_faults("reboot_at_s=0.3"))
+    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
+        it.wait_for(lambda arrivals: len(frames(arrivals[-100:])) == 100)
+    first, second = (arrival for arrival in it.arrivals if isinstance(arrival, BoardOnline))
+    assert first.boot_id != second.boot_id
+    check_indices(it.arrivals)
+    assert gaps(it.arrivals)[0].loss.link_gap > 0
+
+
+def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port)),
+        Listener(SerialLink(str(port), 4000000), ring_bytes=100 * 204) as it,
+    ):
+        deadline = time.monotonic() + DEADLINE_S
+        while it.reader.account().frames < 400 and time.monotonic() < deadline:
+            threading.Event().wait(0.01)
+        it.take_the_rest()
+        account = it.reader.account()
+    kept = frames(it.arrivals)
+    assert len(kept) == 100
+    assert account.lost.host_overrun >= 300
+    assert kept[0].index == kept[-1].index - 99
+
+
+def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000), SKIN) as it:
+        it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
+    refused = next(arrival for arrival in it.arrivals if isinstance(arrival, BoardRefused))
+    assert refused.problems[0] == "plate: the board describes quartz16, the plate file has skin32"
+    assert any("single-tone" in problem and "channelised" in problem for problem in refused.problems)
+    assert it.states[-1][0] == "refused"
+    assert not frames(it.arrivals)
+
+
+@contextmanager
+def tcp_server(greeting: bytes) -> Iterator[TcpLink]:
+    """Something that is no board: it sends its greeting and nothing else."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            try:
+                while True:
+                    client, _ = listener.accept()
+                    clients.append(client)
+                    client.sendall(greeting)
+            except OSError:
+                return
+
+        clients: list[socket.socket] = []
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield TcpLink("127.0.0.1", listener.getsockname()[1])
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for client in clients:
+            client.close()
+
+
+def test_another_major_version_is_refused_with_both_named() -> None:
+    with tcp_server(encode_packet(0x81, 1, b"?", boot_id=7, major=3)) as link, Listener(link) as it:
+        it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
+    refused = next(arrival for arrival in it.arrivals if isinstance(arrival, BoardRefused))
+    assert refused == BoardRefused(("the board speaks protocol 3, this daemon speaks 1",), other_protocol=True)
+
+
+def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> None:
+    with tcp_server(b"+OK ready\r\n" * 100) as link, Listener(link) as it:
+        it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "stalled" for a in arrivals))
+        account = it.reader.account()
+    check_bytes(account)
+    assert account.bytes_accepted == 0
+    assert "1100 bytes came and no answer" in it.states[-1][1]
+
+
+def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda arrivals: bool(arrivals))
+        state, reason = it.states[0]
+        assert state == "waiting"
+        assert reason.startswith(f"no port {port}; ")
+        with emulated(EmulatorOptions("quartz16", pty=port)):
+            it.wait_for_frames(10)
+
+
+def test_a_busy_port_says_so_and_is_waited_for(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    link = SerialLink(str(port), 4000000)
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link) as holder:
+        holder.wait_for_frames(1)
+        with Listener(link) as it:
+            it.wait_for(lambda arrivals: bool(arrivals))
+            assert it.states[0] == ("waiting", f"{port} is held by another program; close it there")
+        holder.wait_for_frames(len(frames(holder.arrivals)) + 50)
+
+
+def test_nobody_listens_on_tcp() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        link = TcpLink("127.0.0.1", listener.getsockname()[1])
+    with Listener(link) as it:
+        it.wait_for(lambda arrivals: bool(arrivals))
+    assert it.states[0][0] == "waiting"
+    assert "does not answer" in it.states[0][1]

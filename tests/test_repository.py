@@ -1,0 +1,77 @@
+"""The repository keeps its own manners: pins, reasons, packages, and nothing else at top level."""
+
+import re
+import tomllib
+from fnmatch import fnmatch
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[1]
+PINS = ROOT / ".ci" / "requirements"
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+BUILD = PROJECT["build-system"]["requires"]
+RUN = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["demo"]
+TEST = RUN + PROJECT["project"]["optional-dependencies"]["test"]
+MAKE_PINS = PROJECT["dependency-groups"]["pins"]
+
+EXACT_AND_HASHED = re.compile(
+    r"(?P<name>[\w.-]+)==(?P<version>[\w.]+)(?P<marker> ; [^#]+?)?( --hash=sha256:[0-9a-f]{64})+"
+)
+
+TOP_LEVEL = {
+    *("pyproject.toml", "Makefile", "README.md", "LICENSE", "CHANGELOG.md", "CONTRIBUTING.md"),
+    *("firmware_protocol", "resonator_daemon", "simulators", "tests", "systemd", "docs", "benchmarks"),
+}
+
+
+def pinned(filename: str) -> dict[str, str]:
+    """Version of each package in a requirements file, every entry of which must be exact and hashed."""
+    entries = re.sub(r"#.*\n", "", (PINS / filename).read_text()).replace("\\\n    ", "").splitlines()
+    matches = {entry: EXACT_AND_HASHED.fullmatch(entry) for entry in entries}
+    unfit = [entry for entry, match in matches.items() if match is None]
+    assert unfit == []
+    return {canonicalize_name(match["name"]): match["version"] for match in matches.values() if match}
+
+
+@pytest.mark.parametrize(
+    ("filename", "declared"),
+    [("build.txt", BUILD), ("run.txt", RUN), ("test.txt", TEST), ("pins.txt", MAKE_PINS)],
+)
+def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[str]) -> None:
+    versions = pinned(filename)
+    requirements = {canonicalize_name(requirement.name): requirement for requirement in map(Requirement, declared)}
+    unmet = [name for name, r in requirements.items() if name not in versions or versions[name] not in r.specifier]
+    assert unmet == []
+
+
+def test_tests_run_on_the_versions_that_users_get() -> None:
+    assert pinned("run.txt").items() <= pinned("test.txt").items()
+
+
+def test_every_dependency_has_its_reason_beside_it() -> None:
+    lines = (ROOT / "pyproject.toml").read_text().splitlines()
+    with_reason = re.compile(r'.*"(?P<dependency>[^"]+)"[\],]* +# \w+')
+    reasons = {match["dependency"] for match in map(with_reason.match, lines) if match}
+    assert {*BUILD, *TEST, *MAKE_PINS} - reasons == set()
+
+
+def test_no_package_index_is_named() -> None:
+    files = [ROOT / "pyproject.toml", ROOT / "Makefile", ROOT / ".ci" / "run", *PINS.iterdir()]
+    assert [file.name for file in files if "://" in file.read_text()] == []
+
+
+def test_every_package_is_declared() -> None:
+    roots = ("firmware_protocol", "resonator_daemon", "simulators")
+    modules = {module.parent for root in roots for module in (ROOT / root).rglob("*.py")}
+    packages = {".".join(package.relative_to(ROOT).parts) for package in modules}
+    assert packages == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_top_level_holds_nothing_else() -> None:
+    ignored = [*(ROOT / ".gitignore").read_text().replace("/\n", "\n").split(), ".*"]
+    entries = {entry.name for entry in ROOT.iterdir()}
+    assert {name for name in entries if not any(fnmatch(name, pattern) for pattern in ignored)} == TOP_LEVEL
