@@ -1,0 +1,91 @@
+"""Damage on the wire against what the daemon says of it: every byte in one bin, every lost frame or part reported.
+
+Run it with `make bench`, or `python benchmarks/wire_faults.py [SECONDS]`. Exit code 1 when anything disagrees.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.frames import ChannelisedFrame, LinkAccount, LinkChange, SingleToneFrame
+from resonator_daemon.config import parse_link
+from resonator_daemon.plate import load_plate
+
+CASES = (("quartz16", 1e-5), ("skin32", 1e-7))
+
+
+def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tuple[LinkAccount, int, dict[str, Any]]:
+    """Read a damaged link for some time; return the account, the index of the last frame, and the emulator's report."""
+    link = ("--pty", str(folder / "board")) if plate == "quartz16" else ("--tcp", "127.0.0.1:0")
+    command = [sys.executable, "-m", "resonator_daemon.cli", "emulate", "--plate", plate, *link, "--json"]
+    emulator = subprocess.Popen(
+        [*command, "--faults", f"bit_error_rate={bit_error_rate:g}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert emulator.stdout is not None  # noqa: S101 - it is a pipe
+    woken = Event()
+    reader = BoardReader(parse_link(json.loads(emulator.stdout.readline())["link"]), load_plate(plate), woken.set)
+    reader.start()
+    end = time.monotonic() + seconds
+    last_index = -1
+    stopped = False
+    while True:
+        woken.wait(0.5)
+        woken.clear()
+        arrivals = reader.take()
+        for arrival in arrivals:
+            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+                last_index = arrival.index
+        if not stopped and time.monotonic() > end:
+            emulator.send_signal(signal.SIGINT)
+            stopped = True
+        if stopped and any(isinstance(arrival, LinkChange) and arrival.state != "online" for arrival in arrivals):
+            break
+    report = json.loads(emulator.stdout.read().splitlines()[-1])
+    emulator.wait()
+    reader.stop()
+    return reader.account(), last_index, report
+
+
+def main() -> int:
+    seconds = float(sys.argv[1]) if len(sys.argv) > 1 else 20.0
+    disagreements = 0
+    for plate, rate in CASES:
+        with tempfile.TemporaryDirectory() as folder:
+            account, last_index, report = run(plate, rate, seconds, Path(folder))
+        fates = {
+            "accepted": account.bytes_accepted,
+            "other version": account.bytes_other_version,
+            "own direction": account.bytes_own_direction,
+            "discarded": account.bytes_discarded,
+            "waiting": account.bytes_waiting,
+        }
+        faults = report["faults"]
+        if plate == "quartz16":
+            what, reported = "frames", account.lost.total
+            injected = sum(sequence < last_index for sequence in faults["frame_sequences_hit"])
+        else:
+            what, reported, injected = "parts", account.parts_lost, faults["parts_hit"]
+        print(
+            f"{plate}: one bit in {1 / rate:g} flipped, {account.frames} frames, {faults['bits_flipped']} bits flipped"
+        )
+        print(f"  bytes in {account.bytes_received} = {sum(fates.values())}: {fates}")
+        print(f"  {what} damaged on the wire: {injected}; reported lost: {reported}; frames lost: {account.lost.total}")
+        disagreements += account.bytes_received != sum(fates.values())
+        disagreements += injected != reported
+        disagreements += plate == "skin32" and account.lost.total > 0
+    print("all agrees" if not disagreements else f"{disagreements} disagreements")
+    return 1 if disagreements else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
