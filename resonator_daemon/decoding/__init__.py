@@ -1,0 +1,6 @@
+"""From signals at depth back to what happens on the surface: regularised inverses of the half-space's matrices."""
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.fourier import FourierDecoder
+
+__all__ = ["Decoded", "FourierDecoder"]

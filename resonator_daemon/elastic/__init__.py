@@ -1,0 +1,6 @@
+"""Linear elasticity of a half-space in the domain of spatial frequency: pure arrays, no I/O."""
+
+from resonator_daemon.elastic.grid import SpectralGrid
+from resonator_daemon.elastic.half_space import HalfSpace
+
+__all__ = ["HalfSpace", "SpectralGrid"]

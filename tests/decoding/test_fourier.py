@@ -1,0 +1,401 @@
+"""The Fourier decoder on contacts whose signals come from superposed Boussinesq and Cerruti point loads."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding import Decoded, FourierDecoder
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+
+E = 2e5
+PITCH, DEPTH = 4e-4, 1e-3
+FORCE = 1.0
+
+
+def sites(shape: tuple[int, int]) -> tuple[Floats, Floats]:
+    """x and y of the sites, origin in the middle."""
+    x, y = ((np.arange(n) - (n - 1) / 2) * PITCH for n in (shape[1], shape[0]))
+    return np.meshgrid(x, y)
+
+
+def point_load_signals(dx: Floats, dy: Floats, nu: float) -> Floats:
+    """Signals at (dx, dy, DEPTH) of unit forces along x, y, z at the origin: (3 forces, 3 signals, ...)."""
+    r, shear = np.sqrt(dx * dx + dy * dy + DEPTH**2), (1 + nu) / E
+    p_n = -(1 + nu) / (3 * np.pi * r**3) * 1.5 / E
+    tau = -3 / (2 * np.pi * r**5) * shear
+    return np.array(
+        [
+            [p_n * dx, tau * dx * dx * DEPTH, tau * dx * dy * DEPTH],
+            [p_n * dy, tau * dx * dy * DEPTH, tau * dy * dy * DEPTH],
+            [p_n * DEPTH, tau * dx * DEPTH**2, tau * dy * DEPTH**2],
+        ]
+    )
+
+
+def hertz_signals(x: Floats, y: Floats, radius: float, nu: float) -> Floats:
+    """The same of tractions sqrt(1 - r^2 / radius^2), by quadrature over the disc."""
+    nodes, weights = np.polynomial.legendre.leggauss(24)
+    phi, angle = (nodes + 1) * np.pi / 4, np.arange(48) * (2 * np.pi / 48)
+    signals = np.zeros((3, 3, *x.shape))
+    for p, w in zip(phi, weights * np.pi / 4, strict=True):
+        ring = w * 2 * np.pi / 48 * radius**2 * np.cos(p) ** 2 * np.sin(p)
+        cos, sin = radius * np.sin(p) * np.cos(angle), radius * np.sin(p) * np.sin(angle)
+        signals += ring * point_load_signals(x[..., None] - cos, y[..., None] - sin, nu).sum(axis=-1)
+    return signals
+
+
+@dataclass(frozen=True)
+class Scene:
+    signals: Floats  # (3, ny, nx), without noise
+    traction: Floats  # (3, ny, nx), averaged over the cell of each site
+
+    def noise_std(self, decibel: float) -> float:
+        return float(np.sqrt(np.mean(self.signals**2)) * 10 ** (-decibel / 20))
+
+    def noisy(self, decibel: float, seed: int) -> Floats:
+        return self.signals + self.noise_std(decibel) * np.random.default_rng(seed).standard_normal(self.signals.shape)
+
+    def error(self, decoded: Decoded) -> float:
+        return float(np.linalg.norm(decoded.traction_pascal - self.traction) / np.linalg.norm(self.traction))
+
+
+def partial_slip(
+    centre: tuple[float, float] = (0.0, 0.0),
+    *,
+    shape: tuple[int, int] = (32, 32),
+    nu: float = 0.5,
+    stick: float = 0.5,
+    friction: float = 0.5,
+    radius: float = 2.5e-3,
+    direction: float = np.pi / 6,
+) -> Scene:
+    """Cattaneo and Mindlin: Hertz pressure, friction times pressure less the same over the stick radius."""
+    x, y = (axis - middle for axis, middle in zip(sites(shape), centre, strict=True))
+    peak = 1.5 * FORCE / (np.pi * radius**2)
+    way = np.array([np.cos(direction), np.sin(direction)])
+    whole = hertz_signals(x, y, radius, nu)
+    inner = hertz_signals(x, y, stick * radius, nu)
+    signals = peak * (whole[2] + friction * np.tensordot(way, whole[:2] - stick * inner[:2], 1))
+    offset = ((np.arange(16) + 0.5) / 16 - 0.5) * PITCH
+    square = (x[..., None, None] + offset) ** 2 + (y[..., None, None] + offset[:, None]) ** 2
+    pressure = peak * np.sqrt(np.maximum(1 - square / radius**2, 0))
+    shear = friction * (pressure - peak * stick * np.sqrt(np.maximum(1 - square / (stick * radius) ** 2, 0)))
+    cells = np.array([way[0] * shear, way[1] * shear, pressure]).mean(axis=(-1, -2))
+    return Scene(signals, cells)
+
+
+@pytest.fixture(scope="module")
+def centred() -> Scene:
+    return partial_slip()
+
+
+@pytest.fixture(scope="module")
+def crossing() -> Scene:
+    return partial_slip((5.5e-3, 0.0))
+
+
+def decoder(scene: Scene, decibel: float, *, nu: float = 0.5, **keywords: float) -> FourierDecoder:
+    shape = scene.signals.shape[1:]
+    return FourierDecoder(HalfSpace(E, nu), shape, PITCH, DEPTH, scene.noise_std(decibel), **keywords)
+
+
+# --- accuracy
+
+
+@pytest.mark.parametrize(("decibel", "limit"), [(11, 0.25), (20, 0.19), (30, 0.14), (40, 0.10), (60, 0.08)])
+def test_partial_slip_contact(centred: Scene, decibel: float, limit: float):
+    decode = decoder(centred, decibel).decode
+    for seed in range(4):
+        decoded = decode(centred.noisy(decibel, seed))
+        assert centred.error(decoded) < limit
+        assert decoded.status == "ok"
+        assert decoded.reason == ""
+        assert not decoded.border_contact
+        assert 0.9 < decoded.chi2 < (1.1 if decibel <= 40 else 2.5)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3])
+@pytest.mark.parametrize("shape", [(32, 32), (24, 30)])
+def test_compressible_skin_oblong_array_contact_off_centre(shape: tuple[int, int], nu: float):
+    scene = partial_slip((0.9e-3, -0.5e-3), shape=shape, nu=nu, direction=2.0)
+    assert scene.error(decoder(scene, 30, nu=nu).decode(scene.noisy(30, 0))) < 0.16
+
+
+def test_contact_across_the_border_is_flagged_and_stays_sane(crossing: Scene):
+    for decibel, limit in [(11, 0.26), (20, 0.25), (30, 0.21), (40, 0.21), (60, 0.30)]:
+        decoded = decoder(crossing, decibel).decode(crossing.noisy(decibel, 0))
+        assert crossing.error(decoded) < limit
+        assert decoded.border_contact
+
+
+def test_gain_errors_do_not_spoil_the_frame(centred: Scene):
+    decode = decoder(centred, 40).decode
+    for gain_std, limit in [(0.01, 0.12), (0.05, 0.25)]:
+        gain = 1 + gain_std * np.random.default_rng(1).standard_normal(centred.signals.shape)
+        decoded = decode(centred.noisy(40, 0) * gain)
+        assert centred.error(decoded) < limit
+        assert decoded.chi2 > 1.2
+
+
+def test_displacement_under_a_hertz_contact():
+    """Hertz's surface displacement, absolute: 4 % of it over the whole array, 3 % under the contact."""
+    for nu in (0.3, 0.5):
+        radius = 2.5e-3
+        scene = partial_slip(nu=nu, friction=0.0, radius=radius)
+        x, y = sites((32, 32))
+        r = np.maximum(np.hypot(x, y), radius)
+        peak, inside = 1.5 * FORCE / (np.pi * radius**2), np.hypot(x, y) < radius
+        outer = (2 * radius**2 - r**2) * np.arcsin(radius / r) + r * radius * np.sqrt(1 - (radius / r) ** 2)
+        inner = np.pi / 2 * (2 * radius**2 - x * x - y * y)
+        truth = (1 - nu**2) * peak / (2 * E * radius) * np.where(inside, inner, outer)
+        decoded = decoder(scene, 30, nu=nu).decode(scene.noisy(30, 0), displacement=True)
+        assert decoded.displacement_m is not None
+        found = decoded.displacement_m[2]
+        assert np.linalg.norm(found - truth) < 0.04 * np.linalg.norm(truth)
+        assert np.linalg.norm((found - truth)[inside]) < 0.03 * np.linalg.norm(truth[inside])
+
+
+def test_sheared_surface_moves_along_the_shear(centred: Scene):
+    """Mindlin: the stick region of a sheared contact moves as one; its displacement in closed form."""
+    radius, stick, friction, nu = 2.5e-3, 0.5, 0.5, 0.5
+    decoded = decoder(centred, 40).decode(centred.noisy(40, 0), displacement=True)
+    assert decoded.displacement_m is not None
+    tangential = friction * FORCE * (1 - stick**3)
+    mu = E / (2 * (1 + nu))
+    slip_term = 1 - (1 - tangential / (friction * FORCE)) ** (2 / 3)
+    truth = 3 * friction * FORCE * (2 - nu) / (16 * mu * radius) * slip_term
+    x, y = sites((32, 32))
+    stuck = np.hypot(x, y) < 0.8 * stick * radius
+    along = decoded.displacement_m[0] * np.cos(np.pi / 6) + decoded.displacement_m[1] * np.sin(np.pi / 6)
+    assert along[stuck].mean() == pytest.approx(truth, rel=0.05)
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_error_bars_are_right_on_average(centred: Scene, decibel: float):
+    decoded = decoder(centred, decibel).decode(np.stack([centred.noisy(decibel, seed) for seed in range(4)]))
+    ratio = (decoded.traction_pascal - centred.traction) / decoded.traction_std_pascal
+    rms = np.sqrt(np.mean(ratio**2, axis=(0, 2, 3)))
+    assert (rms > 0.6).all()
+    assert (rms < 1.25).all()
+
+
+def test_evidence_prefers_the_true_noise(centred: Scene):
+    frame = centred.noisy(30, 0)
+    evidence = {decibel: decoder(centred, decibel).decode(frame).log_evidence for decibel in (20, 26, 30)}
+    assert evidence[30] > evidence[26] + 50 > evidence[20] + 100
+
+
+def test_evidence_of_noise_is_the_density_of_white_noise(centred: Scene):
+    std = centred.noise_std(30)
+    frame = std * np.random.default_rng(0).standard_normal((3, 32, 32))
+    gone = np.random.default_rng(1).random(frame.shape) < 0.2
+    for known in (np.ones_like(gone), ~gone):
+        density = -0.5 * np.log(2 * np.pi * std**2) - 0.5 * (frame[known] / std) ** 2
+        decoded = decoder(centred, 30).decode(np.where(known, frame, np.nan))
+        assert decoded.log_evidence == pytest.approx(density.sum(), rel=0.02)
+
+
+def test_noise_declared_far_too_small_is_seen_and_borne(centred: Scene):
+    decoded = decoder(centred, 80).decode(centred.noisy(30, 0))
+    assert decoded.chi2 > 1e4
+    assert decoded.status == "ok"
+    assert centred.error(decoded) < 0.14
+
+
+def test_noise_alone_decodes_to_nothing(centred: Scene):
+    std = centred.noise_std(30)
+    decoded = decoder(centred, 30).decode(std * np.random.default_rng(0).standard_normal((10, 3, 32, 32)))
+    assert np.abs(decoded.traction_pascal).max() < 0.005 * centred.traction.max()
+    assert not decoded.border_contact.any()
+    np.testing.assert_allclose(decoded.chi2, 1.0, atol=0.15)
+
+
+# --- noise of the channels, fixed scale
+
+
+def test_noise_std_is_per_channel(centred: Scene):
+    """A channel that is declared bad has little say; every accepted shape means the same."""
+    body, std = HalfSpace(E, 0.5), centred.noise_std(30)
+    declared = std * np.array([1.0, 8.0, 1.0])
+    rng = np.random.default_rng(2)
+    frame = centred.signals + declared[:, None, None] * rng.standard_normal(centred.signals.shape)
+    full = np.broadcast_to(declared[:, None, None], (3, 32, 32))
+    found = [FourierDecoder(body, (32, 32), PITCH, DEPTH, d).decode(frame) for d in (declared, full)]
+    np.testing.assert_allclose(found[0].traction_pascal, found[1].traction_pascal, rtol=1e-9, atol=1e-6)
+    equal = FourierDecoder(body, (32, 32), PITCH, DEPTH, std * np.sqrt(66 / 3)).decode(frame)
+    wrong = FourierDecoder(body, (32, 32), PITCH, DEPTH, declared[[0, 2, 1]]).decode(frame)
+    assert centred.error(found[0]) < 0.92 * centred.error(equal)
+    assert centred.error(found[0]) < 0.75 * centred.error(wrong)
+    uneven = np.full((3, 32, 32), std)
+    uneven[:, ::2] *= 0.5
+    uneven[:, 1::2] *= np.sqrt(1.75)
+    mean = FourierDecoder(body, (32, 32), PITCH, DEPTH, uneven).decode(frame)
+    flat = FourierDecoder(body, (32, 32), PITCH, DEPTH, std).decode(frame)
+    np.testing.assert_allclose(mean.traction_pascal, flat.traction_pascal, rtol=1e-9, atol=1e-6)
+
+
+def test_fixed_scale_makes_the_map_linear(centred: Scene):
+    linear = decoder(centred, 30, prior_std_pascal=1e4)
+    a, b = centred.noisy(30, 0), centred.noisy(30, 1)[:, ::-1]
+    decoded = linear.decode([a, b, 3 * a - 2 * b])
+    combined = 3 * decoded.traction_pascal[0] - 2 * decoded.traction_pascal[1]
+    np.testing.assert_allclose(decoded.traction_pascal[2], combined, atol=1e-9 * np.abs(combined).max())
+    assert centred.error(linear.decode(a)) < 0.14
+
+
+# --- lost and impossible signals
+
+
+@pytest.mark.parametrize(
+    ("lost", "decibel", "limit"), [(0.01, 30, 1.02), (0.05, 30, 1.04), (0.2, 30, 1.08), (0.2, 40, 1.10)]
+)
+def test_scattered_losses_cost_little(centred: Scene, lost: float, decibel: float, limit: float):
+    decode = decoder(centred, decibel).decode
+    for seed in range(3):
+        frame = centred.noisy(decibel, seed)
+        whole = decode(frame)
+        gone = np.random.default_rng(seed + 50).random(frame.shape) < lost
+        decoded = decode(np.where(gone, np.nan, frame))
+        assert centred.error(decoded) < limit * centred.error(whole)
+        assert decoded.status == "ok"
+        assert decoded.reason == f"{gone.sum()} of 3072 signals lost and filled in"
+        assert decoded.traction_std_pascal.mean() > (1 + 0.15 * lost) * whole.traction_std_pascal.mean()
+        assert decoded.chi2 == pytest.approx(whole.chi2, rel=0.06)
+
+
+@pytest.mark.parametrize(("stop", "limit"), [(18, 0.15), (21, 0.25)])
+def test_hole_under_the_contact(centred: Scene, stop: int, limit: float):
+    """1.6 and 2.8 mm of dead sites: the field comes from around them, the error bar is largest in the middle."""
+    frame = centred.noisy(30, 0)
+    frame[:, 14:stop, 14:stop] = np.nan
+    decoded = decoder(centred, 30).decode(frame)
+    assert centred.error(decoded) < limit
+    std = decoded.traction_std_pascal
+    assert (std[:, 15, 15] > 1.2 * std[:, 0, 0]).all()
+    assert (std[:, 15, 15] > std[:, 12, 12]).all()
+
+
+def test_hole_too_wide_to_fill_is_named(centred: Scene):
+    frame = centred.noisy(40, 0)
+    frame[:, 11:21, 11:21] = np.nan
+    assert "too many side by side" in str(decoder(centred, 40).decode(frame).reason)
+
+
+@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e6, -11.0])
+def test_impossible_signals_count_as_lost(centred: Scene, value: float):
+    frame = centred.noisy(30, 0)
+    frame[1, 16, 12] = value
+    marked = frame.copy()
+    marked[1, 16, 12] = np.nan
+    decode = decoder(centred, 30).decode
+    decoded = decode(frame)
+    np.testing.assert_array_equal(decoded.traction_pascal, decode(marked).traction_pascal)
+    assert decoded.reason == "1 of 3072 signals lost and filled in"
+
+
+def assert_unknown(decoded: Decoded) -> None:
+    assert decoded.displacement_m is not None
+    for array in (decoded.traction_pascal, decoded.traction_std_pascal, decoded.displacement_m):
+        assert array.shape == (3, 32, 32)
+        assert np.isnan(array).all()
+    assert decoded.border_contact is False
+
+
+def test_frames_without_enough_signals_are_unknown(centred: Scene):
+    decode = decoder(centred, 30).decode
+    frame = centred.noisy(30, 0)
+    one_channel = frame.copy()
+    one_channel[1] = np.nan
+    for useless in (np.full_like(frame, np.nan), frame * 1e6, one_channel):
+        decoded = decode(useless, displacement=True)
+        assert decoded.status == "no_signal"
+        assert "0% of a channel" in str(decoded.reason)
+        assert np.isnan(decoded.chi2)
+        assert_unknown(decoded)
+
+
+def test_a_frame_that_no_load_explains_is_rejected(centred: Scene):
+    frame = np.random.default_rng(0).permutation(centred.noisy(30, 0).ravel()).reshape(3, 32, 32)
+    decoded = decoder(centred, 30).decode(frame, displacement=True)
+    assert decoded.status == "rejected"
+    assert "unexplained" in str(decoded.reason)
+    assert decoded.chi2 > 100
+    assert_unknown(decoded)
+
+
+def test_silence_is_a_frame_like_any_other(centred: Scene):
+    decoded = decoder(centred, 30).decode(np.zeros((3, 32, 32)), displacement=True)
+    assert decoded.status == "ok"
+    np.testing.assert_array_equal(decoded.traction_pascal, 0.0)
+    np.testing.assert_array_equal(decoded.displacement_m, 0.0)
+    assert not decoded.border_contact
+
+
+# --- shapes
+
+
+def test_a_frame_does_not_depend_on_its_batch_and_repeats_exactly(centred: Scene):
+    decode = decoder(centred, 30).decode
+    frames = np.stack([centred.noisy(30, seed) for seed in range(4)]).reshape(2, 2, 3, 32, 32)
+    frames[1, 0] = np.nan
+    frames[0, 1, 2, 5, 5] = np.nan
+    batch = decode(frames, displacement=True)
+    assert batch.traction_pascal.shape == batch.traction_std_pascal.shape == (2, 2, 3, 32, 32)
+    assert batch.displacement_m is not None
+    for name in ("border_contact", "log_evidence", "chi2", "status", "reason"):
+        assert np.shape(getattr(batch, name)) == (2, 2)
+    for row, column in np.ndindex(2, 2):
+        single = decode(frames[row, column], displacement=True)
+        assert single.displacement_m is not None
+        np.testing.assert_array_equal(batch.traction_pascal[row, column], single.traction_pascal)
+        np.testing.assert_array_equal(batch.traction_std_pascal[row, column], single.traction_std_pascal)
+        np.testing.assert_array_equal(batch.displacement_m[row, column], single.displacement_m)
+        assert batch.status[row, column] == single.status
+        np.testing.assert_array_equal(batch.chi2[row, column], single.chi2)
+    assert batch.status.tolist() == [["ok", "ok"], ["no_signal", "ok"]]
+    assert isinstance(single.status, str)
+    assert isinstance(single.border_contact, bool)
+
+
+def test_an_empty_batch_is_empty(centred: Scene):
+    decoded = decoder(centred, 30).decode(np.empty((0, 3, 32, 32)))
+    assert decoded.traction_pascal.shape == (0, 3, 32, 32)
+    assert decoded.displacement_m is None
+    assert decoded.status.shape == (0,)
+
+
+@pytest.mark.parametrize("shape", [(3, 32, 31), (32, 32), (3, 1024), (2, 32, 32), ()])
+def test_refuses_signals_of_another_shape(centred: Scene, shape: tuple[int, ...]):
+    with pytest.raises(ValueError, match=r"signals have shape .* must be \(..., 3, 32, 32\)"):
+        decoder(centred, 30).decode(np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"shape": (0, 32)}, "shape is"),
+        ({"pitch_m": 0.0}, "pitch_m is 0.0"),
+        ({"depth_m": -1e-3}, "depth_m spans -0.001"),
+        ({"noise_std": 0.0}, r"noise_std spans 0.0 .. 0.0"),
+        ({"noise_std": [1e-3, np.nan, 1e-3]}, "noise_std spans nan"),
+        ({"noise_std": [1e-3, 1e-3]}, r"noise_std has shape \(2,\)"),
+        ({"correlation_length_m": -1.0}, "correlation_length_m is -1.0"),
+        ({"tangential_ratio": 0.0}, "tangential_ratio is 0.0"),
+        ({"prior_std_pascal": np.inf}, "prior_std_pascal is inf"),
+    ],
+)
+def test_refuses_parameters(changes: dict, message: str):
+    arguments = {"shape": (32, 32), "pitch_m": PITCH, "depth_m": DEPTH, "noise_std": 1e-3} | changes
+    with pytest.raises(ValueError, match=message):
+        FourierDecoder(HalfSpace(E, 0.5), **arguments)
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (3, 2), (1, 16)])
+def test_smallest_arrays_decode(shape: tuple[int, int]):
+    decoded = FourierDecoder(HalfSpace(E, 0.5), shape, PITCH, 0.0, 1e-3).decode(np.full((3, *shape), 0.1))
+    assert decoded.status == "ok"
+    assert np.isfinite(decoded.traction_pascal).all()

@@ -1,0 +1,383 @@
+"""The half-space's transfer matrices against the equations of elasticity and the closed-form point loads."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import fft
+
+from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.elastic.half_space import Input, Output
+
+Floats = NDArray[np.float64]
+
+POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
+E = 2.0e5
+
+
+def random_frequencies(count: int = 200) -> tuple[Floats, Floats, Floats]:
+    rng = np.random.default_rng(7)
+    w, angle = 10.0 ** rng.uniform(1.0, 4.0, count), rng.uniform(-np.pi, np.pi, count)
+    return w * np.cos(angle), w * np.sin(angle), rng.uniform(0.05, 6.0, count) / w
+
+
+def chebyshev_derivative(function: Callable[[Floats], NDArray[np.complex128]], z: Floats, half_width: Floats):
+    """d/dz at z from 20 Chebyshev nodes around it; exact to rounding for (a + b z) exp(-w z)."""
+    count = 20
+    nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    fit = np.polynomial.chebyshev.chebvander(nodes, count - 1)
+    slope_at_0 = np.array([np.polynomial.Chebyshev.basis(n).deriv()(0.0) if n else 0.0 for n in range(count)])
+    weights = np.linalg.solve(fit.T, slope_at_0)
+    samples = function(z + nodes[:, None] * half_width)
+    return np.einsum("n,n...->...", weights, samples) / half_width[:, None, None]
+
+
+@pytest.mark.parametrize("source", ["traction", "displacement"])
+@pytest.mark.parametrize("nu", POISSON)
+def test_fields_obey_kinematics_equilibrium_and_hooke(nu: float, source: Input):
+    body = HalfSpace(E, nu)
+    wx, wy, z = random_frequencies()
+    w = np.hypot(wx, wy)
+
+    def at(output: Output) -> Callable[[Floats], NDArray[np.complex128]]:
+        return lambda depth: body.transfer_matrix(output, source, wx, wy, depth)
+
+    u, strain, stress = at("displacement")(z), at("strain")(z), at("stress")(z)
+    du = chebyshev_derivative(at("displacement"), z, 0.04 / w)
+    dstress = chebyshev_derivative(at("stress"), z, 0.04 / w)
+    jx, jy = 1j * wx[:, None], 1j * wy[:, None]
+
+    kinematics = [
+        jx * u[:, 0],
+        jy * u[:, 1],
+        du[:, 2],
+        (jy * u[:, 0] + jx * u[:, 1]) / 2,
+        (du[:, 0] + jx * u[:, 2]) / 2,
+        (du[:, 1] + jy * u[:, 2]) / 2,
+    ]
+    scale = np.abs(strain).max(axis=(1, 2))
+    for row, expected in enumerate(kinematics):
+        assert np.max(np.abs(strain[:, row] - expected).max(-1) / scale) < 2e-11
+
+    xx, yy, zz, xy, xz, yz = range(6)
+    balance = [
+        jx * stress[:, xx] + jy * stress[:, xy] + dstress[:, xz],
+        jx * stress[:, xy] + jy * stress[:, yy] + dstress[:, yz],
+        jx * stress[:, xz] + jy * stress[:, yz] + dstress[:, zz],
+    ]
+    scale = np.abs(stress).max(axis=(1, 2))
+    for residual in balance:
+        assert np.max(np.abs(residual).max(-1) / (w * scale)) < 2e-11
+
+    trace = stress[:, :3].sum(axis=1)
+    compliance = (1 + nu) / E * stress
+    compliance[:, :3] -= nu / E * trace[:, None]
+    assert np.max(np.abs(strain - compliance).max((1, 2)) * E / scale) < 1e-14
+    np.testing.assert_allclose(at("p_n")(z)[:, 0], trace / 3, atol=1e-14 * scale.max())
+
+    sensor = at("sensor")(z)
+    expected = np.stack([trace / (2 * E), strain[:, xz], strain[:, yz]], axis=1)
+    assert np.max(np.abs(sensor - expected).max((1, 2)) * E / scale) < 1e-14
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_surface_values_are_the_inputs(nu: float):
+    body = HalfSpace(E, nu)
+    wx, wy, _ = random_frequencies()
+    stress = body.transfer_matrix("stress", "traction", wx, wy, 0.0)
+    np.testing.assert_allclose(stress[:, [4, 5, 2]], np.broadcast_to(-np.eye(3), (200, 3, 3)), atol=1e-14)
+    moved = body.transfer_matrix("displacement", "displacement", wx, wy, 0.0)
+    np.testing.assert_allclose(moved, np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-14)
+    stress = body.transfer_matrix("stress", "displacement", wx, wy, 0.0)
+    traction = body.transfer_matrix("traction", "displacement", wx, wy, 0.0)
+    np.testing.assert_allclose(stress[:, [4, 5, 2]], -traction, rtol=1e-12, atol=1e-13 * np.abs(traction).max())
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_surface_compliance_is_hermitian_positive_and_inverse_to_the_stiffness(nu: float):
+    body = HalfSpace(E, nu)
+    wx, wy, _ = random_frequencies()
+    compliance = body.transfer_matrix("displacement", "traction", wx, wy, 0.0)
+    stiffness = body.transfer_matrix("traction", "displacement", wx, wy, 0.0)
+    for matrix in (compliance, stiffness):
+        np.testing.assert_allclose(matrix, matrix.conj().swapaxes(1, 2), rtol=1e-15)
+        assert (np.linalg.eigvalsh(matrix) > 0).all()
+    np.testing.assert_allclose(compliance @ stiffness, np.broadcast_to(np.eye(3), (200, 3, 3)), atol=1e-13)
+    w, mu = np.hypot(wx, wy), body.shear_modulus_pascal
+    np.testing.assert_allclose(np.linalg.det(compliance), (3 - 4 * nu) / (4 * mu**3 * w**3), rtol=1e-12)
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_determinants_of_sensor_sets(nu: float):
+    body = HalfSpace(E, nu)
+    wx, wy, z = random_frequencies()
+    w = np.hypot(wx, wy)
+    c, s, two_mu = wx / w, wy / w, 2 * body.shear_modulus_pascal
+    strain = body.transfer_matrix("strain", "traction", wx, wy, z)
+    rows = dict(zip(("xx", "yy", "zz", "xy", "xz", "yz"), strain.swapaxes(0, 1) * two_mu, strict=True))
+    rows["p_n"] = body.transfer_matrix("p_n", "traction", wx, wy, z)[:, 0]
+    p = 2 * (1 + nu) / 3
+    incompressible = 1 - 2 * nu
+    expected = {
+        ("xy", "xx", "yy"): 0 * c,
+        ("xx", "yy", "zz"): 4 * incompressible * c * s,
+        ("zz", "xz", "yz"): -incompressible + 0 * c,
+        ("xy", "xz", "yz"): -incompressible * c * s,
+        ("p_n", "zz", "xy"): p * (s**2 - c**2),
+        ("p_n", "xx", "yy"): p * 2 * c * s,
+        ("p_n", "xz", "yz"): -p + 0 * c,
+    }
+    for names, value in expected.items():
+        found = np.linalg.det(np.stack([rows[name] for name in names], axis=1)) * np.exp(3 * w * z)
+        np.testing.assert_allclose(found, value, atol=2e-11, err_msg=str(names))
+    sensor = body.transfer_matrix("sensor", "traction", wx, wy, z)
+    np.testing.assert_allclose(np.linalg.det(sensor) * np.exp(3 * w * z) * two_mu**3, -1.0, rtol=1e-11)
+
+
+@pytest.mark.parametrize("source", ["traction", "displacement"])
+@pytest.mark.parametrize("output", ["displacement", "strain", "stress", "p_n", "sensor"])
+def test_opposite_frequencies_are_conjugate(output: Output, source: Input):
+    wx, wy, z = random_frequencies()
+    body = HalfSpace(E, 0.3)
+    opposite = body.transfer_matrix(output, source, -wx, -wy, z)
+    np.testing.assert_array_equal(opposite, body.transfer_matrix(output, source, wx, wy, z).conj())
+
+
+# --- point loads (Boussinesq, Cerruti; Johnson, Contact Mechanics, eqs 3.19 and 3.75), summed over a Gaussian load
+
+
+def normal_point_load(x: Floats, y: Floats, z: float, nu: float, mu: float) -> tuple[Floats, Floats]:
+    """Displacement (3, ...) and stress (6, ...) of a unit normal force at the origin."""
+    r, m = np.sqrt(x * x + y * y + z * z), 1 - 2 * nu
+    u = [x * z / r**3 - m * x / (r * (r + z)), y * z / r**3 - m * y / (r * (r + z)), z * z / r**3 + 2 * (1 - nu) / r]
+    shared = (2 * r + z) / (r * (r + z) ** 2)
+    stress = [
+        m * (z / r - r / (r + z) + x * x * shared) - 3 * x * x * z / r**3,
+        m * (z / r - r / (r + z) + y * y * shared) - 3 * y * y * z / r**3,
+        -3 * z**3 / r**3,
+        m * x * y * shared - 3 * x * y * z / r**3,
+        -3 * x * z * z / r**3,
+        -3 * y * z * z / r**3,
+    ]
+    return np.array(u) / (4 * np.pi * mu), np.array(stress) / (2 * np.pi * r**2)
+
+
+def tangential_point_load(x: Floats, y: Floats, z: float, nu: float, mu: float) -> tuple[Floats, Floats]:
+    """Displacement and stress of a unit force along x at the origin."""
+    r, m = np.sqrt(x * x + y * y + z * z), 1 - 2 * nu
+    h = r + z
+    u = [
+        1 / r + x * x / r**3 + m * (1 / h - x * x / (r * h * h)),
+        x * y / r**3 - m * x * y / (r * h * h),
+        x * z / r**3 + m * x / (r * h),
+    ]
+    stress = [
+        -3 * x**3 / r**5 + m * (x / r**3 - 3 * x / (r * h**2) + x**3 / (r**3 * h**2) + 2 * x**3 / (r**2 * h**3)),
+        -3 * x * y * y / r**5
+        + m * (x / r**3 - x / (r * h**2) + x * y * y / (r**3 * h**2) + 2 * x * y * y / (r**2 * h**3)),
+        -3 * x * z * z / r**5,
+        -3 * x * x * y / r**5 + m * (-y / (r * h**2) + x * x * y / (r**3 * h**2) + 2 * x * x * y / (r**2 * h**3)),
+        -3 * x * x * z / r**5,
+        -3 * x * y * z / r**5,
+    ]
+    return np.array(u) / (4 * np.pi * mu), np.array(stress) / (2 * np.pi)
+
+
+SPREAD = 0.8e-3
+PITCH = 4e-4
+POINTS = [(0.0, 0.0), (2 * PITCH, 0.0), (-PITCH, 3 * PITCH), (6 * PITCH, -4 * PITCH)]
+
+
+def gaussian_load_fields(nu: float, z: float) -> dict[Output, Floats]:
+    """Fields at POINTS of a unit Gaussian load along x, y, z: output -> (points, rows, 3), by the trapezoidal rule."""
+    mu = E / (2 * (1 + nu))
+    axis = np.arange(-110, 111) * (6.9e-3 / 110)
+    a, b = np.meshgrid(axis, axis)
+    weight = np.exp(-(a * a + b * b) / (2 * SPREAD**2)) / (2 * np.pi * SPREAD**2) * (axis[1] - axis[0]) ** 2
+    displacement, stress = np.empty((len(POINTS), 3, 3)), np.empty((len(POINTS), 6, 3))
+    for point, (x, y) in enumerate(POINTS):
+        for column, (load, swap) in enumerate(
+            [(tangential_point_load, False), (tangential_point_load, True), (normal_point_load, False)]
+        ):
+            dx, dy = x - a, y - b
+            u, s = load(dy, dx, z, nu, mu) if swap else load(dx, dy, z, nu, mu)
+            if swap:
+                u, s = u[[1, 0, 2]], s[[1, 0, 2, 3, 5, 4]]
+            displacement[point, :, column] = (u * weight).sum((1, 2))
+            stress[point, :, column] = (s * weight).sum((1, 2))
+    trace = stress[:, :3].sum(axis=1, keepdims=True)
+    strain = (1 + nu) / E * stress
+    strain[:, :3] -= nu / E * trace
+    return {
+        "displacement": displacement,
+        "stress": stress,
+        "strain": strain,
+        "p_n": trace / 3,
+        "sensor": np.concatenate([trace / (2 * E), strain[:, 4:]], axis=1),
+    }
+
+
+def polar_frequencies(z: float) -> tuple[Floats, Floats, Floats]:
+    """Frequencies and weights of the inverse transform in polar form; no sample at omega = 0, no period."""
+    nodes, weights = np.polynomial.legendre.leggauss(40)
+    edges = np.linspace(0.0, min(9.0 / SPREAD, 40.0 / z), 8)
+    half = np.diff(edges)[:, None] / 2
+    w = (edges[:-1, None] + half * (1 + nodes)).ravel()
+    angle = np.arange(160) * (2 * np.pi / 160)
+    area = ((half * weights).ravel() * w)[:, None] * np.full(160, 2 * np.pi / 160) / (4 * np.pi**2)
+    return np.outer(w, np.cos(angle)), np.outer(w, np.sin(angle)), area
+
+
+@pytest.mark.parametrize("z", [0.4e-3, 1.0e-3])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.5])
+def test_gaussian_load_agrees_with_superposed_point_loads(nu: float, z: float):
+    truth = gaussian_load_fields(nu, z)
+    body = HalfSpace(E, nu)
+    wx, wy, area = polar_frequencies(z)
+    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2)
+    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * (area * load)
+    for output, expected in truth.items():
+        matrix = body.transfer_matrix(output, "traction", wx, wy, z)
+        found = np.einsum("pwa,waij->pij", phases, matrix)
+        error = np.abs(found - expected).max(axis=0) / np.abs(expected).max()
+        assert error.max() < 1e-11, (output, error)
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_displacement_of_a_gaussian_load_brings_back_its_inner_fields(nu: float):
+    """The surface displacement of the load, put in as displacement, gives the same inside as the load itself."""
+    z = 0.7e-3
+    truth = gaussian_load_fields(nu, z)
+    body = HalfSpace(E, nu)
+    wx, wy, area = polar_frequencies(z)
+    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2)
+    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * (area * load)
+    surface = body.transfer_matrix("displacement", "traction", wx, wy, 0.0)
+    for output, expected in truth.items():
+        matrix = body.transfer_matrix(output, "displacement", wx, wy, z) @ surface
+        found = np.einsum("pwa,waij->pij", phases, matrix)
+        assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max(), output
+
+
+# --- omega = 0
+
+
+@pytest.mark.parametrize("output", ["strain", "stress", "p_n", "sensor"])
+@pytest.mark.parametrize("nu", POISSON)
+def test_isolated_value_is_the_mean_over_directions(nu: float, output: Output):
+    body = HalfSpace(E, nu)
+    angle = np.arange(64) * (2 * np.pi / 64)
+    near_zero = body.transfer_matrix(output, "traction", 1e-9 * np.cos(angle), 1e-9 * np.sin(angle), 1e-3).mean(axis=0)
+    at_zero = body.transfer_matrix(output, "traction", 0.0, 0.0, 1e-3)
+    np.testing.assert_allclose(at_zero, near_zero, atol=1e-11 * np.abs(at_zero).max())
+
+
+@pytest.mark.parametrize("output", ["displacement", "strain", "stress", "p_n", "sensor", "traction"])
+def test_displacement_input_has_its_true_limit(output: Output):
+    body = HalfSpace(E, 0.3)
+    near_zero = body.transfer_matrix(output, "displacement", 6e-10, 8e-10, 0.0)
+    at_zero = body.transfer_matrix(output, "displacement", 0.0, 0.0, 0.0, zero="periodic")
+    np.testing.assert_allclose(at_zero, near_zero, atol=1e-3 if output in ("stress", "p_n", "traction") else 1e-8)
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_periodic_value_is_the_laterally_confined_body(nu: float):
+    """Uniform traction: no strain across, Hooke's law, and a displacement that is the integral of the strain."""
+    body = HalfSpace(E, nu)
+    strain = body.transfer_matrix("strain", "traction", 0.0, 0.0, 1e-3, zero="periodic").real
+    stress = body.transfer_matrix("stress", "traction", 0.0, 0.0, 1e-3, zero="periodic").real
+    np.testing.assert_array_equal(stress[[4, 5, 2]], -np.eye(3))
+    np.testing.assert_array_equal(strain[[0, 1, 3]], 0.0)
+    compliance = (1 + nu) / E * stress
+    compliance[:3] -= nu / E * stress[:3].sum(axis=0)
+    np.testing.assert_allclose(strain, compliance, atol=1e-15 / E)
+    p_n = body.transfer_matrix("p_n", "traction", 0.0, 0.0, 1e-3, zero="periodic").real
+    np.testing.assert_allclose(p_n[0], stress[:3].mean(axis=0), atol=1e-15)
+    sensor = body.transfer_matrix("sensor", "traction", 0.0, 0.0, 1e-3, zero="periodic").real
+    np.testing.assert_allclose(sensor, [1.5 / E * p_n[0], strain[4], strain[5]], rtol=1e-14)
+    depths = np.array([0.0, 1e-3])
+    moved = body.transfer_matrix("displacement", "traction", 0.0, 0.0, depths, zero="periodic").real
+    slope = (moved[1] - moved[0]) / 1e-3
+    np.testing.assert_allclose(slope, np.diag([2 * strain[4, 0], 2 * strain[5, 1], strain[2, 2]]), rtol=1e-12)
+    np.testing.assert_array_equal(moved[0], 0.0)
+
+
+def test_zero_frequency_can_be_refused():
+    with pytest.raises(ValueError, match="omega is 0"):
+        HalfSpace(E, 0.5).transfer_matrix("p_n", "traction", [1.0, 0.0], 0.0, 0.0, zero="raise")
+
+
+def periodic_gaussian_error(samples: int, nu: float, output: Output) -> float:
+    """Largest error at POINTS of the Gaussian load on a period of `samples` pitches, relative to the largest value."""
+    z = 1e-3
+    axis = (np.arange(samples) - samples // 2) * PITCH
+    bell = np.exp(-(axis**2 + axis[:, None] ** 2) / (2 * SPREAD**2)) / (2 * np.pi * SPREAD**2)
+    matrix = SpectralGrid((samples, samples), PITCH).transfer_matrix(HalfSpace(E, nu), output, "traction", z)
+    fields = fft.irfft2(matrix * fft.rfft2(bell)[..., None, None], s=(samples, samples), axes=(0, 1))
+    found = np.array([fields[samples // 2 + round(y / PITCH), samples // 2 + round(x / PITCH)] for x, y in POINTS])
+    if output == "displacement":  # the part that no period can hold
+        slope = (1 - 2 * nu) * (1 + nu) / (2 * E) / (samples * PITCH) ** 2
+        for point, (x, y) in enumerate(POINTS):
+            found[point] += slope * np.array([[0, 0, -x], [0, 0, -y], [x, y, 0]])
+    truth = gaussian_load_fields(nu, z)[output]
+    return float(np.abs(found - truth).max() / np.abs(truth).max())
+
+
+@pytest.mark.parametrize("output", ["displacement", "strain", "stress", "p_n", "sensor"])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_isolated_rule_leaves_an_error_of_third_order_in_the_period(nu: float, output: Output):
+    errors = [periodic_gaussian_error(samples, nu, output) for samples in (64, 128, 256)]
+    assert errors[0] < 0.01
+    assert errors[0] / errors[1] > 6.5
+    assert errors[1] / errors[2] > 7.2
+
+
+# --- shapes and refusals
+
+
+def test_frequencies_and_depths_broadcast():
+    body = HalfSpace(E, 0.3)
+    wx, wy, z = np.array([1.0, 2.0, 3.0]), np.array([[0.5], [0.0]]), np.array([0.0, 1e-3])[:, None, None]
+    stacked = body.transfer_matrix("strain", "traction", wx, wy, z)
+    assert stacked.shape == (2, 2, 3, 6, 3)
+    assert stacked.dtype == np.complex128
+    single = body.transfer_matrix("strain", "traction", 3.0, 0.5, 1e-3)
+    assert single.shape == (6, 3)
+    np.testing.assert_array_equal(stacked[1, 0, 2], single)
+    zeros = body.transfer_matrix("p_n", "traction", [0.0, 1.0], 0.0, [[0.0], [1.0]])
+    assert zeros.shape == (2, 2, 1, 3)
+    assert np.isfinite(zeros).all()
+
+
+@pytest.mark.parametrize(("youngs", "nu"), [(0.0, 0.3), (-1.0, 0.3), (np.nan, 0.3), (np.inf, 0.3)])
+def test_refuses_youngs_modulus(youngs: float, nu: float):
+    with pytest.raises(ValueError, match="youngs_modulus_pascal is"):
+        HalfSpace(youngs, nu)
+
+
+@pytest.mark.parametrize("nu", [-1.0, 0.5000001, np.nan])
+def test_refuses_poisson_ratio(nu: float):
+    with pytest.raises(ValueError, match=r"poisson_ratio is .* must be in \(-1, 0.5\]"):
+        HalfSpace(E, nu)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "message"),
+    [
+        (("traction", "traction", 1.0, 0.0, 0.0), {}, "no matrix"),
+        (("pressure", "traction", 1.0, 0.0, 0.0), {}, "no matrix"),
+        (("p_n", "force", 1.0, 0.0, 0.0), {}, "no matrix"),
+        (("p_n", "traction", 1.0, 0.0, 0.0), {"zero": "dc"}, "zero is 'dc'"),
+        (("p_n", "traction", np.nan, 0.0, 0.0), {}, "omega"),
+        (("p_n", "traction", 0.0, np.inf, 0.0), {}, "omega"),
+        (("p_n", "traction", 1.0, 0.0, -1e-3), {}, r"depth_m .* -0.001"),
+        (("p_n", "traction", 1.0, 0.0, np.nan), {}, "depth_m"),
+        (("traction", "displacement", 1.0, 0.0, 1e-3), {}, "depth_m reaches 0.001"),
+        (("displacement", "traction", 0.0, 0.0, 0.0), {}, "period_m is None"),
+        (("displacement", "traction", 0.0, 0.0, 0.0), {"period_m": 0.0}, "period_m is 0.0"),
+    ],
+)
+def test_refuses(arguments: tuple, keywords: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        HalfSpace(E, 0.3).transfer_matrix(*arguments, **keywords)
