@@ -1,0 +1,178 @@
+"""Firmware behaviour of an emulated board: bytes and ticks in, bytes out; no I/O, no clock."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from firmware_protocol.device import DeviceSession, DeviceState
+from firmware_protocol.messages import BoardStatus, CounterKind, Identity
+from simulators.plate import Contact, CountedFrame, EmulatedPlate
+
+
+class MadeFrame(NamedTuple):
+    """A frame at the end of its gate, and what was true during it."""
+
+    sequence: int
+    board_ticks: int
+    end_ticks: int  # the same moment, counted as `now_ticks`
+    contacts: list[Contact]
+
+
+class Outgoing(NamedTuple):
+    """Packets that go out together: an answer, or all parts of a frame."""
+
+    packets: tuple[bytes, ...]
+    is_frame: bool
+
+
+@dataclass(slots=True)
+class _Run:
+    """From one START to the next."""
+
+    gate_ticks: int
+    gate_start_ticks: int  # of the gate that is open, as `now_ticks`
+    sequence: int = 0
+    frames_dropped: int = 0
+    frames_dropped_reported: int = 0
+    ahead: deque[CountedFrame] = field(default_factory=deque)  # counted before their time, a block at once
+
+
+class Board:
+    """A board on a plate.
+
+    `now_ticks` counts periods of the board's reference since the emulator began; the board itself counts from its last
+    boot. The scenario begins at the first START ever and goes on through everything that happens to the board.
+
+    Parameters
+    ----------
+    plate
+        What the board counts.
+    identity
+        Who it says it is.
+    boot_id
+        Of the first boot.
+    queue_limit_bytes
+        What the output queue holds at most. When it is full, its oldest whole frames are dropped and counted; an answer
+        that finds no room even then is dropped too, the host will ask again.
+    """
+
+    def __init__(self, plate: EmulatedPlate, identity: Identity, boot_id: int, queue_limit_bytes: int) -> None:
+        self._plate = plate
+        self._identity = identity
+        self._queue_limit_bytes = queue_limit_bytes
+        self.first_start_ticks: int | None = None
+        self.frames_made = 0
+        self.reboot(boot_id, 0)
+
+    def reboot(self, boot_id: int, now_ticks: int) -> None:
+        """Start anew: idle, tick count and output empty."""
+        self._boot_ticks = self._now_ticks = now_ticks
+        self._session = DeviceSession(self._identity, self._plate.description, boot_id)
+        self._runs_begun = 0
+        self._run: _Run | None = None
+        self._queue: deque[Outgoing] = deque()
+        self._queued_bytes = 0
+
+    def receive(self, data: bytes, now_ticks: int) -> None:
+        """Take bytes from the host. Call `advance` first: a frame whose gate has closed goes before the answer."""
+        self._now_ticks = now_ticks
+        answers = self._session.receive(data, self._board_ticks)
+        configuration = self._session.configuration
+        if self._session.started != self._runs_begun and configuration is not None:
+            self._runs_begun = self._session.started
+            self._begin_run(configuration.gate_ticks)
+        if answers:
+            self._enqueue(Outgoing((answers,), is_frame=False))
+
+    def advance(self, now_ticks: int) -> list[MadeFrame]:
+        """Let time pass; return the frames of all gates that have closed, which now wait for `next_output`."""
+        self._now_ticks = now_ticks
+        made = []
+        while self._run is not None and (end_ticks := self.next_frame_ticks) is not None and end_ticks <= now_ticks:
+            made.append(self._make_frame(self._run, end_ticks))
+        return made
+
+    @property
+    def next_frame_ticks(self) -> int | None:
+        """When the gate that is open closes; None while the board does not count."""
+        if self._run is None or self._session.state is not DeviceState.RUNNING:
+            return None
+        return self._run.gate_start_ticks + self._run.gate_ticks
+
+    def count_ahead(self) -> None:
+        """Count the next frames now, where there is time, so that they are ready when their gates close."""
+        run = self._run
+        if run is not None and self.next_frame_ticks is not None and not run.ahead:
+            board_ticks = run.gate_start_ticks - self._boot_ticks
+            scenario_ticks = run.gate_start_ticks - (self.first_start_ticks or 0)
+            run.ahead.extend(self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames))
+
+    @property
+    def frames_queued(self) -> int:
+        return sum(outgoing.is_frame for outgoing in self._queue)
+
+    def next_output(self) -> Outgoing | None:
+        """Remove and return what goes out next."""
+        if not self._queue:
+            return None
+        run = self._run
+        if self._queue[0].is_frame and run is not None and run.frames_dropped != run.frames_dropped_reported:
+            run.frames_dropped_reported = run.frames_dropped
+            return Outgoing((self._session.status(BoardStatus(run.frames_dropped), self._board_ticks),), is_frame=False)
+        outgoing = self._queue.popleft()
+        self._queued_bytes -= _size_bytes(outgoing)
+        return outgoing
+
+    def discard_output(self) -> None:
+        """Empty the queue because its host is gone; frames in it count as dropped."""
+        if self._run is not None:
+            self._run.frames_dropped += self.frames_queued
+        self._queue.clear()
+        self._queued_bytes = 0
+
+    @property
+    def _board_ticks(self) -> int:
+        return self._now_ticks - self._boot_ticks
+
+    def _begin_run(self, gate_ticks: int) -> None:
+        if self.first_start_ticks is None:
+            self.first_start_ticks = self._now_ticks
+        self.discard_output()  # frames of another run, which nobody could tell from those of this one
+        self._run = _Run(gate_ticks, self._now_ticks)
+        self._plate.start()
+
+    def _make_frame(self, run: _Run, end_ticks: int) -> MadeFrame:
+        self.count_ahead()
+        counted = run.ahead.popleft()
+        sequence, board_ticks = run.sequence, end_ticks - self._boot_ticks
+        if self._plate.description.counter_kind == CounterKind.SINGLE_TONE:
+            packets = [self._session.frame(sequence, board_ticks, b"".join(counted.channels))]
+        else:
+            packets = self._session.frame_parts(sequence, board_ticks, counted.channels)
+        run.sequence += 1
+        run.gate_start_ticks = end_ticks
+        self.frames_made += 1
+        self._enqueue(Outgoing(tuple(packets), is_frame=True))
+        return MadeFrame(sequence, board_ticks, end_ticks, counted.contacts)
+
+    def _enqueue(self, outgoing: Outgoing) -> None:
+        size_bytes = _size_bytes(outgoing)
+        while self._queued_bytes + size_bytes > self._queue_limit_bytes:
+            oldest = next((index for index, waiting in enumerate(self._queue) if waiting.is_frame), None)
+            if oldest is None:
+                self._count_dropped(outgoing)
+                return
+            dropped = self._queue[oldest]
+            del self._queue[oldest]
+            self._queued_bytes -= _size_bytes(dropped)
+            self._count_dropped(dropped)
+        self._queue.append(outgoing)
+        self._queued_bytes += size_bytes
+
+    def _count_dropped(self, outgoing: Outgoing) -> None:
+        if outgoing.is_frame and self._run is not None:
+            self._run.frames_dropped += 1
+
+
+def _size_bytes(outgoing: Outgoing) -> int:
+    return sum(map(len, outgoing.packets))

@@ -1,0 +1,203 @@
+"""Links of an emulated board: a pseudo-terminal behind a stable name, and a TCP listener. Nothing here ever blocks."""
+
+import os
+import socket
+import tty
+from pathlib import Path
+from typing import Protocol
+
+_READ_BYTES = 65536
+
+
+class Link(Protocol):
+    """One end of a wire that a host may or may not hold, and that can be pulled out."""
+
+    @property
+    def address(self) -> str:
+        """What a host's configuration calls it."""
+
+    @property
+    def read_fds(self) -> list[int]:
+        """To wait for before `read`."""
+
+    @property
+    def write_fd(self) -> int | None:
+        """To wait for before `write`; None where no host is there."""
+
+    def read(self) -> bytes:
+        """Return what the host has sent, b"" where nothing."""
+
+    def write(self, data: bytes | memoryview) -> int:
+        """Write what the host takes now; return how many bytes that was."""
+
+    def hang_up(self) -> None:
+        """Pull the plug."""
+
+    def plug_in(self) -> None:
+        """Put it back, under the same name."""
+
+    def close(self) -> None: ...
+
+
+class PtyLink:
+    """A pseudo-terminal; `path` is a symbolic link to the side that a host opens, for as long as it is plugged in.
+
+    Raises
+    ------
+    FileExistsError
+        `path` is there already, and no symbolic link.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._master_fd: int | None = None
+        self._slave_fd = -1
+        self.plug_in()
+
+    @property
+    def address(self) -> str:
+        return f"serial:{self._path}?baud=4000000"
+
+    @property
+    def read_fds(self) -> list[int]:
+        return [] if self._master_fd is None else [self._master_fd]
+
+    @property
+    def write_fd(self) -> int | None:
+        return self._master_fd
+
+    def read(self) -> bytes:
+        if self._master_fd is None:
+            return b""
+        try:
+            return os.read(self._master_fd, _READ_BYTES)
+        except BlockingIOError:
+            return b""
+
+    def write(self, data: bytes | memoryview) -> int:
+        if self._master_fd is None:
+            return 0
+        try:
+            return os.write(self._master_fd, data)
+        except BlockingIOError:
+            return 0
+
+    def hang_up(self) -> None:
+        if self._master_fd is None:
+            return
+        if self._path.is_symlink() and os.readlink(self._path) == os.ttyname(self._slave_fd):
+            self._path.unlink()
+        os.close(self._master_fd)
+        os.close(self._slave_fd)
+        self._master_fd = None
+
+    def plug_in(self) -> None:
+        if self._master_fd is not None:
+            return
+        if self._path.exists() and not self._path.is_symlink():
+            raise FileExistsError(f"{self._path} exists and is no symbolic link; remove it or name another")
+        # This end keeps the slave open as well: without any holder, reading from the master fails.
+        self._master_fd, self._slave_fd = os.openpty()
+        tty.setraw(self._slave_fd)
+        os.set_blocking(self._master_fd, False)
+        try:
+            fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+            fresh.symlink_to(os.ttyname(self._slave_fd))
+            fresh.replace(self._path)
+        except OSError:
+            os.close(self._master_fd)
+            os.close(self._slave_fd)
+            self._master_fd = None
+            raise
+
+    def close(self) -> None:
+        self.hang_up()
+
+
+class TcpLink:
+    """A listener that serves one client at a time and turns others away; port 0 picks one.
+
+    Raises
+    ------
+    OSError
+        The address cannot be listened on.
+    """
+
+    def __init__(self, host: str, port: int) -> None:
+        self._host, self._port = host, port
+        self._listener: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self.plug_in()
+
+    @property
+    def address(self) -> str:
+        host = f"[{self._host}]" if ":" in self._host else self._host
+        return f"tcp://{host}:{self._port}"
+
+    @property
+    def read_fds(self) -> list[int]:
+        return [end.fileno() for end in (self._listener, self._client) if end is not None]
+
+    @property
+    def write_fd(self) -> int | None:
+        return None if self._client is None else self._client.fileno()
+
+    def read(self) -> bytes:
+        """As of `Link`; also notices that a client came or went, one of both at a time."""
+        if self._client is None:
+            self._client = self._accept()
+            return b""
+        if (stranger := self._accept()) is not None:
+            stranger.close()
+        try:
+            if data := self._client.recv(_READ_BYTES):
+                return data
+        except BlockingIOError:
+            return b""
+        except OSError:
+            pass  # the connection was reset, which ends it as well
+        self._drop_client()
+        return b""
+
+    def write(self, data: bytes | memoryview) -> int:
+        if self._client is None:
+            return 0
+        try:
+            return self._client.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self._drop_client()
+            return 0
+
+    def hang_up(self) -> None:
+        self._drop_client()
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
+
+    def plug_in(self) -> None:
+        if self._listener is None:
+            family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
+            self._listener = socket.create_server((self._host, self._port), family=family)
+            self._listener.setblocking(False)
+            self._port = self._listener.getsockname()[1]
+
+    def close(self) -> None:
+        self.hang_up()
+
+    def _accept(self) -> socket.socket | None:
+        if self._listener is None:
+            return None
+        try:
+            client, _ = self._listener.accept()
+        except (BlockingIOError, ConnectionError):
+            return None
+        client.setblocking(False)
+        client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return client
+
+    def _drop_client(self) -> None:
+        if self._client is not None:
+            self._client.close()
+            self._client = None

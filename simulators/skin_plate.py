@@ -1,0 +1,155 @@
+"""A plate under a soft skin: a partial-slip contact strains it, tones follow, a channelised counter hears them all."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, ToneFlag
+from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.plate import Plate, Skin
+from simulators.contact import PressedSpot, hertz_parts
+from simulators.plate import (
+    REFERENCE_ERROR,
+    Contact,
+    CountedFrame,
+    attenuation_db256,
+    corner_levels_db,
+    gate_middles_s,
+    record_type,
+)
+from simulators.scenario import FRICTION_COEFFICIENT, Scenario
+
+FloatArray = npt.NDArray[np.float64]
+
+RADIUS_M_AT_1_NEWTON = 2.5e-3
+SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, corners combined
+GAIN_ERROR = 0.01
+
+_GATE_S = (4e-3, 100e-3)
+
+_TONE = record_type(TONE_FIELDS)
+
+
+class SkinPlate:
+    """Tones f0/(1 - s x) of sites that sense p_n, eps_xz and eps_yz under a paraboloid's touches.
+
+    The sensitivity s of each tone is off by 1 % rms from what the plate file says. Noise is white. The best
+    combination of the corners has a signal-to-noise ratio of 30 dB in the triple [3 p_n/(2 E), eps_xz, eps_yz], all
+    three equally noisy, at the plate's own frame rate; each corner has its share by its level.
+    """
+
+    block_frames = 1
+
+    def __init__(
+        self, plate: Plate, scenario: Scenario, seed: int, *, reference_error: float = REFERENCE_ERROR
+    ) -> None:
+        if plate.grid is None or plate.skin is None:
+            raise ValueError(
+                f"plate {plate.name} has no [grid] and [skin], the emulated channelised counter needs both"
+            )
+        grid, skin, tones = plate.grid, plate.skin, plate.tones
+        reference_hz = plate.counter.reference_hz
+        self.description = Description(
+            counter_kind=CounterKind.CHANNELISED,
+            channels=CHANNEL_COUNT,
+            tones=grid.tone_count,
+            reference_millihertz=round(reference_hz * 1e3),
+            gate_ticks_min=round(_GATE_S[0] * reference_hz),
+            gate_ticks_max=round(_GATE_S[1] * reference_hz),
+            plate=plate.name,
+            oscillator_millihertz=round(grid.f0_hz * 1e3),
+            oscillator_spacing_millihertz=round(grid.spacing_hz * 1e3),
+        )
+        self._scenario = scenario
+        self._reference_hz = reference_hz
+        self._tick_rate_hz = reference_hz * (1.0 + reference_error)
+        self._random = np.random.default_rng(seed)
+        self._where = tones.signal_index, tones.site_index
+        self._oscillator_hz = grid.f0_hz + grid.spacing_hz * np.arange(grid.tone_count)
+        self._half_spacing_hz = grid.spacing_hz / 2.0
+        # Counted against a fast reference, every frequency seems low.
+        self._f0_hz = tones.f0_hz.T / (1.0 + reference_error)
+        gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, grid.tone_count)
+        self._sensitivity = tones.sensitivity.T * gain
+        self._spots = [
+            _spot(plate, skin, (float(x), float(y)), float(peak))
+            for (x, y), peak in zip(scenario.positions_m, scenario.peak_newton, strict=True)
+        ]
+        level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
+        self._gate_s = 1.0 / plate.counter.frame_rate_hz
+        self._sigma_hz = self._noise_hz(plate, skin, level_db)
+        self._attenuation = attenuation_db256(level_db)
+        self.start()
+
+    def start(self) -> None:
+        self._turns = self._random.random(self._f0_hz.shape)
+
+    def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
+        times_s = gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz)
+        pressing = self._scenario.at(times_s)
+        counted = []
+        for ids, forces in zip(pressing.ids, pressing.force_newton, strict=True):
+            signals = np.zeros((3, int(self._where[1].max()) + 1))
+            contacts = []
+            for touch in np.flatnonzero(forces[:, 2]):
+                signals += self._spots[touch].signals(forces[touch])
+                contacts.append(self._contact(int(touch), int(ids[touch]), forces[touch]))
+            counted.append(CountedFrame(self._records(signals, gate_ticks / self._reference_hz), contacts))
+        return counted
+
+    def _records(self, signals: FloatArray, gate_s: float) -> list[bytes]:
+        offset_hz = self._f0_hz / (1.0 - self._sensitivity * signals[self._where]) - self._oscillator_hz
+        middle_turns = self._turns + offset_hz * (gate_s / 2.0)
+        self._turns += offset_hz * gate_s
+        self._turns -= np.floor(self._turns)
+        # White phase noise: the slope of a gate is off by length^(-3/2), its middle by length/sqrt(12) times that.
+        sigma_hz = self._sigma_hz * (self._gate_s / gate_s) ** 1.5
+        noise = self._random.standard_normal((2, *offset_hz.shape), dtype=np.float32)
+        offset_hz += sigma_hz * noise[0]
+        middle_turns += sigma_hz * noise[1] * (gate_s / math.sqrt(12.0))
+
+        records = np.empty(offset_hz.shape, dtype=_TONE)
+        records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
+        records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
+        records["attenuation_db256"] = self._attenuation
+        records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
+        records["flags"] = ToneFlag.OUT_OF_BAND * (np.abs(offset_hz) > self._half_spacing_hz)
+        return [channel.tobytes() for channel in records]
+
+    def _noise_hz(self, plate: Plate, skin: Skin, level_db: FloatArray) -> FloatArray:
+        """Return the standard deviation (channels, tones) of a tone's frequency in a gate of the plate's own length."""
+        to_triple = np.array([1.5 / skin.youngs_modulus_pascal, 1.0, 1.0])
+        centre = plate.site_positions_m.mean(axis=0)
+        triple = _spot(plate, skin, (centre[0], centre[1]), 1.0).signals((0.0, 0.0, 1.0)) * to_triple[:, np.newaxis]
+        triple_std = math.sqrt((triple**2).mean()) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
+        tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[self._where[0]]
+        power = 10.0 ** (level_db / 10.0)
+        sigma_hz: FloatArray = tone_std_hz / np.sqrt(power / power.sum(axis=0))
+        return sigma_hz
+
+    def _contact(self, touch: int, contact_id: int, force: FloatArray) -> Contact:
+        radius_m, stick_radius_m = hertz_parts(force, RADIUS_M_AT_1_NEWTON, FRICTION_COEFFICIENT)[0].tolist()
+        x, y = self._scenario.positions_m[touch].tolist()
+        return Contact(
+            contact_id,
+            self._scenario.site_ids[touch],
+            (x, y),
+            tuple(force.tolist()),
+            radius_m,
+            stick_radius_m,
+            FRICTION_COEFFICIENT,
+        )
+
+
+def _spot(plate: Plate, skin: Skin, centre_m: tuple[float, float], force_max_newton: float) -> PressedSpot:
+    return PressedSpot(
+        plate.site_positions_m,
+        skin.depth_m,
+        skin.youngs_modulus_pascal,
+        skin.poisson_ratio,
+        centre_m,
+        RADIUS_M_AT_1_NEWTON,
+        FRICTION_COEFFICIENT,
+        force_max_newton,
+    )

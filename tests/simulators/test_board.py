@@ -1,0 +1,265 @@
+"""The emulated board, seen from the host's end of the same protocol; time passes by hand."""
+
+import numpy as np
+import pytest
+
+from firmware_protocol.host import (
+    Described,
+    Frame,
+    FramePart,
+    HostEvent,
+    HostSession,
+    HostState,
+    Pong,
+    Rebooted,
+    Started,
+)
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_STRUCT, MessageType
+from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, Description, Identity, encode_message
+from firmware_protocol.packets import encode_packet
+from simulators.board import Board, MadeFrame, Outgoing
+from simulators.plate import Contact, CountedFrame
+
+GATE_TICKS = 1000
+IDENTITY = Identity("test", "0042", "1.0", 0)
+FRAME_BYTES = 204
+
+
+class FakePlate:
+    """Counts what it is asked to count."""
+
+    def __init__(self, kind: CounterKind = CounterKind.SINGLE_TONE, tones: int = 1, block_frames: int = 4) -> None:
+        self.description = Description(kind, 4, tones, 10**9, 10, 10**6, "fake")
+        self.block_frames = block_frames
+        self.starts = 0
+        self.asked: list[tuple[int, int, int, int]] = []
+
+    def start(self) -> None:
+        self.starts += 1
+
+    def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
+        self.asked.append((board_ticks, scenario_ticks, gate_ticks, frames))
+        size = SINGLE_TONE_STRUCT.size if self.description.tones == 1 else self.description.tones * TONE_STRUCT.size
+        contact = Contact(1, None, (0.0, 0.0), (0.0, 0.0, 1.0))
+        return [CountedFrame([bytes([channel]) * size for channel in range(4)], [contact]) for _ in range(frames)]
+
+
+class Bench:
+    """A board and a host, wired by hand."""
+
+    def __init__(self, plate: FakePlate | None = None, queue_limit_bytes: int = 100_000) -> None:
+        self.plate = plate or FakePlate()
+        self.board = Board(self.plate, IDENTITY, 77, queue_limit_bytes)
+        self.host = HostSession()
+        self.now = 0
+
+    def exchange(self) -> list[HostEvent]:
+        """Carry bytes both ways until nobody has any more."""
+        events: list[HostEvent] = []
+        while True:
+            if request := self.host.data_to_send():
+                self.board.receive(request, self.now)
+            outgoing = self.board.next_output()
+            if outgoing is None and not request:
+                return events
+            for packet in outgoing.packets if outgoing else ():
+                events += self.host.receive(packet)
+
+    def start(self) -> list[HostEvent]:
+        events = self.exchange()
+        self.host.configure(Configuration(GATE_TICKS))
+        return events + self.exchange()
+
+    def advance(self, ticks: int) -> list[MadeFrame]:
+        self.now += ticks
+        return self.board.advance(self.now)
+
+
+def frames_in(events: list[HostEvent]) -> list[Frame]:
+    return [event for event in events if isinstance(event, Frame)]
+
+
+def test_a_board_does_nothing_before_it_is_asked() -> None:
+    bench = Bench()
+    assert bench.advance(10 * GATE_TICKS) == []
+    assert bench.board.next_output() is None
+    assert bench.board.next_frame_ticks is None
+    bench.board.count_ahead()
+    assert bench.plate.asked == []
+
+
+def test_handshake_then_a_frame_for_each_gate_numbered_from_0() -> None:
+    bench = Bench()
+    bench.advance(12_345)
+    events = bench.start()
+    assert [type(event) for event in events] == [Described, Started]
+    assert isinstance(events[0], Described)
+    assert events[0].boot_id == 77
+    assert bench.board.next_frame_ticks == 12_345 + GATE_TICKS
+    assert bench.advance(GATE_TICKS - 1) == []
+    made = bench.advance(1)
+    made += bench.advance(2 * GATE_TICKS)
+    frames = frames_in(bench.exchange())
+    assert [frame.sequence for frame in frames] == [0, 1, 2]
+    assert [frame.board_ticks for frame in frames] == [12_345 + k * GATE_TICKS for k in (1, 2, 3)]
+    assert [(m.sequence, m.board_ticks, m.end_ticks) for m in made] == [
+        (k, 12_345 + (k + 1) * GATE_TICKS, 12_345 + (k + 1) * GATE_TICKS) for k in range(3)
+    ]
+    assert made[0].contacts[0].force_newton == (0.0, 0.0, 1.0)
+    assert bench.board.frames_made == 3
+
+
+def test_blocks_are_counted_ahead_and_join() -> None:
+    bench = Bench()
+    bench.advance(500)
+    bench.start()
+    bench.board.count_ahead()
+    assert bench.plate.asked == [(500, 0, GATE_TICKS, 4)]
+    bench.board.count_ahead()
+    bench.advance(9 * GATE_TICKS)
+    assert bench.plate.asked == [(500 + k * GATE_TICKS, k * GATE_TICKS, GATE_TICKS, 4) for k in (0, 4, 8)]
+
+
+def test_pong_carries_the_tick_at_which_the_ping_came() -> None:
+    bench = Bench()
+    bench.start()
+    bench.now = 4321
+    bench.host.ping(b"12345678")
+    assert bench.exchange() == [Pong(b"12345678", 4321)]
+
+
+def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_goes_out() -> None:
+    bench = Bench(queue_limit_bytes=3 * FRAME_BYTES + 20)
+    bench.start()
+    bench.advance(10 * GATE_TICKS)
+    assert bench.board.frames_queued == 3
+    events = bench.exchange()
+    assert events[0] == BoardStatus(7)
+    assert [frame.sequence for frame in frames_in(events)] == [7, 8, 9]
+    assert len(events) == 4
+    bench.advance(2 * GATE_TICKS)
+    assert [type(event) for event in bench.exchange()] == [Frame, Frame]
+    bench.advance(5 * GATE_TICKS)
+    assert bench.exchange()[0] == BoardStatus(9)
+
+
+def test_an_answer_takes_the_room_of_the_oldest_frame() -> None:
+    bench = Bench(queue_limit_bytes=3 * FRAME_BYTES)
+    bench.start()
+    bench.advance(3 * GATE_TICKS)
+    bench.host.ping(b"12345678")
+    events = bench.exchange()
+    assert [type(event) for event in events] == [BoardStatus, Frame, Frame, Pong]
+    assert frames_in(events)[0].sequence == 1
+
+
+def test_answers_alone_do_not_overfill_the_queue() -> None:
+    bench = Bench(queue_limit_bytes=100)
+    for _ in range(20):
+        bench.host.ping(b"12345678")
+        bench.board.receive(bench.host.data_to_send()[-36:], 0)
+    waiting = []
+    while (outgoing := bench.board.next_output()) is not None:
+        waiting.append(outgoing)
+    assert sum(len(packet) for out in waiting for packet in out.packets) <= 100
+    assert waiting
+
+
+def test_a_reboot_is_a_board_that_knows_nothing() -> None:
+    bench = Bench()
+    bench.advance(100)
+    bench.start()
+    bench.advance(5 * GATE_TICKS)
+    bench.board.reboot(78, bench.now)
+    assert bench.board.frames_queued == 0
+    assert bench.advance(5 * GATE_TICKS) == []
+    bench.host.ping(b"12345678")
+    events = bench.exchange()
+    assert events[:2] == [Rebooted(78), Pong(b"12345678", 5 * GATE_TICKS)]
+    assert bench.host.state is HostState.DESCRIBED
+    bench.plate.asked.clear()
+    bench.start()
+    (made,) = bench.advance(GATE_TICKS)
+    assert (made.sequence, made.board_ticks) == (0, 6 * GATE_TICKS)
+    assert made.end_ticks == 100 + 11 * GATE_TICKS
+    # The plate went on: its scenario began with the first run.
+    assert bench.plate.asked == [(5 * GATE_TICKS, 10 * GATE_TICKS, GATE_TICKS, 4)]
+
+
+def test_stop_ends_the_run_and_what_was_counted_still_goes_out() -> None:
+    bench = Bench()
+    bench.start()
+    bench.advance(2 * GATE_TICKS)
+    bench.host.stop()
+    bench.board.receive(bench.host.data_to_send(), bench.now)
+    assert bench.advance(5 * GATE_TICKS) == []
+    assert len(frames_in(bench.exchange())) == 2
+
+
+def test_a_new_run_numbers_from_0_and_carries_no_frame_of_the_old_one() -> None:
+    bench = Bench()
+    bench.start()
+    bench.advance(3 * GATE_TICKS)
+    assert bench.plate.starts == 1
+    requests = encode_packet(MessageType.CONFIGURE, 8, encode_message(Configuration(GATE_TICKS)))
+    bench.board.receive(requests + encode_packet(MessageType.START, 9), bench.now)
+    assert bench.plate.starts == 2
+    bench.advance(GATE_TICKS)
+    assert [frame.sequence for frame in frames_in(bench.exchange())] == [0]
+
+
+def test_a_repeated_start_goes_on_counting() -> None:
+    bench = Bench()
+    bench.exchange()
+    bench.host.configure(Configuration(GATE_TICKS))
+    requests: list[bytes] = []
+    while bench.host.state is not HostState.RUNNING:
+        requests.append(bench.host.data_to_send())
+        bench.board.receive(requests[-1], 0)
+        outgoing = bench.board.next_output()
+        assert outgoing is not None
+        bench.host.receive(outgoing.packets[0])
+    bench.advance(2 * GATE_TICKS)
+    bench.board.receive(requests[-1], bench.now)  # START again
+    bench.advance(GATE_TICKS)
+    assert [frame.sequence for frame in frames_in(bench.exchange())] == [0, 1, 2]
+
+
+def test_output_for_a_host_that_is_gone_counts_as_dropped() -> None:
+    bench = Bench()
+    bench.start()
+    bench.advance(3 * GATE_TICKS)
+    bench.board.discard_output()
+    bench.advance(GATE_TICKS)
+    events = bench.exchange()
+    assert events[0] == BoardStatus(3)
+    assert [frame.sequence for frame in frames_in(events)] == [3]
+
+
+def test_a_channelised_frame_goes_out_whole_in_parts() -> None:
+    bench = Bench(FakePlate(CounterKind.CHANNELISED, tones=3072, block_frames=1), queue_limit_bytes=400_000)
+    bench.start()
+    bench.advance(4 * GATE_TICKS)
+    status, *frames = iter(bench.board.next_output, None)
+    assert isinstance(status, Outgoing)
+    assert not status.is_frame
+    assert [len(frame.packets) for frame in frames] == [20, 20]
+    parts = [event for frame in frames for packet in frame.packets for event in bench.host.receive(packet)]
+    assert all(isinstance(part, FramePart) for part in parts)
+    tones = np.zeros((2, 4, 3072), dtype=int)
+    for part in parts:
+        assert isinstance(part, FramePart)
+        assert part.tones == bytes([part.block.channel]) * len(part.tones)
+        block = part.block
+        tones[part.sequence - 2, block.channel, block.first_tone : block.first_tone + block.tones] += 1
+    assert np.all(tones == 1)
+
+
+@pytest.mark.parametrize("gate_ticks", [9, 10**6 + 1])
+def test_a_gate_beyond_its_limits_is_refused(gate_ticks: int) -> None:
+    bench = Bench()
+    bench.exchange()
+    bench.host.configure(Configuration(gate_ticks))
+    bench.exchange()
+    assert bench.host.state is HostState.REFUSED
+    assert bench.advance(10 * GATE_TICKS) == []

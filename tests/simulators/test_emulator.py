@@ -1,0 +1,263 @@
+"""The whole emulator in real time, read by the host's end of the protocol."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Rebooted
+from firmware_protocol.messages import Configuration
+from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
+from simulators.faults import FaultPlan
+
+WAIT_S = 20.0  # after which a test fails; none waits that long
+_SILENCE_S = 0.1  # after which a host asks
+
+
+class Host:
+    """Reads an emulated board until told otherwise."""
+
+    def __init__(self, fd: int, gate_ticks: int) -> None:
+        self._fd = fd
+        self._gate_ticks = gate_ticks
+        self.session = HostSession()
+        self.events: list[HostEvent] = []
+        self.gone = False
+
+    def read_until(self, done: Callable[[], bool]) -> None:
+        deadline_s = time.monotonic() + WAIT_S
+        while not done():
+            if request := self.session.data_to_send():
+                os.write(self._fd, request)
+            readable, _, _ = select.select([self._fd], [], [], _SILENCE_S)
+            assert time.monotonic() < deadline_s, f"did not happen within {WAIT_S} s"
+            if not readable:
+                self.session.ask_again()
+                self.session.ping(b"anybody?")
+                continue
+            try:
+                data = os.read(self._fd, 1 << 20)
+            except OSError:  # EIO of a terminal that was pulled, or a reset connection
+                data = b""
+            if not data:
+                self.gone = True
+                return
+            for event in self.session.receive(data):
+                if isinstance(event, Described):
+                    self.session.configure(Configuration(self._gate_ticks))
+                self.events.append(event)
+
+    @property
+    def frames(self) -> list[Frame]:
+        return [event for event in self.events if isinstance(event, Frame)]
+
+
+@contextmanager
+def running(options: EmulatorOptions) -> Iterator[Emulator]:
+    emulator = Emulator(options)
+    thread = threading.Thread(target=emulator.run)
+    thread.start()
+    try:
+        yield emulator
+    finally:
+        emulator.stop()
+        thread.join()
+
+
+@contextmanager
+def opened(path: Path, gate_ticks: int = 1_000_000) -> Iterator[Host]:
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        yield Host(fd, gate_ticks)
+    finally:
+        os.close(fd)
+
+
+def wait_for(done: Callable[[], bool]) -> None:
+    """Look again and again: a file system tells nobody."""
+    deadline_s = time.monotonic() + WAIT_S
+    while not done():
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+
+
+def truths(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
+
+
+def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_path: Path) -> None:
+    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
+    fds = len(os.listdir("/proc/self/fd"))
+    options = EmulatorOptions("quartz16", pty=path, scenario="held", truth=truth_path)
+    with running(options) as emulator, opened(path) as host:
+        begin_ns = time.time_ns()
+        host.read_until(lambda: len(host.frames) >= 300)
+        end_ns = time.time_ns()
+        # What a host has read is in the truth file already.
+        assert len(truths(truth_path)) >= 300
+    frames, truth, report = host.frames, truths(truth_path), emulator.report()
+    assert [frame.sequence for frame in frames] == list(range(len(frames)))
+    assert [line["sequence"] for line in truth] == list(range(report["frames_made"]))
+    assert [line["board_ticks"] for line in truth[: len(frames)]] == [frame.board_ticks for frame in frames]
+    stamps = [int(line["t_ns"]) for line in truth[:300]]
+    assert begin_ns < stamps[0]
+    assert stamps[299] <= end_ns
+    assert stamps[299] - stamps[0] == pytest.approx(299e6, abs=2e6)  # but for the slewing of the system's clock
+    assert all(isinstance(line["t_ns"], str) for line in truth)
+    (contact,) = truth[0]["contacts"]
+    assert contact == {
+        "id": 1,
+        "site": 7,
+        "position_m": [-0.0005, 0.002],
+        "force_newton": [0.0, 0.0, 1.0],
+        "radius_m": None,
+    }
+    assert truth[0]["plate_kelvin"] == 298.15
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+    assert report["frames_dropped"] == 0
+    assert report["bytes_sent"] >= host.session.bytes.received >= 300 * 204
+    assert not path.is_symlink()
+    assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up(tmp_path: Path) -> None:
+    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
+    options = EmulatorOptions("quartz16", pty=path, scenario="still", truth=truth_path, speed=10.0)
+    with running(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 10)
+        wait_for(lambda: len(truths(truth_path)) >= 3000)
+    report = emulator.report()
+    assert report["frames_unsent"] == pytest.approx(256 * 1024 / 204, abs=2)
+    assert report["frames_dropped"] > 1000
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+
+
+def test_skin32_sends_3072_tones_on_four_channels_over_tcp(tmp_path: Path) -> None:
+    truth_path = tmp_path / "truth.jsonl"
+    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), truth=truth_path)
+    with running(options) as emulator:
+        host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
+        with socket.create_connection((host_name, int(port))) as client:
+            host = Host(client.fileno(), 2_500_000)
+            parts: list[FramePart] = []
+
+            def enough() -> bool:
+                parts[:] = [event for event in host.events if isinstance(event, FramePart)]
+                return len(parts) >= 80 * 20
+
+            host.read_until(enough)
+    assert [part.sequence for part in parts[:1600]] == [sequence for sequence in range(80) for _ in range(20)]
+    assert sum(part.block.tones for part in parts[:20]) == 4 * 3072
+    contacts = truths(truth_path)[79]["contacts"]  # 0.795 s: 0.295 s into the rise of 0.4 s
+    assert set(contacts[0]) == {
+        "id", "site", "position_m", "force_newton", "radius_m", "stick_radius_m", "friction_coefficient"
+    }  # fmt: skip
+    assert contacts[0]["radius_m"] == pytest.approx(2.5e-3 * contacts[0]["force_newton"][2] ** (1 / 3))
+    assert emulator.report()["bytes_sent"] >= 80 * 20 * 36
+
+
+def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = FaultPlan(unplug_at_s=0.2, unplug_for_s=0.3)
+    with running(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
+        with opened(path) as host:
+            host.read_until(lambda: False)
+            assert host.gone
+            assert host.frames[-1].sequence <= 200
+        wait_for(path.exists)
+        with opened(path) as host:
+            host.read_until(lambda: len(host.frames) >= 50)
+            assert not any(isinstance(event, Rebooted) for event in host.events)
+            assert host.frames[0].sequence == 0  # of a run of its own
+            assert host.frames[0].board_ticks > 500_000_000  # of the same boot
+    report = emulator.report()
+    assert report["faults"]["unplugs"] == 1
+    assert report["frames_dropped"] >= 250
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+
+
+def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = FaultPlan(reboot_at_s=0.1)
+    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)
+    with running(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 50)
+        first = next(event for event in host.events if isinstance(event, Described))
+        host.read_until(lambda: sum(isinstance(event, Described) for event in host.events) == 2)
+        count = len(host.frames)
+        host.read_until(lambda: len(host.frames) >= count + 20)
+    assert emulator.report()["faults"]["reboots"] == 1
+    (reboot,) = [event for event in host.events if isinstance(event, Rebooted)]
+    assert reboot.boot_id != first.boot_id
+    assert host.frames[count].sequence == 0
+
+
+def test_damage_on_the_wire_is_what_the_report_says(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = FaultPlan(bit_error_rate=1e-4, garbage_rate_hz=50.0)
+    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults, seed=11)
+    with running(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 400)
+    last = host.frames[-1].sequence
+    received = {frame.sequence for frame in host.frames}
+    counts = emulator.report()["faults"]
+    assert set(range(last + 1)) - received == {hit for hit in counts["frame_sequences_hit"] if hit <= last}
+    assert counts["frames_hit"] == len(counts["frame_sequences_hit"]) > 20
+    assert counts["garbage_bursts"] > 5
+
+
+def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    program = (
+        "import sys; from pathlib import Path; from simulators.emulator import EmulatorOptions, run;"
+        "run(EmulatorOptions('quartz16', pty=Path(sys.argv[1]), json=True))"
+    )
+    command = [sys.executable, "-c", program, str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        first = json.loads(process.stdout.readline())
+        assert first == {"link": f"serial:{path}?baud=4000000", "plate": "quartz16", "serial_number": SERIAL_NUMBER}
+        with opened(path) as host:
+            host.read_until(lambda: len(host.frames) >= 20)
+        process.send_signal(signal.SIGTERM)
+        rest, errors = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, errors
+    (report,) = [json.loads(line) for line in rest.splitlines()]
+    assert report["frames_sent"] >= 20
+    assert report["faults"]["bits_flipped"] == 0
+    assert not path.is_symlink()
+    assert "quartz16" in errors
+
+
+def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
+    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
+    with running(EmulatorOptions("quartz16", pty=path, truth=truth_path, speed=2.0)), opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 200)
+    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
+    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 2, abs=2e6)
+
+
+def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    fds = len(os.listdir("/proc/self/fd"))
+    with pytest.raises(ValueError, match="either pty or tcp"):
+        Emulator(EmulatorOptions("quartz16"))
+    with pytest.raises(ValueError, match="speed must be above 0"):
+        Emulator(EmulatorOptions("quartz16", pty=path, speed=0.0))
+    with pytest.raises(ValueError, match="no shipped scenario"):
+        Emulator(EmulatorOptions("quartz16", pty=path, scenario="tuches"))
+    with pytest.raises(FileNotFoundError):
+        Emulator(EmulatorOptions("quartz16", pty=path, truth=tmp_path / "nowhere" / "truth.jsonl"))
+    assert not path.is_symlink()
+    assert len(os.listdir("/proc/self/fd")) == fds

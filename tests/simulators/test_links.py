@@ -1,0 +1,182 @@
+"""The emulator's links against the system's own pseudo-terminals and sockets."""
+
+import os
+import select
+import socket
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import pytest
+import serial
+
+from simulators.links import Link, PtyLink, TcpLink
+
+WAIT_S = 5.0
+EVERY_BYTE = bytes(range(256))  # with all that a terminal would take as an order
+
+
+@pytest.fixture
+def pty(tmp_path: Path) -> Iterator[tuple[PtyLink, Path]]:
+    path = tmp_path / "board"
+    link = PtyLink(path)
+    yield link, path
+    link.close()
+
+
+@pytest.fixture
+def tcp() -> Iterator[TcpLink]:
+    link = TcpLink("127.0.0.1", 0)
+    yield link
+    link.close()
+
+
+def open_fds() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def read_from(link: Link, size: int) -> bytes:
+    data = b""
+    while len(data) < size and select.select(link.read_fds, [], [], WAIT_S)[0]:
+        data += link.read()
+    return data
+
+
+def connect(link: TcpLink) -> socket.socket:
+    host, port = link.address.removeprefix("tcp://").rsplit(":", 1)
+    client = socket.create_connection((host, int(port)), timeout=WAIT_S)
+    while link.write_fd is None:
+        assert select.select(link.read_fds, [], [], WAIT_S)[0]
+        link.read()
+    return client
+
+
+def test_a_pseudo_terminal_carries_every_byte_both_ways(pty: tuple[PtyLink, Path]) -> None:
+    link, path = pty
+    assert link.address == f"serial:{path}?baud=4000000"
+    with serial.Serial(str(path), 4_000_000, timeout=WAIT_S) as port:
+        port.write(EVERY_BYTE)
+        assert read_from(link, 256) == EVERY_BYTE
+        assert link.write(EVERY_BYTE) == 256
+        assert port.read(256) == EVERY_BYTE
+    assert link.read() == b""  # nothing was echoed, and the host's leaving is no error
+
+
+def test_a_host_that_does_not_read_never_blocks_the_board(pty: tuple[PtyLink, Path]) -> None:
+    link, path = pty
+    host_fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    taken = 0
+    while written := link.write(bytes(4096)):
+        taken += written
+    assert 1000 < taken < 1_000_000
+    received = 0
+    while received < taken:
+        received += len(os.read(host_fd, 65536))
+    os.close(host_fd)
+    assert link.write_fd is not None
+    assert select.select([], [link.write_fd], [], WAIT_S)[1]
+    assert link.write(b"x") == 1
+
+
+def test_pulling_the_plug_ends_the_host_and_its_return_has_the_same_name(pty: tuple[PtyLink, Path]) -> None:
+    link, path = pty
+    before = open_fds()
+    host_fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    link.hang_up()
+    link.hang_up()
+    assert not path.is_symlink()
+    assert link.write_fd is None
+    assert link.read_fds == []
+    assert (link.read(), link.write(b"x")) == (b"", 0)
+    with suppress(OSError):  # EIO, as of a real port that is pulled, or nothing ever more
+        assert os.read(host_fd, 1) == b""
+    os.close(host_fd)
+    link.plug_in()
+    link.plug_in()
+    assert open_fds() == before
+    with serial.Serial(str(path), 4_000_000, timeout=WAIT_S) as port:
+        link.write(b"again")
+        assert port.read(5) == b"again"
+
+
+def test_closing_takes_its_own_name_away_and_no_other(tmp_path: Path) -> None:
+    before = open_fds()
+    path = tmp_path / "board"
+    first, second = PtyLink(path), PtyLink(path)
+    first.close()
+    assert stat.S_ISCHR(path.stat().st_mode)
+    second.close()
+    assert os.listdir(tmp_path) == []
+    assert open_fds() == before
+
+
+def test_what_is_no_symbolic_link_is_left_alone(tmp_path: Path) -> None:
+    before = open_fds()
+    path = tmp_path / "notes"
+    path.write_text("mine")
+    with pytest.raises(FileExistsError, match="no symbolic link"):
+        PtyLink(path)
+    with pytest.raises(FileNotFoundError):
+        PtyLink(tmp_path / "nowhere" / "board")
+    assert path.read_text() == "mine"
+    assert open_fds() == before
+
+
+def test_a_listener_carries_every_byte_both_ways(tcp: TcpLink) -> None:
+    assert tcp.write_fd is None
+    assert tcp.write(b"x") == 0
+    with connect(tcp) as client:
+        client.sendall(EVERY_BYTE)
+        assert read_from(tcp, 256) == EVERY_BYTE
+        assert tcp.write(EVERY_BYTE) == 256
+        assert client.recv(256) == EVERY_BYTE
+        assert tcp.read() == b""
+
+
+def test_a_second_client_is_turned_away_and_the_first_stays(tcp: TcpLink) -> None:
+    with connect(tcp) as first, ExitStack() as stack:
+        host, port = tcp.address.removeprefix("tcp://").rsplit(":", 1)
+        second = stack.enter_context(socket.create_connection((host, int(port)), timeout=WAIT_S))
+        assert select.select(tcp.read_fds, [], [], WAIT_S)[0]
+        tcp.read()
+        assert second.recv(1) == b""
+        tcp.write(b"on")
+        assert first.recv(2) == b"on"
+
+
+def test_a_client_that_leaves_makes_room_for_the_next(tcp: TcpLink) -> None:
+    connect(tcp).close()
+    while tcp.write_fd is not None:
+        assert select.select(tcp.read_fds, [], [], WAIT_S)[0]
+        tcp.read()
+    with connect(tcp) as following:
+        tcp.write(b"hello")
+        assert following.recv(5) == b"hello"
+
+
+def test_a_client_that_does_not_read_never_blocks_the_board(tcp: TcpLink) -> None:
+    with connect(tcp):
+        while tcp.write(bytes(1 << 20)):
+            pass
+        assert tcp.write_fd is not None
+        assert not select.select([], [tcp.write_fd], [], 0)[1]
+
+
+def test_a_listener_that_hangs_up_refuses_until_it_is_back_on_its_port(tcp: TcpLink) -> None:
+    address = tcp.address
+    with connect(tcp) as client:
+        tcp.hang_up()
+        assert client.recv(1) == b""
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", int(address.rsplit(":", 1)[1])), timeout=WAIT_S)
+    tcp.plug_in()
+    assert tcp.address == address
+    with connect(tcp) as client:
+        tcp.write(b"again")
+        assert client.recv(5) == b"again"
+
+
+def test_a_busy_port_is_an_error(tcp: TcpLink) -> None:
+    with pytest.raises(OSError, match="in use"):
+        TcpLink("127.0.0.1", int(tcp.address.rsplit(":", 1)[1]))

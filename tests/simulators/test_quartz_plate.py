@@ -1,0 +1,217 @@
+"""Forces on the emulated quartz plate, read back from its records by eq. (1)."""
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
+from resonator_daemon.plate import Plate, load_plate
+from simulators.quartz_plate import QuartzPlate
+from simulators.scenario import Scenario, Touch
+from simulators.stamp_sums import StampCounter
+
+GATE_TICKS = 1_000_000
+PLATE = load_plate("quartz16")
+Records = list[list[SingleToneRecord]]
+
+
+def scenario(*touches: Touch) -> Scenario:
+    return Scenario(touches, None, PLATE)
+
+
+def held(force_newton: float, *, site: int | None = None, position_mm: tuple[float, float] | None = None) -> Touch:
+    return Touch(
+        start_s=0.1, site=site, position_mm=position_mm, force_newton=force_newton, rise_s=0.0, hold_s=0.5, fall_s=0.0
+    )
+
+
+def count(plate: QuartzPlate, at_s: float, frames: int, board_ticks: int = 0) -> Records:
+    counted = plate.count(board_ticks, round(at_s * 1e9), GATE_TICKS, frames)
+    return [[SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(c)) for c in frame.channels] for frame in counted]
+
+
+def frequency_hz(records: Records, channel: int, reference_hz: float = 1e9) -> float:
+    """Frequency over all frames, by regression of merged sums in exact integers."""
+    n = s1 = s2 = 0
+    start: int | None = None
+    for record in (frame[channel] for frame in records):
+        start = record.first_ticks if start is None else start
+        d = (record.first_ticks - start) % 2**32
+        s2 += record.s2_ticks + n * record.s1_ticks
+        s2 += d * (record.stamps * (record.stamps - 1) // 2) + n * record.stamps * d
+        s1 += record.s1_ticks + record.stamps * d
+        n += record.stamps
+    ticks_per_edge = 6 * (2 * s2 - (n - 1) * s1) / (record.stride_edges * n * (n**2 - 1))
+    return reference_hz / ticks_per_edge
+
+
+def tone_of(site: int, plate: Plate = PLATE) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    (index,) = np.flatnonzero(plate.site_ids[plate.tones.site_index] == site)
+    return plate.tones.f0_hz[index], plate.tones.sensitivity[index]
+
+
+@pytest.mark.parametrize(("site", "force_newton"), [(7, 5.0), (13, 0.2), (4, 8.0), (6, 14.0)])
+def test_force_comes_back_through_equation_1(site: int, force_newton: float) -> None:
+    plate = QuartzPlate(PLATE, scenario(held(force_newton, site=site)), seed=1, reference_error=-3e-6)
+    pilot_hz = frequency_hz(count(plate, 0.0, 50), 0)
+    assert pilot_hz == pytest.approx(10.01e6 * (1 + 3e-6), abs=0.2)  # a slow reference makes every tone seem high
+    records = count(plate, 0.2, 100)
+    f0_hz, sensitivity = tone_of(site)
+    for channel in range(4):
+        true_hz = frequency_hz(records, channel) * 10.01e6 / pilot_hz
+        force = (1 - f0_hz[channel] / true_hz) / sensitivity[channel]
+        assert force == pytest.approx(force_newton, abs=4e-3)
+
+
+def test_the_reference_error_is_there_unless_asked_otherwise() -> None:
+    records = count(QuartzPlate(PLATE, scenario(), seed=1), 0.0, 50)
+    assert frequency_hz(records, 2) == pytest.approx(10.01e6 * (1 - 1.5e-6), abs=0.2)
+
+
+def test_oscillator_noise_is_white_and_common_to_the_corners() -> None:
+    plate = QuartzPlate(PLATE, scenario(held(8.0, site=7)), seed=3)
+    plate.count(0, 200_000_000, GATE_TICKS, 1)
+    shift = []
+    for _ in range(400):
+        records = count(plate, 0.25, 20)
+        shift.append([frequency_hz(records, channel) for channel in range(4)])
+    y = np.array(shift) / np.mean(shift, axis=0) - 1.0
+    # 20 ms: 1.2 x 3e-10^2 / 20 ms by white FM, and 12 sigma_t^2 / (N T^2) by stamps of 0.42 ns.
+    expected = np.hypot(np.sqrt(1.2) * 3e-10 / np.sqrt(0.02), np.sqrt(12 / 20_000) * 0.42e-9 / 0.02)
+    assert y.std(axis=0) == pytest.approx(np.full(4, expected), rel=0.12)
+    assert np.corrcoef(y.T).min() > 0.9
+
+
+def test_records_go_on_across_blocks_and_wraps_while_a_tone_is_held() -> None:
+    plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed=2)
+    plate._stamps = StampCounter(4, 10, np.random.default_rng(1), strides=2**32 // 10 - 30_000)
+    start = 2**32 - 20 * GATE_TICKS
+    records = []
+    for block in range(4):
+        records += count(plate, 0.2, 15, start + block * 15 * GATE_TICKS)
+    for channel in range(4):
+        row = [frame[channel] for frame in records]
+        assert row[0].flags == RecordFlag.STRIDE_BREAK
+        for earlier, later in pairwise(row):
+            assert later.flags == 0
+            assert later.first_edge == (earlier.first_edge + 10 * earlier.stamps) % 2**32
+            gap = (later.first_ticks - earlier.first_ticks) % 2**32 - earlier.span_ticks
+            assert gap == pytest.approx(earlier.span_ticks / (earlier.stamps - 1), abs=4)
+        assert max(r.first_edge for r in row) > 2**31 > min(r.first_edge for r in row)
+        assert max(r.first_ticks for r in row) > 2**31 > min(r.first_ticks for r in row)
+
+
+def test_a_touch_captures_every_corner_once_and_its_release_gives_them_back() -> None:
+    plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed=2)
+    records = count(plate, 0.09, 530)
+    f0_hz, _ = tone_of(9)
+    for channel in range(4):
+        flags = [frame[channel].flags for frame in records]
+        switches = [index for index, flag in enumerate(flags) if flag & RecordFlag.CAPTURE_SWITCH]
+        assert switches == [10, 510]
+        assert [index for index, flag in enumerate(flags) if flag & RecordFlag.STRIDE_BREAK] == [0, 10, 510]
+        assert frequency_hz(records[:10], channel) == pytest.approx(10.01e6, abs=40)
+        assert frequency_hz(records[10:510], channel) == pytest.approx(f0_hz[channel], abs=100)
+        assert frequency_hz(records[510:], channel) == pytest.approx(10.01e6, abs=40)
+
+
+def test_another_tone_must_be_1_db_stronger_to_take_over() -> None:
+    plate = QuartzPlate(PLATE, scenario(), seed=2)
+    level_db = np.full((5, 17, 4), -np.inf)
+    level_db[:, 16] = -85.0
+    level_db[:, 3, 0] = [-60.0, -60.0, -60.0, -60.0, -np.inf]
+    level_db[:, 5, 0] = [-np.inf, -59.1, -58.9, -60.5, -np.inf]
+    captured = plate._capture(level_db)
+    assert captured[:, 0].tolist() == [3, 3, 5, 5, 16]
+    assert np.all(captured[:, 1:] == 16)
+
+
+def test_a_corner_that_hears_nothing_says_so() -> None:
+    plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed=2, pilot_level_db=-95.0)
+    records = count(plate, 0.05, 100)
+    for frame in records[:50]:
+        for record in frame:
+            assert record.flags & RecordFlag.NO_SIGNAL
+            assert record.stamps == record.s1_ticks == record.q2_ticks2 == 0
+            assert record.attenuation_db256 == 100 * 256
+    assert all(record.flags == RecordFlag.STRIDE_BREAK for record in records[50])
+    assert all(record.flags == 0 for frame in records[51:] for record in frame)
+
+
+def test_levels_follow_force_and_distance() -> None:
+    def attenuation_db(site: int, force_newton: float, seed: int) -> npt.NDArray[np.float64]:
+        plate = QuartzPlate(PLATE, scenario(held(force_newton, site=site)), seed)
+        return np.array([record.attenuation_db256 / 256 for record in count(plate, 0.2, 1)[0]])
+
+    assert attenuation_db(7, 0.1, 1) - attenuation_db(7, 1.0, 1) == pytest.approx(np.full(4, 20.0), abs=0.01)
+    # Site 14 lies 3.2 mm from corner 0 and 24.4 mm from corner 2; 4 dB of scatter in each, over 60 plates.
+    many = np.array([attenuation_db(14, 1.0, seed) for seed in range(60)])
+    distance_mm = np.hypot(*(np.array(PLATE.transducers_mm) - (-7.3, -8.2)).T)
+    expected = 50 + 10 * np.log10(1 + distance_mm) + 0.26058 * distance_mm - 20 * np.log10(1.0 / 0.02)
+    assert many.mean(axis=0) == pytest.approx(expected, abs=4 * 4 / np.sqrt(60))
+    assert many.std(axis=0).mean() == pytest.approx(4.0, rel=0.2)
+
+
+def test_a_touch_between_sites_is_shared_by_distance_to_the_power_of_minus_4() -> None:
+    near, far = (np.array(PLATE.site_positions_m[PLATE.site_ids == site][0]) for site in (7, 9))
+    position_mm = tuple(((2 * near + far) / 3 * 1e3).tolist())
+    plate = QuartzPlate(PLATE, scenario(held(3.0, position_mm=position_mm)), seed=1)
+    share = plate._shares[0]
+    index = {int(site): i for i, site in enumerate(PLATE.site_ids)}
+    assert share.sum() == pytest.approx(1.0)
+    assert share[index[7]] / share[index[9]] == pytest.approx(2.0**4)
+    assert share[index[7]] == share.max()
+
+    f0_hz, sensitivity = tone_of(7)
+    pilot_hz = frequency_hz(count(plate, 0.0, 50), 0)
+    records = count(plate, 0.2, 100)
+    force = (1 - f0_hz[1] * pilot_hz / 10.01e6 / frequency_hz(records, 1)) / sensitivity[1]
+    assert force == pytest.approx(3.0 * share[index[7]], abs=6e-3)
+
+
+def test_exactly_on_a_site_the_site_carries_all() -> None:
+    plate = QuartzPlate(PLATE, scenario(held(3.0, position_mm=(-0.5, 2.0)), held(1.0, site=16)), seed=1)
+    for row, site in zip(plate._shares, (7, 16), strict=True):
+        assert row[PLATE.site_ids == site] == pytest.approx(1.0, abs=1e-12)
+
+
+def test_truth_is_what_pressed_during_the_gate() -> None:
+    touch = Touch(start_s=0.1, site=9, force_newton=2.0, rise_s=0.2, hold_s=0.2, fall_s=0.2)
+    plate = QuartzPlate(PLATE, scenario(touch, held(1.0, position_mm=(0.1, 0.2))), seed=1)
+    before, middle = plate.count(0, 99_000_000, GATE_TICKS, 2)[0], plate.count(0, 199_500_000, GATE_TICKS, 1)[0]
+    assert before.contacts == []
+    first, second = middle.contacts
+    assert (first.id, first.site, first.position_m) == (1, 9, (0.0033, 0.0035))
+    # Half way up the ramp; ticks are 1.5 ppm short of nanoseconds.
+    assert first.force_newton == pytest.approx((0.0, 0.0, 1.0), abs=1e-5)
+    assert (second.id, second.site) == (2, None)
+    assert second.force_newton == (0.0, 0.0, 1.0)
+    assert first.radius_m is None
+
+
+def test_the_seed_fixes_everything() -> None:
+    def bytes_of(seed: int) -> list[list[bytes]]:
+        plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed)
+        return [frame.channels for frame in plate.count(0, 0, GATE_TICKS, 3)]
+
+    assert bytes_of(7) == bytes_of(7)
+    assert bytes_of(7) != bytes_of(8)
+
+
+def test_a_run_begins_anew() -> None:
+    plate = QuartzPlate(PLATE, scenario(), seed=1)
+    assert [count(plate, 0.0, 2)[i][0].flags for i in range(2)] != [0, 0]
+    plate.start()
+    assert [frame[3].flags for frame in count(plate, 1.0, 2)] == [RecordFlag.STRIDE_BREAK, 0]
+
+
+def test_a_gate_of_the_longest_and_the_shortest_kind_fits_a_record() -> None:
+    description = QuartzPlate(PLATE, scenario(), seed=1).description
+    for gate_ticks in (description.gate_ticks_min, description.gate_ticks_max):
+        plate = QuartzPlate(PLATE, scenario(), seed=1)
+        (frame,) = plate.count(0, 0, gate_ticks, 1)
+        record = SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(frame.channels[0]))
+        assert record.stamps == pytest.approx(gate_ticks / 1e9 * 10.01e6 / 10, abs=1.1)
+        assert frequency_hz([[record]], 0) == pytest.approx(10.01e6, rel=1e-5)

@@ -1,0 +1,181 @@
+"""The emulated skin plate's tones: signal, noise, phase and gain, read back from its records."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from firmware_protocol.layouts import ToneFlag
+from resonator_daemon.plate import load_plate
+from simulators.contact import PressedSpot
+from simulators.scenario import Scenario, Touch
+from simulators.skin_plate import SkinPlate
+
+GATE_TICKS = 2_500_000
+GATE_S = 0.01
+PLATE = load_plate("skin32")
+RECORD = np.dtype(
+    [
+        ("phase_turn32", "<i4"),
+        ("offset_hz16", "<i4"),
+        ("attenuation_db256", "<u2"),
+        ("sigma_code", "u1"),
+        ("flags", "u1"),
+    ]
+)
+TO_TRIPLE = np.array([3 / (2 * 2e5), 1.0, 1.0])
+Array = npt.NDArray[np.float64]
+
+PRESS = Touch(start_s=0.0, position_mm=(0.4, -0.6), force_newton=1.0, rise_s=0.0, hold_s=10.0, fall_s=0.0)
+
+
+def count(plate: SkinPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Array]:
+    """Fields (frames, channels, tones)."""
+    counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
+    rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
+    return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
+
+
+def sigma_hz(fields: dict[str, Array]) -> Array:
+    return 2 ** ((fields["sigma_code"][0] - 128) / 8)
+
+
+def shifts(fields: dict[str, Array], still: dict[str, Array]) -> Array:
+    """Relative shift (tones,), mean over frames and corners by their stated variances."""
+    weight = sigma_hz(fields) ** -2
+    difference_hz = (fields["offset_hz16"].mean(axis=0) - still["offset_hz16"].mean(axis=0)) / 2**16
+    return (difference_hz * weight).sum(axis=0) / weight.sum(axis=0) / PLATE.tones.f0_hz[:, 0]
+
+
+@pytest.fixture(scope="module")
+def still() -> dict[str, Array]:
+    return count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4), 150)
+
+
+@pytest.fixture(scope="module")
+def pressed() -> dict[str, Array]:
+    return count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=4), 60)
+
+
+def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Array]) -> None:
+    offset_hz = still["offset_hz16"] / 2**16
+    weight = sigma_hz(still) ** -2
+    combined_hz = (offset_hz * weight).sum(axis=1) / weight.sum(axis=0)
+    relative = combined_hz / PLATE.tones.f0_hz[:, 0] / PLATE.tones.sensitivity[:, 0]
+    triple_std = relative.std(axis=0, ddof=1) * TO_TRIPLE[PLATE.tones.signal_index]
+    spot = PressedSpot(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (0.0, 0.0), 2.5e-3, 0.5, 1.0)
+    signal = spot.signals((0.0, 0.0, 1.0)) * TO_TRIPLE[:, np.newaxis]
+    for row in range(3):  # equally noisy rows
+        noise = np.sqrt((triple_std[PLATE.tones.signal_index == row] ** 2).mean())
+        assert 20 * np.log10(np.sqrt((signal**2).mean()) / noise) == pytest.approx(30.0, abs=0.2)
+
+
+def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Array]) -> None:
+    stated = sigma_hz(still)
+    found = (still["offset_hz16"] / 2**16).std(axis=0, ddof=1)
+    assert np.sqrt(((found / stated) ** 2).mean()) == pytest.approx(1.0, abs=0.01)
+    # The code's steps of 1/8 octave, and the scatter of a standard deviation that comes from 150 frames.
+    assert (found / stated).std() == pytest.approx(
+        np.hypot((2 ** (1 / 16) - 1) / np.sqrt(3), 1 / np.sqrt(298)), rel=0.1
+    )
+
+
+def test_each_tone_is_heard_best_by_one_or_two_corners(still: dict[str, Array]) -> None:
+    share = sigma_hz(still) ** -2
+    share = np.sort(share / share.sum(axis=0), axis=0)
+    assert np.median(share[-2:].sum(axis=0)) > 0.8
+    assert (still["attenuation_db256"][0].argmin(axis=0) == sigma_hz(still).argmin(axis=0)).mean() > 0.95
+
+
+def test_a_fast_reference_makes_every_tone_seem_low(still: dict[str, Array]) -> None:
+    offset_hz = (still["offset_hz16"] / 2**16).mean(axis=(0, 1))
+    assert offset_hz == pytest.approx(-1.5e-6 * PLATE.tones.f0_hz[:, 0], abs=1.5)
+
+
+def test_shifts_are_those_of_the_half_space_with_gain_errors_of_1_percent(
+    still: dict[str, Array], pressed: dict[str, Array]
+) -> None:
+    spot = PressedSpot(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (4e-4, -6e-4), 2.5e-3, 0.5, 1.0)
+    signal = spot.signals((0.0, 0.0, 1.0))[PLATE.tones.signal_index, PLATE.tones.site_index]
+    expected = PLATE.tones.sensitivity[:, 0] * signal
+    gain = shifts(pressed, still) / expected
+    strong = np.abs(signal * TO_TRIPLE[PLATE.tones.signal_index]) > 0.08
+    assert strong.sum() > 150
+    assert gain[strong].mean() == pytest.approx(1.0, abs=0.004)
+    assert gain[strong].std() == pytest.approx(0.01, abs=0.0025)
+
+
+def test_gain_errors_stay_and_the_seed_fixes_them(pressed: dict[str, Array], still: dict[str, Array]) -> None:
+    again = count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=4), 60)
+    assert np.array_equal(again["offset_hz16"], pressed["offset_hz16"])
+    other = count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=5), 60)
+    strong = np.argsort(-np.abs(shifts(pressed, still)))[:200]
+    ratio = shifts(other, still)[strong] / shifts(pressed, still)[strong]
+    assert ratio.std() > 0.01
+
+
+def test_phase_is_the_integral_of_the_offset(pressed: dict[str, Array]) -> None:
+    phase = pressed["phase_turn32"] / 2**32
+    offset_hz = pressed["offset_hz16"] / 2**16
+    step = np.diff(phase, axis=0) - GATE_S * (offset_hz[1:] + offset_hz[:-1]) / 2
+    step -= np.rint(step)
+    relative = step / (sigma_hz(pressed) * GATE_S)
+    assert relative.mean() == pytest.approx(0.0, abs=0.005)
+    # Two phases of sigma T/sqrt(12) and half of two offsets of sigma T: variance 2/12 + 2/4.
+    assert np.sqrt((relative**2).mean()) == pytest.approx(np.sqrt(2 / 3), rel=0.02)
+    # A gate's phase and its slope are off independently.
+    change = np.diff(offset_hz, axis=0) / sigma_hz(pressed)
+    assert np.corrcoef(relative.ravel(), change.ravel())[0, 1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_phase_is_that_of_the_middle_of_the_gate() -> None:
+    touch = PRESS.model_copy(update={"start_s": 1.02})
+    fields = count(SkinPlate(PLATE, Scenario((touch,), None, PLATE), seed=4), 3)
+    offset_hz = fields["offset_hz16"] / 2**16
+    step = (fields["phase_turn32"][2] - fields["phase_turn32"][1]) / 2**32 - GATE_S * (offset_hz[1] + offset_hz[2]) / 2
+    step -= np.rint(step)
+    leapt = np.abs(offset_hz[2] - offset_hz[1]) > 40.0
+    assert leapt.sum() > 100
+    assert np.abs(step[leapt] / sigma_hz(fields)[leapt] / GATE_S).max() < 5.0
+
+
+def test_longer_gates_are_quieter_by_three_halves_powers(still: dict[str, Array]) -> None:
+    plate = SkinPlate(PLATE, Scenario((), None, PLATE), seed=4)
+    longer = count(plate, 30, gate_ticks=4 * GATE_TICKS)
+    assert longer["offset_hz16"].std(axis=0).mean() == pytest.approx(
+        still["offset_hz16"].std(axis=0).mean() / 8, rel=0.05
+    )
+    assert sigma_hz(longer).mean() == pytest.approx(sigma_hz(still).mean() / 8, rel=0.03)
+
+
+def test_tones_beyond_half_their_spacing_are_out_of_band() -> None:
+    lost = count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4, reference_error=17e-6), 1)
+    assert np.all(lost["flags"] == ToneFlag.OUT_OF_BAND)
+    kept = count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4, reference_error=-14e-6), 1)
+    assert np.all(kept["flags"] == 0)
+
+
+def test_truth_has_the_contact_and_its_stick_radius() -> None:
+    touch = Touch.model_validate(
+        {"start_s": 0.0, "site": 496, "force_newton": 0.512, "rise_s": 0.5, "hold_s": 2.0, "fall_s": 0.5}
+        | {"shear": {"peak_ratio": 0.875, "direction_deg": 90.0}}
+    )
+    plate = SkinPlate(PLATE, Scenario((touch,), None, PLATE), seed=4)
+    middle_ticks = round(1.5 * 250e6 * (1 + 1.5e-6)) - GATE_TICKS // 2
+    (frame,) = plate.count(0, middle_ticks, GATE_TICKS, 1)
+    (contact,) = frame.contacts
+    assert contact.site == 496
+    assert contact.position_m == pytest.approx(PLATE.site_positions_m[495])
+    assert contact.force_newton == pytest.approx((0.0, 0.875 * 0.5 * 0.512, 0.512))
+    assert contact.radius_m == pytest.approx(2.5e-3 * 0.8)
+    assert contact.stick_radius_m == pytest.approx(2.5e-3 * 0.8 * 0.5)  # (1 - 0.875)^(1/3)
+    assert contact.friction_coefficient == 0.5
+
+
+def test_two_touches_add_up(still: dict[str, Array]) -> None:
+    other = PRESS.model_copy(update={"position_mm": (-3.0, 3.0), "force_newton": 0.5})
+    plates = [
+        SkinPlate(PLATE, Scenario(touches, None, PLATE), seed=4) for touches in ((PRESS,), (other,), (PRESS, other))
+    ]
+    first, second, both = (shifts(count(plate, 40), still) for plate in plates)
+    assert np.abs(both - first - second).max() < 6e-9
+    assert np.abs(first).max() > 3e-7

@@ -1,0 +1,143 @@
+"""Closed-form sums against sums over stamps made one by one."""
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from simulators.stamp_sums import StampCounter, StampSums
+
+GATE_TICKS = 1_000_000
+PERIOD_TICKS = 1000.0 + (np.sqrt(5.0) - 1.0) / 2.0  # incommensurate: rounding errors of a line are white
+JITTER_TICKS = 0.3
+
+
+def slope(stamps: npt.ArrayLike, s1: npt.ArrayLike, s2: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Least-squares ticks per stride, less a nominal line so that float64 keeps all digits."""
+    n = np.asarray(stamps, dtype=np.float64)
+    s1_line, s2_line = 1000.0 * n * (n - 1) / 2, 1000.0 * n * (n - 1) * (2 * n - 1) / 6
+    return 1000.0 + 6 * (2 * (s2 - s2_line) - (n - 1) * (s1 - s1_line)) / (n * (n**2 - 1))
+
+
+@cache
+def brute_force_stamps(trials: int, gates: int, jitter_ticks: float = JITTER_TICKS) -> list[npt.NDArray[np.int64]]:
+    """Integer stamps (trials, n), relative to the first gate's start, in one array for each number of stamps."""
+    random = np.random.default_rng(5)
+    by_count: dict[int, list[npt.NDArray[np.float64]]] = {}
+    for _ in range(trials):
+        true = (random.random() + np.arange(int(gates * GATE_TICKS / PERIOD_TICKS) + 1)) * PERIOD_TICKS
+        true = true[true < gates * GATE_TICKS]
+        by_count.setdefault(len(true), []).append(np.floor(true + jitter_ticks * random.standard_normal(len(true))))
+    return [np.array(stamps).astype(np.int64) for stamps in by_count.values()]
+
+
+def closed_form(frames: int, jitter_ticks: float = JITTER_TICKS) -> StampSums:
+    counter = StampCounter(4, 10, np.random.default_rng(3))
+    shape = (frames, 4)
+    period, jitter = np.full(shape, PERIOD_TICKS), np.full(shape, jitter_ticks)
+    return counter.count(0, GATE_TICKS, period, jitter, np.zeros(shape, dtype=np.bool_))
+
+
+def residuals(n: int, s1: npt.ArrayLike, s2: npt.ArrayLike, span: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    return np.stack(
+        [
+            s1 - PERIOD_TICKS * n * (n - 1) / 2,
+            s2 - PERIOD_TICKS * n * (n - 1) * (2 * n - 1) / 6,
+            span - PERIOD_TICKS * (n - 1),
+        ]
+    )
+
+
+def test_slope_error_of_one_gate_is_that_of_stamps() -> None:
+    made = []
+    for stamps in brute_force_stamps(12_000, 1):
+        k = np.arange(stamps.shape[1])
+        relative = stamps - stamps[:, :1]
+        made.append(slope(len(k), relative.sum(axis=1), relative @ k))
+    sums = closed_form(5_000)
+    ours = slope(sums.stamps, sums.s1_ticks, sums.s2_ticks)
+    assert ours.std() == pytest.approx(np.concatenate(made).std(), rel=0.03)
+    assert ours.mean() == pytest.approx(PERIOD_TICKS, abs=5 * ours.std() / np.sqrt(ours.size))
+
+
+def test_slope_error_of_ten_merged_gates_is_that_of_stamps() -> None:
+    made = []
+    for stamps in brute_force_stamps(4_000, 10):
+        k = np.arange(stamps.shape[1]) - (stamps.shape[1] - 1) / 2
+        made.append((stamps - stamps[:, :1]) @ k / (k @ k))
+    sums = closed_form(40_000)
+    tenths = {name: value.reshape(4_000, 10, 4) for name, value in sums._asdict().items()}
+    n, s1, s2 = (tenths[name][:, 0] for name in ("stamps", "s1_ticks", "s2_ticks"))
+    for gate in range(1, 10):
+        n_b, s1_b, s2_b = (tenths[name][:, gate] for name in ("stamps", "s1_ticks", "s2_ticks"))
+        d = tenths["first_ticks"][:, gate] - tenths["first_ticks"][:, 0]
+        s2 = s2 + s2_b + n * s1_b + d * (n_b * (n_b - 1) // 2) + n * n_b * d
+        s1 = s1 + s1_b + n_b * d
+        n = n + n_b
+    ours = slope(n, s1, s2)
+    assert ours.std() == pytest.approx(np.concatenate(made).std(), rel=0.03)
+    assert ours.mean() == pytest.approx(PERIOD_TICKS, abs=5 * ours.std() / np.sqrt(ours.size))
+
+
+@pytest.mark.parametrize(("jitter_ticks", "q2_tolerance"), [(JITTER_TICKS, 0.15), (0.7, 0.03)])
+def test_sums_scatter_together_as_those_of_stamps(jitter_ticks: float, q2_tolerance: float) -> None:
+    stamps = max(brute_force_stamps(12_000, 1, jitter_ticks), key=len)
+    n = stamps.shape[1]
+    relative = stamps - stamps[:, :1]
+    q2 = (np.diff(relative, 2, axis=1) ** 2).sum(axis=1)
+    made = residuals(n, relative.sum(axis=1), relative @ np.arange(n), relative[:, -1])
+
+    sums = closed_form(5_000, jitter_ticks)
+    chosen = sums.stamps == n
+    ours = residuals(n, sums.s1_ticks[chosen], sums.s2_ticks[chosen], sums.span_ticks[chosen])
+
+    assert np.allclose(ours.std(axis=1), made.std(axis=1), rtol=0.03)
+    assert np.allclose(np.corrcoef(ours), np.corrcoef(made), atol=0.03)
+    assert sums.q2_ticks2[chosen].mean() == pytest.approx(q2.mean(), rel=0.015)
+    assert sums.q2_ticks2[chosen].std() == pytest.approx(
+        q2.std(), rel=q2_tolerance
+    )  # little jitter: rounding is not quite white
+
+
+def test_stamps_go_on_across_gates_and_calls() -> None:
+    random = np.random.default_rng(2)
+    counter = StampCounter(4, 10, random, strides=2**32 // 10 - 3_000)
+    board_ticks = 2**32 - 5 * GATE_TICKS
+    rows = []
+    for frames in (3, 1, 7, 2):
+        period = 1000.0 + random.random((frames, 4))
+        rows.append(
+            counter.count(board_ticks, GATE_TICKS, period, np.full((frames, 4), 0.3), np.zeros((frames, 4), np.bool_))
+        )
+        gate_starts = board_ticks + GATE_TICKS * np.arange(frames)[:, np.newaxis]
+        assert np.all(rows[-1].first_ticks >= gate_starts - 2)
+        assert np.all(rows[-1].first_ticks + rows[-1].span_ticks <= gate_starts + GATE_TICKS + 2)
+        assert np.all(np.abs(rows[-1].stamps - GATE_TICKS / period) < 1.0)
+        board_ticks += frames * GATE_TICKS
+    first_edge, first_ticks, stamps, span = (
+        np.concatenate([getattr(row, name) for row in rows])
+        for name in ("first_edge", "first_ticks", "stamps", "span_ticks")
+    )
+    assert np.array_equal(first_edge[1:], first_edge[:-1] + 10 * stamps[:-1])
+    assert first_edge.max() > 2**32 > first_edge.min()
+    assert np.all(np.abs(first_ticks[1:] - first_ticks[:-1] - span[:-1] - 1000.5) < 3.0)
+
+
+def test_a_new_tone_has_a_phase_of_its_own() -> None:
+    counter = StampCounter(1, 10, np.random.default_rng(4))
+    period, jitter = np.full((400, 1), 1000.25), np.full((400, 1), 0.1)
+    sums = counter.count(0, GATE_TICKS, period, jitter, np.ones((400, 1), dtype=np.bool_))
+    gap = sums.first_ticks[1:] - sums.first_ticks[:-1] - sums.span_ticks[:-1]
+    phases = (gap / 1000.25) % 1.0
+    assert np.histogram(phases, bins=4, range=(0.0, 1.0))[0].min() > 60
+
+
+def test_nothing_heard_counts_nothing_and_ends() -> None:
+    counter = StampCounter(2, 10, np.random.default_rng(1))
+    period = np.array([[np.inf, 1000.3], [1000.3, np.inf]])
+    sums = counter.count(0, GATE_TICKS, period, np.full((2, 2), 0.3), np.zeros((2, 2), dtype=np.bool_))
+    for values in sums:
+        assert values[0, 0] == values[1, 1] == 0
+    assert sums.stamps[1, 0] in (999, 1000)
+    assert sums.stamps[0, 1] in (999, 1000)
