@@ -1,0 +1,1 @@
+"""Live view of what plates publish, in a terminal."""

@@ -1,0 +1,152 @@
+"""`resonatord watch`: follow what plates publish, as a live page, as lines of text, or as JSON."""
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import aclosing, contextmanager
+from typing import Final
+
+from pydantic import ValidationError
+from rich.console import Console
+from rich.live import Live
+from rich.text import Text
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.subscriber import subscribe
+from resonator_daemon.toml_file import shown
+from resonator_daemon.view.plate_view import PlateView
+from resonator_daemon.view.terminal import render, summary_line
+
+_PAGE_S: Final = 1 / 8
+_LINES_S: Final = 1.0
+
+Draw = Callable[[Sequence[PlateView]], None]
+
+
+async def watch(url: str, prefix: str, *, as_json: bool) -> None:
+    """Show what plates publish on stdout until SIGINT, SIGTERM, or the reader of a pipe leaves.
+
+    Raises
+    ------
+    OperatorError
+        The address or the prefix cannot be used.
+    """
+    broker = _broker(url, prefix)
+    console = Console()
+    if as_json:
+        showing = asyncio.create_task(_print_messages(broker))
+    elif sys.stdout.isatty() and not console.is_dumb_terminal:
+        showing = asyncio.create_task(_show_page(broker, console))
+    else:
+        showing = asyncio.create_task(_redraw(broker, _print_lines(broker), _LINES_S))
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, showing.cancel)
+    try:
+        await asyncio.wait([showing])
+        if not showing.cancelled():
+            showing.result()
+    except BrokenPipeError:
+        _discard_stdout()
+    finally:
+        showing.cancel()
+
+
+def json_line(plate: str, path: str, message: Message) -> str:
+    """Return a message as one line of JSON: arrays as nested lists, numbers that are not known as null."""
+    payload = message.model_dump_json(fallback=lambda array: array.tolist())
+    return f'{{"plate": {json.dumps(plate)}, "topic": {json.dumps(path)}, "message": {payload}}}\n'
+
+
+def _broker(url: str, prefix: str) -> Mqtt:
+    try:
+        return Mqtt(url=url, prefix=prefix)
+    except ValidationError as error:
+        findings = [(f["loc"][0], shown(f["input"]), f["msg"].removeprefix("Value error, ")) for f in error.errors()]
+        raise OperatorError(*(f"--{key}: got {value}; {sentence}" for key, value, sentence in findings)) from None
+
+
+def _discard_stdout() -> None:
+    """Let the interpreter flush at exit what nobody reads any more."""
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+async def _print_messages(broker: Mqtt) -> None:
+    async with aclosing(subscribe(broker)) as messages:
+        async for plate, path, message in messages:
+            sys.stdout.write(json_line(plate, path, message))
+            sys.stdout.flush()
+
+
+async def _show_page(broker: Mqtt, console: Console) -> None:
+    first_notice = f"waiting for a broker at {broker.host}:{broker.port}"
+    with _last_log_line(first_notice) as notice, Live(console=console, screen=True, auto_refresh=False) as live:
+
+        def draw(views: Sequence[PlateView]) -> None:
+            title = f"resonatord watch · {notice()}"
+            page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{_waiting(broker)}")
+            live.update(page, refresh=True)
+
+        await _redraw(broker, draw, _PAGE_S)
+
+
+def _print_lines(broker: Mqtt) -> Draw:
+    said = ""
+
+    def draw(views: Sequence[PlateView]) -> None:
+        nonlocal said
+        text = "\n".join(summary_line(view, time.time_ns()) for view in views) or _waiting(broker)
+        if views or text != said:
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
+        said = text
+
+    return draw
+
+
+async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
+    views: dict[str, PlateView] = {}
+    listening = asyncio.create_task(_listen(broker, views))
+    try:
+        while not listening.done():
+            draw(list(views.values()))
+            await asyncio.wait([listening], timeout=period_s)
+        listening.result()
+    finally:
+        listening.cancel()
+        await asyncio.wait([listening])
+
+
+async def _listen(broker: Mqtt, views: dict[str, PlateView]) -> None:
+    async with aclosing(subscribe(broker)) as messages:
+        async for plate, path, message in messages:
+            views.setdefault(plate, PlateView(plate)).take(path, message, time.time_ns())
+
+
+def _waiting(broker: Mqtt) -> str:
+    return f"waiting for a plate to publish below {broker.prefix}/# at {broker.host}:{broker.port}"
+
+
+@contextmanager
+def _last_log_line(first: str) -> Iterator[Callable[[], str]]:
+    """Keep the log off the page that it would spoil; yields what tells its last line."""
+    lines = [first]
+
+    class LastLine(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            lines[:] = [record.getMessage()]
+
+    root = logging.getLogger()
+    handlers = root.handlers
+    root.handlers = [LastLine()]
+    try:
+        yield lambda: lines[0]
+    finally:
+        root.handlers = handlers

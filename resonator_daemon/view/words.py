@@ -1,0 +1,40 @@
+"""How quantities are written for people: units at hand, and "-" for what is not known."""
+
+import math
+from typing import Final
+
+UNKNOWN: Final = "-"
+
+
+def quantity(value: float | None, form: str, unit: str) -> str:
+    """Return a value written as `form` says and its unit."""
+    if value is None or not math.isfinite(value):
+        return UNKNOWN
+    return f"{value:{form}}{unit}"
+
+
+def newtons(force_newton: float | None) -> str:
+    """Return a force in N, a small one in mN."""
+    if force_newton is not None and abs(force_newton) < 1:
+        return quantity(1e3 * force_newton, ".1f", " mN")
+    return quantity(force_newton, ".3f", " N")
+
+
+def millinewtons(force_newton: float) -> str:
+    """Return an uncertainty as a bare number of mN."""
+    return quantity(1e3 * force_newton, ".1f" if force_newton < 10e-3 else ".0f", "")
+
+
+def pascals(pressure_pascal: float) -> str:
+    if pressure_pascal >= 1e3:
+        return quantity(1e-3 * pressure_pascal, "g", " kPa")
+    return quantity(pressure_pascal, "g", " Pa")
+
+
+def duration(seconds: float) -> str:
+    if not math.isfinite(seconds):
+        return UNKNOWN
+    if seconds < 60:
+        return f"{max(seconds, 0.0):.1f} s"
+    minutes, left_s = divmod(int(seconds), 60)
+    return f"{minutes} min {left_s} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"

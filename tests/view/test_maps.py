@@ -1,0 +1,174 @@
+"""Maps in characters: everything is where it is on the plate, x to the right and y upwards."""
+
+import math
+
+import numpy as np
+import pytest
+from rich.segment import Segment
+
+from resonator_daemon.view.maps import (
+    SiteMark,
+    pooling,
+    round_scale,
+    scale_bar,
+    site_map,
+    traction_map,
+)
+
+SQUARE_M = ((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01))
+DARK = (68, 1, 84)
+BRIGHT = (253, 231, 37)
+
+
+def text_of(lines: list[list[Segment]]) -> list[str]:
+    return ["".join(segment.text for segment in line) for line in lines]
+
+
+def untouched(label: str, x_m: float, y_m: float) -> SiteMark:
+    return SiteMark((x_m, y_m), label, None, None)
+
+
+def pixels_of(lines: list[list[Segment]]) -> list[list[tuple[int, int, int]]]:
+    """Colours of the pixels as drawn, the top row first."""
+    rows = []
+    for line in lines:
+        cells = [(segment.style, letter) for segment in line for letter in segment.text]
+        assert {letter for _, letter in cells} == {"▀"}
+        for colours in ([style.color for style, _ in cells], [style.bgcolor for style, _ in cells]):
+            rows.append([tuple(colour.triplet) for colour in colours])
+    return rows
+
+
+def test_sites_lie_where_they_are_on_the_plate() -> None:
+    marks = [
+        untouched("1", -0.0095, 0.0095),
+        untouched("2", 0.0095, 0.0095),
+        untouched("3", -0.0095, -0.0095),
+        untouched("4", 0.0, -0.0095),
+    ]
+    lines = text_of(site_map(SQUARE_M, marks, 10.0, rows=12, columns_max=80))
+    # 10 rows of 2 mm and 20 columns of 1 mm inside the border
+    assert len(lines) == 12
+    assert {len(line) for line in lines} == {22}
+    assert lines[0] == lines[-1] == "·" * 22
+    assert lines[1] == "·1" + " " * 18 + "2·"
+    assert lines[10] == "·3" + " " * 9 + "4" + " " * 9 + "·"
+    assert all(line == "·" + " " * 20 + "·" for line in lines[2:10])
+
+
+def test_a_narrow_place_keeps_the_proportions() -> None:
+    lines = text_of(site_map(SQUARE_M, [], 10.0, rows=40, columns_max=22))
+    assert {len(line) for line in lines} == {22}
+    assert len(lines) == 12
+
+
+def test_the_outline_is_drawn_also_where_it_is_not_convex() -> None:
+    notched_m = ((0.0, 0.0), (0.02, 0.0), (0.02, 0.01), (0.01, 0.01), (0.01, 0.02), (0.0, 0.02))
+    lines = text_of(site_map(notched_m, [], 10.0, rows=6, columns_max=80))
+    assert lines == [
+        "······    ",
+        "·    ·    ",
+        "·    ·····",
+        "·        ·",
+        "·        ·",
+        "··········",
+    ]
+
+
+def test_bars_beside_a_touched_site_are_measured_left_and_true_right() -> None:
+    def line_with(measured: float | None, true: float | None) -> str:
+        marks = [SiteMark((0.0, 0.0), "12", measured, true), untouched("3", -0.009, 0.0)]
+        lines = text_of(site_map(SQUARE_M, marks, 8.0, rows=12, columns_max=80))
+        return next(line for line in lines if "12" in line).strip("· ").removeprefix("3").strip()
+
+    assert line_with(8.0, 8.0) == "█12█"
+    assert line_with(2.0, 0.0) == "▅12▁"  # a quarter of the force is half of the height
+    assert line_with(None, 8.0) == "12█"
+    assert line_with(8.0, None) == "█12"
+    assert line_with(math.nan, 80.0) == "?12█"
+    assert line_with(-0.001, None) == "▁12"
+
+
+def test_a_touch_on_no_site_has_a_cross_where_it_is() -> None:
+    lines = text_of(site_map(SQUARE_M, [SiteMark((0.0055, 0.0095), "", None, 10.0)], 10.0, rows=12, columns_max=80))
+    assert lines[1] == "·" + " " * 15 + "x█" + " " * 3 + "·"
+
+
+def test_labels_that_would_run_into_each_other_give_way_to_circles_and_touched_ones_never() -> None:
+    crowd = [untouched(str(number), (number - 15.5) * 1e-3, 0.001) for number in (15, 16, 17, 18)]
+    assert "15oo " in text_of(site_map(SQUARE_M, crowd, 10.0, rows=12, columns_max=80))[5]
+    crowd[2] = crowd[2]._replace(measured_newton=10.0)
+    assert " o█17 " in text_of(site_map(SQUARE_M, crowd, 10.0, rows=12, columns_max=80))[5]
+
+
+@pytest.mark.parametrize(("x", "y"), [(0, 0), (3, 0), (0, 5), (2, 4), (1, 1)])
+def test_a_pressed_pixel_lies_where_it_is_on_the_skin(x: int, y: int) -> None:
+    traction = np.zeros((6, 4))
+    traction[y, x] = 1e4
+    drawn = pixels_of(traction_map(traction, 1e4, 1, colours=True))
+    assert len(drawn) == 6
+    assert drawn[5 - y][x] == BRIGHT
+    assert sum(colour != DARK for row in drawn for colour in row) == 1
+
+
+def test_values_beyond_the_scale_stay_on_it() -> None:
+    drawn = pixels_of(traction_map(np.array([[-5e3, 3e4], [0.0, 1e4]]), 1e4, 1, colours=True))
+    assert drawn == [[DARK, BRIGHT], [DARK, BRIGHT]]
+
+
+def test_an_odd_number_of_rows_leaves_the_upper_half_of_the_first_line_empty() -> None:
+    traction = np.zeros((3, 2))
+    traction[2, 1] = 1.0
+    first, second = traction_map(traction, 1.0, 1, colours=True)
+    assert [(segment.text, segment.style.bgcolor) for segment in first] == [("▄", None), ("▄", None)]
+    assert [tuple(segment.style.color.triplet) for segment in first] == [DARK, BRIGHT]
+    assert text_of([second]) == ["▀▀"]
+
+
+def test_unknown_pixels_are_question_marks() -> None:
+    traction = np.zeros((4, 3))
+    traction[0, 2] = math.nan
+    for colours in (True, False):
+        top, bottom = text_of(traction_map(traction, 1.0, 1, colours=colours))
+        assert "?" not in top
+        assert [letter == "?" for letter in bottom] == [False, False, True]
+
+
+def test_without_colours_density_tells_the_traction() -> None:
+    traction = np.array([[0.0, 0.45, 1.0], [0.0, 0.45, 0.1]])
+    assert text_of(traction_map(traction, 1.0, 1, colours=False)) == [" =+"]
+
+
+def test_pooled_pixels_show_their_mean() -> None:
+    traction = np.zeros((4, 5))
+    traction[2:, :2] = 1.0
+    traction[:, 4] = 1.0  # the last column has no neighbour to share with
+    assert pixels_of(traction_map(traction, 1.0, 2, colours=True)) == [[BRIGHT, DARK, BRIGHT], [DARK, DARK, BRIGHT]]
+    half = traction_map(np.array([[0.0, 0.9]] * 4), 1.0, 2, colours=False)
+    assert text_of(half) == ["="]
+
+
+def test_pooling_is_the_least_that_fits() -> None:
+    assert pooling((32, 32), rows=16, columns=32) == 1
+    assert pooling((32, 32), rows=15, columns=32) == 2
+    assert pooling((32, 32), rows=16, columns=31) == 2
+    assert pooling((32, 32), rows=5, columns=80) == 4
+
+
+def test_colours_rise_evenly_in_lightness() -> None:
+    """Lightness L* of CIE 1976 from sRGB, so that the map reads without colour vision and in grey."""
+    rgb = np.array([segment.style.color.triplet for segment in scale_bar(64, colours=True)]) / 255
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
+    steps = np.diff(lightness)
+    assert lightness[0] < 20
+    assert lightness[-1] > 85
+    assert steps.min() > 0
+    assert steps.max() < 2.5 * steps.mean()
+
+
+@pytest.mark.parametrize(
+    ("value", "scale"), [(1.0, 1.0), (1.01, 2.0), (4.9e4, 5e4), (5.1e4, 1e5), (0.03, 0.05), (0.0, 1.0), (math.nan, 1.0)]
+)
+def test_scales_are_round(value: float, scale: float) -> None:
+    assert round_scale(value) == pytest.approx(scale)

@@ -1,0 +1,282 @@
+"""What the page says of plates, at several sizes, with colours and without."""
+
+import io
+import math
+
+import numpy as np
+import pytest
+from rich.console import Console
+from view_messages import (
+    NOW_NS,
+    S,
+    contacts,
+    decoded,
+    forces,
+    health,
+    info,
+    site_force,
+    state,
+    summary,
+)
+
+from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.view.terminal import render, summary_line
+
+SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
+PIXEL_M2 = 4e-4**2
+
+
+def quartz16(*messages: tuple[str, Message]) -> PlateView:
+    view = PlateView("thumb")
+    online = [(f"state/{name}", state("online")) for name in ("daemon", "link", "sensor")]
+    for path, message in [*online, ("info", info(SITES)), ("health", health()), *messages]:
+        view.take(path, message, NOW_NS)
+    return view
+
+
+def page(
+    *views: PlateView,
+    truth: Truth | None = None,
+    at_ns: int = NOW_NS,
+    width: int = 100,
+    height: int = 40,
+    **how: object,
+) -> str:
+    console = Console(width=width, height=height, file=io.StringIO(), **how)  # type: ignore[arg-type]
+    truths = {view.name: truth for view in views} if truth else {}
+    console.print(render(views, truths, at_ns, title="a page"))
+    text = console.file.getvalue()  # type: ignore[attr-defined]
+    assert len(text.splitlines()) <= height
+    return text
+
+
+def words(text: str) -> str:
+    return " ".join(text.split())
+
+
+def skin_tractions() -> np.ndarray:
+    """1 N of pressure and 0.5 N of shear, at 30° from x, all on one pixel right of the middle and above it."""
+    traction = np.zeros((3, 32, 32))
+    traction[:, 24, 20] = np.array([0.5 * math.cos(math.pi / 6), 0.25, 1.0]) / PIXEL_M2
+    return traction
+
+
+def skin32(*messages: tuple[str, Message]) -> PlateView:
+    default = (("decoded", decoded(skin_tractions())), ("decoded/summary", summary()))
+    return quartz16(*(messages or default))
+
+
+def test_a_touch_is_a_row_of_the_table_and_a_mark_on_the_map() -> None:
+    view = quartz16(("forces", forces(site_force(7, 1.23412))), ("contacts", contacts(7, 1.2, since_s_ago=0.42)))
+    text = page(view)
+    row = next(line for line in text.splitlines() if "1.234 N" in line)
+    assert words(row).endswith("7 1.234 N ± 0.6 ± 12 mN ok 0.4 s")
+    assert "▃7" in text
+    assert "status ok" in text
+    assert "true" not in text
+
+
+def test_true_forces_stand_beside_the_measured() -> None:
+    view = quartz16(("forces", forces(site_force(7, 0.2001))))
+    truth = Truth(
+        contacts=(TrueContact(7, SITES[7], (0.1, 0.0, 0.2)), TrueContact(13, SITES[13], (0.0, 0.0, 10.0))),
+        traction_z_pascal=None,
+        latency_ms=(2.13, 7.94),
+    )
+    text = page(view, truth=truth)
+    seven, thirteen = (words(line) for line in text.splitlines() if "ok -" in words(line) or "not measured" in line)
+    assert seven.endswith("7 200.1 mN ± 0.6 ± 12 mN 200.0 mN ok -")
+    assert thirteen.endswith("13 - 10.000 N not measured -")
+    assert "▂7▂" in text
+    assert "13█" in text
+    assert "latency p50 2.1 ms" in words(text)
+    assert "latency p99 7.9 ms" in words(text)
+
+
+def test_a_true_touch_between_sites_is_shown_where_it_is() -> None:
+    truth = Truth((TrueContact(None, (0.004, 0.001), (0.0, 0.0, 10.0)),), None, None)
+    text = page(quartz16(("forces", forces())), truth=truth)
+    assert "x█" in text
+    assert "between - 10.000 N not measured" in words(text)
+    text = words(page(quartz16(("forces", forces(site_force(13, 9.0), site_force(7, 8.0)))), truth=truth))
+    assert text.index("8.000 N") < text.index("9.000 N") < text.index("between")
+
+
+def test_an_overload_and_an_unknown_force_are_no_numbers() -> None:
+    beyond = site_force(7, math.nan, status="overload", at_least_newton=10.0)
+    unknown = site_force(13, math.nan, status="ambiguous", noise_newton=math.nan)
+    text = words(page(quartz16(("forces", forces(beyond, unknown, status="overload")))))
+    assert "7 at least 10.000 N overload" in text
+    assert "13 - ambiguous" in text
+    assert "?7" in text
+    assert "status overload" in text
+    assert "nan" not in text
+
+
+def test_nothing_touched_is_told_from_nothing_known() -> None:
+    assert "no touch" in page(quartz16(("forces", forces())))
+    pressed = page(quartz16(("forces", forces(status="pressed_at_start"))))
+    assert "no touch" not in pressed
+    assert "status pressed_at_start" in pressed
+    never = page(quartz16())
+    assert "no touch" not in never
+    assert "forces unknown: none arrive" in never
+
+
+def test_what_is_old_is_not_shown_as_present() -> None:
+    view = quartz16(("forces", forces(site_force(7, 1.234))), ("contacts", contacts(7, 1.234, since_s_ago=1.0)))
+    text = words(page(view, at_ns=NOW_NS + 10 * S))
+    assert "1.234" not in text
+    assert "forces unknown: none arrive" in text
+    assert "frames - forces 0/s health unknown" in text
+    assert text.count("unknown (was online)") == 3
+    text = words(page(skin32(), at_ns=NOW_NS + 10 * S))
+    assert "surface unknown: nothing decoded arrives" in text
+    assert "normal force -" in text
+
+
+def test_states_come_with_reason_and_duration_unless_online() -> None:
+    lost = ("state/link", state("lost", "[Errno 5] it was unplugged", since_s_ago=72))
+    waiting = ("state/sensor", state("waiting", "link lost: [Errno 5] it was unplugged", since_s_ago=3))
+    text = words(page(quartz16(lost, waiting)))
+    assert "daemon online link lost for 1 min 12 s: [Errno 5] it was unplugged sensor waiting for 3.0 s ···" in text
+    text = words(page(quartz16(("state/sensor", state("drifting", "0.3 ppm/s", since_s_ago=7200)))))
+    assert "sensor drifting for 2 h 0 min: 0.3 ppm/s" in text
+
+
+def test_states_behind_an_offline_daemon_are_unknown() -> None:
+    will = state("offline", "connection lost").model_copy(update={"since_t_ns": None})
+    for at_ns in (NOW_NS, NOW_NS + 10 * S):
+        text = words(page(quartz16(("state/daemon", will)), at_ns=at_ns))
+        assert "daemon offline: connection lost link unknown (was online) sensor unknown (was online)" in text
+    assert "daemon unknown link unknown sensor unknown" in words(page(PlateView("left")))
+
+
+def test_rates_and_costs() -> None:
+    view = quartz16()
+    for number in range(201):
+        view.take("forces", forces(seq=number), NOW_NS + number * S // 200)
+    text = words(page(view, at_ns=NOW_NS + S))
+    for figure in ("frames 1000.0/s", "forces 200/s", "processor 21 %", "memory 92 MB", "clock drift +1.50 ppm"):
+        assert figure in text
+    assert "latency" not in text
+    unknown = page(quartz16(("health", health(clock_drift_ppm=math.nan))))
+    assert "clock drift -" in words(unknown)
+
+
+def test_losses_are_told_by_cause() -> None:
+    assert "nothing lost" in page(quartz16())
+    lost = Lost(link_gap=3, publish_dropped=20)
+    view = quartz16(("forces", forces(seq=1, lost=lost)), ("forces", forces(seq=6, lost=lost)))
+    assert "lost: link gap 3, publish dropped 20, missed by this view 4" in words(page(view))
+    view = quartz16(("health", health(parts_lost=2, frames_not_decoded=5)))
+    assert "lost: parts 2, not decoded 5" in words(page(view))
+    assert "losses unknown" in page(PlateView("left"))
+
+
+def test_net_forces_are_integrals_over_the_map() -> None:
+    truth = Truth((TrueContact(None, (0.002, 0.003), (0.4, 0.0, 1.5)),), skin_tractions()[2], (12.1, 17.9))
+    text = page(skin32(), truth=truth)
+    by_name = {line: words(text[text.index(line) :].split("\n")[0]) for line in ("normal", "shear", "towards")}
+    assert by_name["normal"] == "normal force 1.000 N 1.500 N"
+    assert by_name["shear"] == "shear force 500.0 mN 400.0 mN"
+    assert by_name["towards"] == "towards 30° 0°"
+    assert "over the map measured true" in words(text)
+    assert "status ok, fourier chi2 1.02, clear of the border" in words(text)
+
+
+def test_doubts_about_the_surface_are_said() -> None:
+    nothing = ("decoded", decoded(np.full((3, 32, 32), math.nan)))
+    poor = ("decoded/summary", summary(border_contact=True, status="rejected", chi2=math.nan))
+    text = page(skin32(nothing, poor))
+    beside = words(" ".join(line[34:] for line in text.splitlines()[3:]))
+    assert "status rejected, fourier chi2 -, reaches the border, expect errors there" in beside
+    assert "normal force - shear force - towards -" in beside
+    assert "?" * 32 in text
+    assert "nan" not in text
+
+
+def test_a_pressed_pixel_is_on_the_map_where_it_is_on_the_skin() -> None:
+    rows = [line[:32] for line in page(skin32()).splitlines()[3:19]]
+    assert [(row, len(line) - len(line.lstrip())) for row, line in enumerate(rows) if line.strip()] == [(3, 20)]
+
+
+def test_measured_and_true_maps_share_one_scale() -> None:
+    truth = Truth((), skin_tractions()[2] / 2, None)
+    row = page(skin32(), truth=truth).splitlines()[6]
+    shades = " .:-=+*#%@"
+    assert (shades.index(row[:32].strip()), shades.index(row[34:66].strip())) == (3, 1)
+
+
+def test_the_noise_of_an_untouched_skin_stays_dark() -> None:
+    noise = np.random.default_rng(0).normal(0.0, 1000.0, (3, 32, 32))
+    text = page(skin32(("decoded", decoded(noise, std_pascal=1000.0)), ("decoded/summary", summary())))
+    assert "10 kPa" in text
+    shown = "".join(line[:32] for line in text.splitlines()[3:19])
+    assert set(shown) <= set(" .:-")
+
+
+def test_scattered_points_have_no_map_and_no_integral() -> None:
+    scattered = decoded(np.ones((3, 5, 5))).model_copy(
+        update={"grid": None, "traction_pascal": np.ones((3, 25), np.float32)}
+    )
+    text = words(page(skin32(("decoded", scattered), ("decoded/summary", summary()))))
+    assert "normal force - shear force -" in text
+    assert "f_z" not in text
+
+
+def test_an_unknown_pixel_does_not_spoil_the_scale() -> None:
+    traction = skin_tractions()
+    traction[:, 0, 0] = math.nan
+    text = page(skin32(("decoded", decoded(traction)), ("decoded/summary", summary())))
+    assert "10000 kPa" in text
+    assert text.count("?") == 1
+
+
+@pytest.mark.parametrize(("width", "height"), [(100, 40), (100, 37), (80, 24), (60, 15), (200, 60)])
+@pytest.mark.parametrize("color_system", [None, "256", "truecolor"])
+def test_two_plates_fit_the_terminal(width: int, height: int, color_system: str | None) -> None:
+    truth = Truth((TrueContact(7, SITES[7], (0.0, 0.0, 1.0)),), skin_tractions()[2], (2.0, 3.0))
+    views = quartz16(("forces", forces(site_force(7, 1.0)))), skin32()
+    how = {"color_system": color_system, "force_terminal": True, "legacy_windows": False}
+    text = page(*views, truth=truth, width=width, height=height, **how)
+    plain = page(*views, truth=truth, width=width, height=height)
+    assert max(map(len, plain.splitlines())) <= width
+    assert ("\x1b[38;" in text) == (color_system is not None)
+
+
+def test_a_page_without_room_keeps_to_one_line_a_plate() -> None:
+    view = quartz16(("forces", forces(site_force(7, 1.0))))
+    text = page(view, view, view, width=80, height=12)
+    assert text.count("site 7 1.000 N ± 0.6 ± 12 mN; status ok; nothing lost") == 3
+    assert "·" * 10 not in text
+
+
+def test_text_that_does_not_fit_says_so() -> None:
+    many = forces(*(site_force(number, 1.0) for number in range(1, 16)))
+    text = page(quartz16(("forces", many)), width=80, height=12)
+    assert "... more in a larger terminal" in text
+
+
+def test_colours_can_be_switched_off() -> None:
+    assert "▀" in page(skin32(), color_system="truecolor", force_terminal=True)
+    assert "▀" not in page(skin32(), color_system="truecolor", force_terminal=True, no_color=True)
+
+
+def test_brackets_in_names_are_no_markup() -> None:
+    view = PlateView("[red]left")
+    view.take("state/daemon", state("starting", "[bold] reason"), NOW_NS)
+    text = page(view)
+    assert "[red]left · plate not known yet" in text
+    assert ": [bold] reason" in text
+
+
+def test_summary_lines() -> None:
+    line = summary_line(quartz16(("forces", forces(site_force(7, 1.0)))), NOW_NS)
+    assert line.startswith(
+        "thumb: daemon online   link online   sensor online; site 7 1.000 N ± 0.6 ± 12 mN; status ok;"
+    )
+    line = summary_line(skin32(), NOW_NS)
+    assert "; normal force 1.000 N, shear force 500.0 mN; status ok, fourier chi2 1.02" in line
+    assert "\n" not in line

@@ -1,0 +1,198 @@
+"""`resonatord watch` as it is used: in a terminal, in a pipe, as JSON, with and without a broker; ended by signals."""
+
+import asyncio
+import json
+import math
+import os
+import pty
+import signal
+import sys
+from asyncio.subprocess import PIPE, Process
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+import numpy as np
+import pytest
+from view_messages import decoded, forces, info, site_force, state
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing import topics
+from resonator_daemon.publishing.payloads import Signals
+from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.view.watch import json_line, watch
+
+NOBODY = "mqtt://127.0.0.1:9"
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "watch")
+TIMEOUT_S = 30
+
+
+@asynccontextmanager
+async def watching(*options: str, stdout: int = PIPE) -> AsyncIterator[Process]:
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "100", "LINES": "30"}
+    process = await asyncio.create_subprocess_exec(*COMMAND, *options, stdout=stdout, stderr=PIPE, env=environment)
+    try:
+        async with asyncio.timeout(TIMEOUT_S):
+            yield process
+    finally:
+        if process.returncode is None:
+            process.kill()
+        await process.communicate()
+
+
+@asynccontextmanager
+async def plate(url: str) -> AsyncIterator[Publisher]:
+    """A plate "left" that said who it is, and is silent since."""
+    publisher = Publisher(Mqtt(url=url), "left", lambda reason: state("offline", reason))
+    publisher.publish(topics.STATE_DAEMON, state("online"))
+    publisher.publish(topics.INFO, info({7: (0.0, 0.0)}))
+    running = asyncio.create_task(publisher.run())
+    yield publisher
+    await publisher.close()
+    await running
+
+
+@asynccontextmanager
+async def pressed_plate(url: str) -> AsyncIterator[None]:
+    """A plate "left" that publishes forces 20 times a second."""
+
+    async def press(publisher: Publisher) -> None:
+        for seq in range(10_000):
+            publisher.publish(topics.FORCES, forces(site_force(7, 1.234), seq=seq))
+            await asyncio.sleep(0.05)
+
+    async with plate(url) as publisher:
+        pressing = asyncio.create_task(press(publisher))
+        yield
+        pressing.cancel()
+        await asyncio.wait([pressing])
+
+
+async def end(process: Process, number: signal.Signals) -> str:
+    """End the process by a signal; return what it said on stderr."""
+    process.send_signal(number)
+    _, said = await process.communicate()
+    assert process.returncode == 0
+    return said.decode()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+async def test_without_a_broker_it_waits(number: signal.Signals) -> None:
+    async with watching("--url", NOBODY) as process:
+        assert process.stdout is not None
+        line = (await process.stdout.readline()).decode()
+        assert line == "waiting for a plate to publish below resonator/# at 127.0.0.1:9\n"
+        assert "Traceback" not in await end(process, number)
+
+
+async def test_in_a_pipe_it_prints_a_line_a_plate(mosquitto) -> None:
+    async with pressed_plate(mosquitto.url), watching("--url", mosquitto.url) as process:
+        assert process.stdout is not None
+        async for line in process.stdout:
+            if b"1.234 N" in line:
+                break
+        assert line.decode().startswith("left: daemon online   link unknown   sensor unknown; site 7 1.234 N")
+        assert "Traceback" not in await end(process, signal.SIGTERM)
+
+
+async def test_json_is_one_object_a_line(broker) -> None:
+    heard = {}
+
+    async def hear(process: Process, *paths: str) -> None:
+        assert process.stdout is not None
+        while set(paths) - heard.keys():
+            line = json.loads(await process.stdout.readline())
+            assert set(line) == {"plate", "topic", "message"}
+            assert line["plate"] == "left"
+            heard[line["topic"]] = line["message"]
+
+    async with plate(broker.url) as publisher, watching("--url", broker.url, "--json") as process:
+        await hear(process, "state/daemon", "info")
+        publisher.publish(topics.FORCES, forces(site_force(7, 1.234)))
+        await hear(process, "forces")
+        assert "Traceback" not in await end(process, signal.SIGINT)
+    assert heard["forces"]["sites"][0]["force_newton"] == 1.234
+    assert heard["state/daemon"]["state"] == "online"
+    assert heard["info"]["t_ns"] == "1789000000000000000"
+
+
+@pytest.mark.parametrize("form", [("--json",), ()])
+async def test_it_ends_quietly_when_the_reader_leaves(mosquitto, form: tuple[str, ...]) -> None:
+    async with pressed_plate(mosquitto.url):
+        reading, writing = os.pipe()
+        async with watching("--url", mosquitto.url, *form, stdout=writing) as process:
+            os.close(writing)
+            await asyncio.to_thread(os.read, reading, 1)
+            os.close(reading)
+            _, said = await process.communicate()
+            assert process.returncode == 0
+            assert b"Traceback" not in said
+            assert b"BrokenPipe" not in said
+
+
+async def test_page_in_a_terminal_waits_shows_and_restores_the_terminal(mosquitto) -> None:
+    terminal, slave = pty.openpty()
+    async with watching("--url", mosquitto.url, stdout=slave) as process:
+        os.close(slave)
+        screen = Screen(terminal)
+        await screen.until(lambda text: "connected, MQTT 5" in text and "waiting for a plate" in text)
+        assert screen.text.startswith("\x1b[?1049h")  # the alternate screen
+        async with pressed_plate(mosquitto.url):
+            await screen.until(lambda text: "tcp://127.0.0.1:5555" in text and "1.234 N ± 0.6 ± 12 mN" in text)
+            await mosquitto.kill()
+            await screen.until(lambda text: text.count("trying again") > 0)
+            await mosquitto.start()
+        process.terminate()
+        await screen.until(lambda text: "\x1b[?1049l" in text)  # back from the alternate screen
+        assert screen.text.rindex("\x1b[?25h") > screen.text.rindex("\x1b[?25l")  # with a cursor
+        _, said = await process.communicate()
+        assert process.returncode == 0
+        assert said == b""
+    os.close(terminal)
+
+
+class Screen:
+    """What a program writes to its terminal."""
+
+    def __init__(self, terminal: int) -> None:
+        self._terminal = terminal
+        self.text = ""
+
+    async def until(self, predicate: Callable[[str], bool]) -> None:
+        while not predicate(self.text):
+            self.text += (await asyncio.to_thread(os.read, self._terminal, 65536)).decode(errors="replace")
+
+
+@pytest.mark.parametrize(
+    ("url", "prefix", "message"),
+    [
+        ("mqtts://me:secret@host", "resonator", "--url: got 'mqtts://***@host'; mqtts: (TLS) is not available"),
+        ("localhost", "resonator", "--url: got 'localhost'; must be mqtt://host:port"),
+        (NOBODY, "a/#", "--prefix: got 'a/#'; becomes part of MQTT topics"),
+        (NOBODY, "a" * 300, "should have at most 200 characters"),
+    ],
+)
+async def test_addresses_that_cannot_be_used_are_refused(url: str, prefix: str, message: str) -> None:
+    with pytest.raises(OperatorError) as refused:
+        await watch(url, prefix, as_json=True)
+    (line,) = refused.value.messages
+    assert message in line
+    assert "\n" not in line
+    assert "secret" not in line
+
+
+def test_json_line_has_arrays_as_lists_and_null_for_what_is_not_known() -> None:
+    surface = np.arange(3 * 2 * 2, dtype=float).reshape(3, 2, 2)
+    surface[0, 1, 0] = math.nan
+    line = json_line("left", "decoded", decoded(surface))
+    assert line.endswith("}\n")
+    assert line.count("\n") == 1
+    message = json.loads(line, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))["message"]
+    assert message["traction_pascal"] == [[[0, 1], [None, 3]], [[4, 5], [6, 7]], [[8, 9], [10, 11]]]
+    assert message["displacement_m"] is None
+    assert message["t_ns"] == "1789000000000000000"
+    header = {key: value for key, value in decoded(surface) if key in Signals.model_fields}
+    line = json_line("left", "signals", Signals(**header, signals=np.float32([[0.5, math.nan]] * 3)))
+    assert json.loads(line)["message"]["signals"] == [[0.5, None]] * 3
+    line = json_line("left", "forces", forces(site_force(7, math.nan)))
+    assert json.loads(line)["message"]["sites"][0]["force_newton"] is None

@@ -1,0 +1,112 @@
+"""Messages made by hand, as a plate could publish them."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.publishing.payloads import (
+    Contact,
+    Contacts,
+    Decoded,
+    DecodedSummary,
+    Forces,
+    Grid,
+    Health,
+    Info,
+    Lost,
+    MessageAccount,
+    SiteForce,
+    SiteInfo,
+    State,
+    Status,
+)
+
+NOW_NS = 1_789_000_000_000_000_000
+S = 1_000_000_000
+
+
+def header(**changes: Any) -> dict[str, Any]:
+    fields = {"seq": 1, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": NOW_NS, "t_unc_ns": 42_000}
+    return {**fields, "lost": Lost(), **changes}
+
+
+def state(word: str, reason: str = "", since_s_ago: float = 10.0, **changes: Any) -> State:
+    since_t_ns = NOW_NS - round(since_s_ago * S)
+    return State(**header(**changes), state=word, reason=reason, since_t_ns=since_t_ns)
+
+
+def info(sites: dict[int, tuple[float, float]], **changes: Any) -> Info:
+    return Info(
+        **header(**changes),
+        daemon_version="0.1.0",
+        plate="quartz16",
+        link="tcp://127.0.0.1:5555",
+        serial_number="EMU-0001",
+        frame_rate_hz=1000.0,
+        window_s=0.01,
+        step_s=0.005,
+        force_max_newton=10.0,
+        outline_m=((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01)),
+        sites=tuple(SiteInfo(site=site, position_m=position) for site, position in sites.items()),
+    )
+
+
+def site_force(site: int, force_newton: float, **changes: Any) -> SiteForce:
+    fields = {"force_newton": force_newton, "noise_newton": 0.0006, "systematic_newton": 0.012, "status": "ok"}
+    return SiteForce(site=site, **{**fields, **changes})
+
+
+def forces(*sites: SiteForce, status: str = "ok", **changes: Any) -> Forces:
+    return Forces(**header(**changes), board_ticks=1, window_s=0.01, status=status, sites=sites)
+
+
+def contacts(site: int, force_newton: float, since_s_ago: float) -> Contacts:
+    contact = Contact(
+        id=12,
+        site=site,
+        position_m=(0.0, 0.0),
+        position_std_m=(1e-3, 1e-3),
+        force_newton=force_newton,
+        noise_newton=0.0006,
+        systematic_newton=0.012,
+        since_t_ns=NOW_NS - round(since_s_ago * S),
+        status=Status.OK,
+    )
+    return Contacts(**header(), board_ticks=1, status="ok", contacts=(contact,))
+
+
+def health(**changes: Any) -> Health:
+    nothing = dict.fromkeys(MessageAccount.model_fields, 0)
+    fields = {
+        "uptime_s": 100.0,
+        "frames": 100_000,
+        "frame_rate_hz": 1000.04,
+        "parts_lost": 0,
+        "frames_not_decoded": 0,
+        "records_unusable": {},
+        "bytes_in": 1,
+        "bytes_by_fate": {"accepted": 1},
+        "clock_drift_ppm": 1.5,
+        "cpu_percent": 21.4,
+        "rss_mb": 92.3,
+        "messages": MessageAccount(**nothing),
+    }
+    return Health(**header(), **{**fields, **changes})
+
+
+def decoded(traction_pascal: NDArray[np.float64], std_pascal: float = 100.0) -> Decoded:
+    return Decoded(
+        **header(),
+        board_ticks=1,
+        traction_pascal=traction_pascal.astype(np.float32),
+        traction_std_pascal=np.full(traction_pascal.shape, std_pascal, np.float32),
+        displacement_m=None,
+        grid=Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
+    )
+
+
+def summary(*, border_contact: bool = False, status: str = "ok", chi2: float = 1.02) -> DecodedSummary:
+    return DecodedSummary(
+        **header(), board_ticks=1, decoder="fourier", chi2=chi2, border_contact=border_contact, status=status
+    )
