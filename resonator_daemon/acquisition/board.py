@@ -33,6 +33,7 @@ from resonator_daemon.acquisition.frames import (
     FrameLoss,
     LinkAccount,
     LinkChange,
+    ReaderFailed,
     SingleToneFrame,
 )
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError
@@ -76,16 +77,24 @@ class BoardReader:
         What the board must serve; decides the gate.
     wake
         Called from the reader's thread when `take` has something to give.
+    step_frames
+        How many frames are of use together; `wake` waits for them.
     ring_bytes
         Bound of what is kept while nobody takes it.
     """
 
     def __init__(
-        self, target: SerialLink | TcpLink, plate: Plate, wake: Callable[[], None], *, ring_bytes: int = RING_BYTES
+        self,
+        target: SerialLink | TcpLink,
+        plate: Plate,
+        wake: Callable[[], None],
+        *,
+        step_frames: int = 1,
+        ring_bytes: int = RING_BYTES,
     ) -> None:
         self._target = target
         self._plate = plate
-        self._ring = Ring(ring_bytes, wake)
+        self._ring = Ring(ring_bytes, wake, step_frames)
         self._numbering = FrameNumbering(
             frame_bytes(plate), gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz)
         )
@@ -129,6 +138,12 @@ class BoardReader:
         return connection.clock.rate_ppm if connection and connection.clock else float("nan")
 
     def _run(self) -> None:
+        try:
+            self._keep_reading()
+        except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
+            self._ring.put(ReaderFailed(error))
+
+    def _keep_reading(self) -> None:
         backoff_s = _BACKOFF_FIRST_S
         while not self._stop.is_set():
             wait_s = 0.0

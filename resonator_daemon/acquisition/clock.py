@@ -4,11 +4,13 @@ A ping exchange brackets one tick count between two readings of the host's monot
 with short round trips gives rate and offset; arrival times of frames are never used. See docs/time.md.
 """
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import NamedTuple
 
 _REMEMBERED = 64
+_RATE_KNOWN_PPM = 10.0
 _RATE_TOLERANCE_PPM = 100.0  # what a crystal may be off before anything was measured
 
 
@@ -65,8 +67,9 @@ class BoardClock:
 
     @property
     def rate_ppm(self) -> float:
-        """How much slower than nominal the board's ticks run; NaN until known."""
-        return self._line.rate_ppm if self._line else float("nan")
+        """How much slower than nominal the board's ticks run; NaN until known to 10 ppm."""
+        known = self._line is not None and self._line.rate_uncertainty_ppm <= _RATE_KNOWN_PPM
+        return self._line.rate_ppm if self._line is not None and known else math.nan
 
     def add(self, exchange: Exchange, utc_less_monotonic_ns: int) -> None:
         """Take one ping exchange and the present difference of the host's two clocks."""

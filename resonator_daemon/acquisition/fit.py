@@ -45,9 +45,8 @@ def misfits(description: Description, plate: Plate) -> tuple[str, ...]:
         return tuple(found)
     if not description.gate_ticks_min <= gate_ticks(plate) <= description.gate_ticks_max:
         low, high = reference_hz / max(1, description.gate_ticks_max), reference_hz / max(1, description.gate_ticks_min)
-        return (
-            f"frame rate: the board makes {low:g} to {high:g} Hz, the plate file has {plate.counter.frame_rate_hz:g}",
-        )
+        expected_hz = plate.counter.frame_rate_hz
+        return (f"frame rate: the board makes {low:g} to {high:g} Hz, the plate file has {expected_hz:g} Hz",)
     if plate.counter.kind == "channelised":
         offset_hz = np.abs(plate.tones.f0_hz - oscillator_hz(description)[:, None])
         worst = int(offset_hz.max(axis=1).argmax())

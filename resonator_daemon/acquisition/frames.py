@@ -97,7 +97,14 @@ class BoardSays:
     text: str
 
 
-Arrival = SingleToneFrame | ChannelisedFrame | Gap | BoardOnline | BoardRefused | LinkChange | BoardSays
+@dataclass(frozen=True, slots=True)
+class ReaderFailed:
+    """The reader ended by a mistake of ours; nothing will arrive any more."""
+
+    error: Exception
+
+
+Arrival = SingleToneFrame | ChannelisedFrame | Gap | BoardOnline | BoardRefused | LinkChange | BoardSays | ReaderFailed
 
 
 @dataclass(slots=True)

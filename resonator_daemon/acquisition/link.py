@@ -58,7 +58,8 @@ class FileDescriptorLink:
     def write(self, data: bytes) -> None:
         deadline = time.monotonic() + _WRITE_TIMEOUT_S
         while data:
-            if not self._writable.poll(max(0.0, deadline - time.monotonic()) * 1e3):
+            left_s = deadline - time.monotonic()
+            if left_s < 0 or not self._writable.poll(left_s * 1e3):
                 raise LinkLostError(f"the board took no bytes for {_WRITE_TIMEOUT_S:g} s")
             try:
                 data = data[os.write(self._descriptor, data) :]

@@ -6,6 +6,8 @@ from threading import Lock
 
 from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, FrameLoss, SingleToneFrame
 
+FRAME = (SingleToneFrame, ChannelisedFrame)
+
 
 class Ring:
     """Arrivals in order; when frames take more than `limit_bytes`, the oldest frames give way, news never.
@@ -15,12 +17,15 @@ class Ring:
     limit_bytes
         Bound, in bytes on the wire, of the frames kept.
     wake
-        Called, from the writing thread, when something was put into an empty ring.
+        Called, from the writing thread, when news was put in, or a frame that completes a step.
+    step_frames
+        Frames that are of no use one by one: those whose index, counted from 1, is a multiple of it complete a step.
     """
 
-    def __init__(self, limit_bytes: int, wake: Callable[[], None]) -> None:
+    def __init__(self, limit_bytes: int, wake: Callable[[], None], step_frames: int = 1) -> None:
         self._limit_bytes = limit_bytes
         self._wake = wake
+        self._step_frames = step_frames
         self._lock = Lock()
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
@@ -29,12 +34,11 @@ class Ring:
     def put(self, arrival: Arrival, size_bytes: int = 0) -> None:
         """Append one arrival; `size_bytes` is a frame's size on the wire, 0 for news."""
         with self._lock:
-            was_empty = not self._items
             self._items.append((size_bytes, arrival))
             self._bytes += size_bytes
             if self._bytes > self._limit_bytes:
                 self._make_room()
-        if was_empty:
+        if not isinstance(arrival, FRAME) or (arrival.index + 1) % self._step_frames == 0:
             self._wake()
 
     def take(self) -> list[Arrival]:
@@ -54,7 +58,7 @@ class Ring:
         news = []
         while self._bytes > self._limit_bytes:
             size_bytes, arrival = self._items.popleft()
-            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            if isinstance(arrival, FRAME):
                 self._bytes -= size_bytes
                 self._overrun += 1
             else:

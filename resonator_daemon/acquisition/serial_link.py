@@ -25,7 +25,7 @@ def open_serial(target: SerialLink) -> FileDescriptorLink:
     try:
         # flock keeps out other programs that ask for it, TIOCEXCL those that do not.
         port = serial.Serial(target.path, target.baud, timeout=0, exclusive=True)
-    except (OSError, ValueError) as error:  # SerialException is an OSError
+    except (OSError, ValueError, termios.error) as error:  # SerialException is an OSError, termios.error is none
         raise LinkUnavailableError(_why_not(target, error)) from error
     descriptor = port.fileno()
     try:
@@ -35,6 +35,10 @@ def open_serial(target: SerialLink) -> FileDescriptorLink:
         raise LinkUnavailableError(f"{target.path} went away while it was opened ({error.strerror})") from error
 
     def close() -> None:
+        if port.is_open:  # the descriptor is still this port's
+            with suppress(OSError):
+                # A pseudo-terminal that its other side keeps alive would stay shut to all but root.
+                fcntl.ioctl(descriptor, termios.TIOCNXCL)
         with suppress(OSError, termios.error):
             port.close()
 
@@ -42,17 +46,27 @@ def open_serial(target: SerialLink) -> FileDescriptorLink:
 
 
 def _why_not(target: SerialLink, error: Exception) -> str:
-    code = getattr(error, "errno", None)
+    # Where a port's settings cannot be read, only the exception behind pyserial's own has the number.
+    cause = error.__context__ if isinstance(error.__context__, termios.error) else error
+    code = cause.args[0] if isinstance(cause, termios.error) else getattr(cause, "errno", None)
     if code == errno.ENOENT or not os.path.exists(target.path):
         return f"no port {target.path}; {_present()}"
     if code in (errno.EACCES, errno.EPERM):
-        group = Path(target.path).group()
-        return f"{target.path} may not be opened by this user; join the group {group}"
+        return f"{target.path} may not be opened by this user; join the group {_group(target.path)}"
     if code in (errno.EBUSY, errno.EAGAIN):
         return f"{target.path} is held by another program; close it there"
-    if isinstance(error, ValueError) or code == errno.ENOTTY:
-        return f"{target.path} cannot be set to {target.baud} baud; is it a serial port?"
+    if code == errno.ENOTTY:
+        return f"{target.path} is no serial port; {_present()}"
+    if isinstance(error, ValueError):
+        return f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver knows"
     return f"{target.path} cannot be opened: {error}"
+
+
+def _group(path: str) -> str:
+    try:
+        return Path(path).group()
+    except KeyError:  # a group without a name, as in a container
+        return str(os.stat(path).st_gid)
 
 
 def _present() -> str:

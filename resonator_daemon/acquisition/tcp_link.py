@@ -18,7 +18,7 @@ def open_tcp(target: TcpLink) -> FileDescriptorLink:
     """
     try:
         connection = socket.create_connection((target.host, target.port), timeout=_CONNECT_TIMEOUT_S)
-    except OSError as error:
+    except (OSError, UnicodeError) as error:  # UnicodeError: no host can have such a name
         raise LinkUnavailableError(f"tcp://{target.host}:{target.port} does not answer ({error})") from error
     connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     connection.setblocking(False)

@@ -20,6 +20,7 @@ from resonator_daemon.acquisition.frames import (
     Gap,
     LinkAccount,
     LinkChange,
+    ReaderFailed,
     SingleToneFrame,
 )
 from resonator_daemon.config import SerialLink, TcpLink, parse_link
@@ -296,3 +297,14 @@ def test_nobody_listens_on_tcp() -> None:
         it.wait_for(lambda arrivals: bool(arrivals))
     assert it.states[0][0] == "waiting"
     assert "does not answer" in it.states[0][1]
+
+
+def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise ZeroDivisionError("mistake")
+
+    monkeypatch.setattr("resonator_daemon.acquisition.board.open_tcp", fail)
+    with Listener(TcpLink("127.0.0.1", 1)) as it:
+        (failed,) = it.wait_for(lambda arrivals: bool(arrivals))
+    assert isinstance(failed, ReaderFailed)
+    assert isinstance(failed.error, ZeroDivisionError)

@@ -9,15 +9,21 @@ def frame(index: int) -> SingleToneFrame:
     return SingleToneFrame(index, index, Instant(0, 0), ())
 
 
-def test_takes_in_order_and_wakes_once_for_each_filling() -> None:
+def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
     wakes = []
-    ring = Ring(1000, lambda: wakes.append(1))
-    for index in range(3):
+    ring = Ring(1000, lambda: wakes.append(1), step_frames=3)
+    for index in range(2):
         ring.put(frame(index), 100)
+    assert wakes == []
+    ring.put(frame(2), 100)
+    assert len(wakes) == 1
     assert ring.take() == [frame(0), frame(1), frame(2)]
     assert ring.take() == []
+    ring.put(BoardSays(20, "news"))
+    assert len(wakes) == 2
     ring.put(frame(3), 100)
     assert len(wakes) == 2
+    assert ring.take() == [BoardSays(20, "news"), frame(3)]
 
 
 def test_when_full_the_oldest_frames_give_way_and_news_stays() -> None:
