@@ -1,0 +1,69 @@
+"""Payloads to bytes and back: JSON, or for messages with arrays CBOR with typed arrays (RFC 8746)."""
+
+import io
+import math
+from typing import Any, Final, TypeVar
+
+import cbor2
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.publishing.payloads import Decoded, Message, Signals
+
+_TAG_ARRAY: Final = 40  # multi-dimensional array, row-major: [shape, elements]
+_TAG_FLOAT32: Final = 85  # typed array of little-endian IEEE 754 binary32
+_DIMENSIONS_MAX: Final = 3
+_CBOR: Final = (Signals, Decoded)
+
+MessageT = TypeVar("MessageT", bound=Message)
+
+
+def encode(message: Message) -> bytes:
+    """Return the payload as published: CBOR for Signals and Decoded, JSON for all others."""
+    if isinstance(message, _CBOR):
+        return cbor2.dumps(message.model_dump(), default=_write_array)
+    return message.model_dump_json().encode()
+
+
+def decode(kind: type[MessageT], payload: bytes) -> MessageT:
+    """Read a payload of a topic that carries `kind`; arrays are read-only.
+
+    Raises
+    ------
+    ValueError
+        The payload is not a well-formed message of this kind.
+    """
+    if not issubclass(kind, _CBOR):
+        return kind.model_validate_json(payload)
+    stream = io.BytesIO(payload)
+    try:
+        fields = cbor2.CBORDecoder(stream, tag_hook=_read_tag).decode()
+    except cbor2.CBORDecodeError as error:
+        raise ValueError(f"not CBOR: {error.__cause__ or error}") from error
+    if trailing := len(stream.read()):
+        raise ValueError(f"{trailing} bytes after the CBOR message")
+    return kind.model_validate(fields)
+
+
+def _write_array(encoder: cbor2.CBOREncoder, array: NDArray[np.float32]) -> None:
+    elements = cbor2.CBORTag(_TAG_FLOAT32, array.tobytes())
+    encoder.encode(cbor2.CBORTag(_TAG_ARRAY, [array.shape, elements]))
+
+
+def _read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
+    if tag.tag == _TAG_FLOAT32:
+        if not isinstance(tag.value, bytes) or len(tag.value) % 4:
+            raise ValueError("a float32 array must be a byte string of a multiple of 4 bytes")
+        return np.frombuffer(tag.value, "<f4")
+    if tag.tag == _TAG_ARRAY:
+        return _shaped(tag.value)
+    return tag
+
+
+def _shaped(value: Any) -> NDArray[np.float32]:
+    match value:
+        case [[*shape], np.ndarray() as elements] if 0 < len(shape) <= _DIMENSIONS_MAX:
+            if all(type(size) is int and size >= 0 for size in shape) and math.prod(shape) == elements.size:
+                return elements.reshape(shape)
+            raise ValueError(f"{elements.size} elements do not fill the shape {shape}")
+    raise ValueError("an array must be [shape, float32 elements], of at most 3 dimensions")

@@ -1,0 +1,61 @@
+"""A small MQTT 3.1.1 broker in this process, on the loopback interface, for the demo."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Final
+
+from resonator_daemon.errors import OperatorError
+
+SHUTDOWN_TIMEOUT_S: Final = 2.0
+
+
+@asynccontextmanager
+async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
+    """Serve anonymous clients as long as the context lasts; yield the broker's URL, on a free port unless one is given.
+
+    Raises
+    ------
+    OperatorError
+        amqtt, which the broker is made of, is not installed.
+    """
+    try:
+        from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
+        from amqtt.broker import Broker
+    except ImportError as error:
+        raise OperatorError("the embedded broker needs amqtt: pip install resonatord[demo]") from error
+
+    for name in ("amqtt", "transitions"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+    # The listener is ours, not amqtt's, so that the port is known without choosing it beforehand.
+    config = {
+        "listeners": {"default": {"type": "external"}},
+        "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
+    }
+    broker = Broker(config)
+    serving: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            await broker.external_connected(StreamReaderAdapter(reader), StreamWriterAdapter(writer), "default")
+        finally:
+            writer.close()
+
+    def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.create_task(serve(reader, writer))
+        serving[task] = writer
+        task.add_done_callback(serving.pop)
+
+    await broker.start()
+    server = await asyncio.start_server(accept, "127.0.0.1", port)
+    try:
+        yield f"mqtt://127.0.0.1:{server.sockets[0].getsockname()[1]}"
+    finally:
+        server.close()
+        # Connections first: amqtt's own shutdown cancels their readers, which do not always take notice.
+        for writer in serving.values():
+            writer.transport.abort()
+        if serving:
+            await asyncio.wait(serving, timeout=SHUTDOWN_TIMEOUT_S)
+        await broker.shutdown()

@@ -1,0 +1,170 @@
+"""CBOR with typed arrays against bytes written by hand from RFC 8949 and RFC 8746; damage is refused."""
+
+import struct
+import time
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from mqtt_helpers import HEADER, Messages
+from numpy.typing import NDArray
+
+from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.payloads import Decoded, Grid, Signals
+
+# 40([[3, 2], 85(h'...')]): tag 40 is d8 28, array of 2 is 82, 85 is d8 55, 24 bytes are 58 18
+VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
+ARRAY = bytes.fromhex("d828 82 82 03 02 d855 58 18") + struct.pack("<6f", *VALUES)
+EXPECTED = np.array([[0.0, 1.0], [-2.0, 0.5], [np.inf, 3.0]])
+
+# the header and board_ticks as a map of 8 with "signals" last; 1b is an 8-byte integer, 19 a 2-byte one
+LOST = b"\xa5" + b"".join(
+    bytes([0x60 + len(key)]) + key + b"\x00"
+    for key in (b"link_gap", b"damaged", b"board_overflow", b"host_overrun", b"publish_dropped")
+)
+SIGNALS = (
+    b"\xa8\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
+    + b"\x64t_ns\x1b"
+    + (1789000000000000000).to_bytes(8, "big")
+    + b"\x68t_unc_ns\x19\xa4\x10\x64lost"
+    + LOST
+    + b"\x6bboard_ticks\x1b"
+    + (2**63).to_bytes(8, "big")
+    + b"\x67signals"
+)
+
+
+def signals(array: NDArray[Any]) -> Signals:
+    return Signals(**HEADER, board_ticks=2**63, signals=array)
+
+
+def decoded(shape: tuple[int, ...], displacement: bool = True) -> Decoded:
+    array = np.arange(np.prod(shape), dtype=np.float64).reshape(shape)
+    return Decoded(
+        **HEADER,
+        board_ticks=None,
+        traction_pascal=array,
+        traction_std_pascal=array + 1,
+        displacement_m=array + 2 if displacement else None,
+        grid=Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
+    )
+
+
+def test_bytes_are_those_of_the_standards() -> None:
+    assert encode(signals(EXPECTED)) == SIGNALS + ARRAY
+
+
+def test_bytes_of_the_standards_are_read() -> None:
+    read = decode(Signals, SIGNALS + ARRAY)
+    assert read.t_ns == 1789000000000000000
+    assert read.board_ticks == 2**63
+    assert read.signals.dtype == np.float32
+    np.testing.assert_array_equal(read.signals, EXPECTED)
+
+
+def test_arrays_are_read_without_a_copy_and_cannot_be_written() -> None:
+    read = decode(Signals, SIGNALS + ARRAY)
+    with pytest.raises(ValueError, match="read-only"):
+        read.signals[0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.full((3, 4), np.nan),
+        np.arange(24.0).reshape(3, 8)[:, ::2],
+        np.asfortranarray(np.arange(12.0).reshape(3, 4)),
+        np.arange(12).reshape(3, 4).astype(">f4"),
+        np.zeros((3, 0)),
+    ],
+    ids=["nan", "strided", "fortran", "big-endian", "empty"],
+)
+def test_any_array_comes_back_as_it_was(array: NDArray[Any]) -> None:
+    np.testing.assert_array_equal(decode(Signals, encode(signals(array))).signals, array)
+
+
+@pytest.mark.parametrize("shape", [(3, 4, 5), (3, 7)])
+def test_decoded_keeps_its_axes_apart(shape: tuple[int, ...]) -> None:
+    message = decoded(shape)
+    read = decode(Decoded, encode(message))
+    np.testing.assert_array_equal(read.traction_pascal, message.traction_pascal)
+    np.testing.assert_array_equal(read.traction_std_pascal, message.traction_std_pascal)
+    np.testing.assert_array_equal(read.displacement_m, message.displacement_m)
+    assert read.grid == message.grid
+    plain = cbor2.loads(encode(message), tag_hook=lambda tag, immutable=False: tag.value)
+    assert plain["traction_pascal"][0] == shape
+    assert plain["t_ns"] == 1789000000000000000
+    assert plain["grid"] == {"origin_m": [-0.0062, -0.0062], "pitch_m": 4e-4}
+
+
+def test_displacement_may_be_missing() -> None:
+    assert decode(Decoded, encode(decoded((3, 2, 2), displacement=False))).displacement_m is None
+
+
+@pytest.mark.parametrize("shape", [(3,), (4, 4), (1, 3, 4, 4)])
+def test_arrays_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ValueError, match=r"must be an array of shape \(3, n\) or \(3, ny, nx\)"):
+        signals(np.zeros(shape))
+
+
+def test_arrays_of_one_message_have_one_shape() -> None:
+    with pytest.raises(ValueError, match=r"traction_std_pascal has shape \(3, 2\), must be"):
+        Decoded(
+            **HEADER,
+            board_ticks=1,
+            traction_pascal=np.zeros((3, 4)),
+            traction_std_pascal=np.zeros((3, 2)),
+            displacement_m=None,
+            grid=None,
+        )
+
+
+@pytest.mark.parametrize(
+    ("array", "finding"),
+    [
+        (ARRAY + b"\x00", "1 bytes after"),
+        (ARRAY[:-1], "not CBOR"),
+        (b"", "not CBOR"),
+        (ARRAY.replace(b"\x82\x03\x02", b"\x82\x03\x03"), "6 elements do not fill the shape"),
+        (ARRAY.replace(b"\x82\x03\x02", b"\x82\x22\x21"), "6 elements do not fill the shape"),
+        (ARRAY.replace(b"\x82\x03\x02", b"\x82\x03\xf5"), "6 elements do not fill the shape"),
+        (ARRAY.replace(b"\x82\x03\x02", b"\x80"), "at most 3 dimensions"),
+        (ARRAY.replace(b"\x82\x03\x02", b"\x84\x03\x02\x01\x01"), "at most 3 dimensions"),
+        (bytes.fromhex("d828 82 82 03 00 d855 43 000000"), "multiple of 4"),
+        (bytes.fromhex("d828 82 82 03 00 d855 60"), "byte string"),
+        (bytes.fromhex("d828 82 82 03 00 80"), "float32 elements"),
+        (bytes.fromhex("d828 03"), "float32 elements"),
+        (bytes.fromhex("d855 44 00000000"), "must be an array"),
+        (bytes.fromhex("83 81 00 81 00 81 00"), "must be an array"),
+        (bytes.fromhex("a0"), "must be an array"),
+        (bytes.fromhex("f6"), "must be an array"),
+        (b"\x81" * 10_000 + b"\x00", "not CBOR"),
+        (bytes.fromhex("5b 7fffffffffffffff"), "not CBOR"),
+    ],
+)
+def test_damaged_arrays_are_refused(array: bytes, finding: str) -> None:
+    with pytest.raises(ValueError, match=finding):
+        decode(Signals, SIGNALS + array)
+
+
+@pytest.mark.parametrize("payload", [b"\x00", b"\xf6", b"\xa0", b"\x83\x01\x02\x03"])
+def test_cbor_that_is_no_message_is_refused(payload: bytes) -> None:
+    with pytest.raises(ValueError, match="Signals"):
+        decode(Signals, payload)
+
+
+def microseconds(encode_once: Any, repetitions: int = 200) -> float:
+    best_s = float("inf")
+    for _ in range(10):
+        before_s = time.perf_counter()
+        for _ in range(repetitions):
+            encode_once()
+        best_s = min(best_s, time.perf_counter() - before_s)
+    return best_s / repetitions * 1e6
+
+
+def test_encoding_costs_little() -> None:
+    forces, arrays = Messages.forces(1), Messages.decoded(1)
+    assert microseconds(lambda: encode(forces)) < 30
+    assert microseconds(lambda: encode(arrays)) < 50

@@ -1,0 +1,152 @@
+"""Connecting: version, socket options, and one line of log per change, whatever is wrong with the broker."""
+
+import asyncio
+import hashlib
+import logging
+import socket
+from base64 import b64encode
+from pathlib import Path
+
+import aiomqtt
+import pytest
+from conftest import Mosquitto
+from mqtt_helpers import Messages, publishing, scripted_broker, until
+
+from resonator_daemon.publishing import connection, topics
+
+
+@pytest.fixture
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(connection, "LONGEST_PAUSE_S", 0.05)
+    monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.02)
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage().partition(": ")[2] for record in caplog.records]
+
+
+def hashed(password: str) -> str:
+    """As mosquitto_passwd writes it: PBKDF2 with SHA-512."""
+    salt = b"twelve bytes"
+    digest = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, 101)
+    return f"$7$101${b64encode(salt).decode()}${b64encode(digest).decode()}"
+
+
+def broker_attempts(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """A list that grows with each socket that is opened."""
+    attempts: list[object] = []
+    connect = socket.create_connection
+
+    def counted(*arguments: object, **options: object) -> socket.socket:
+        attempts.append(arguments)
+        return connect(*arguments, **options)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(socket, "create_connection", counted)
+    return attempts
+
+
+async def test_mqtt_5_where_the_broker_speaks_it(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    async with publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        assert left._client._client.protocol == aiomqtt.ProtocolVersion.V5
+    assert said(caplog) == ["connected, MQTT 5"]
+
+
+async def test_mqtt_3_where_the_broker_refuses_5(amqtt, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    async with publishing(amqtt.url) as left:
+        await until(lambda: left.connected)
+        assert left._client._client.protocol == aiomqtt.ProtocolVersion.V311
+    assert said(caplog) == ["connected, MQTT 3.1.1"]
+
+
+async def test_small_messages_do_not_wait_for_acknowledgements_of_tcp(mosquitto) -> None:
+    async with publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        assert left._client._client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
+
+
+@pytest.mark.usefixtures("_impatient")
+async def test_credentials_and_a_wrong_password(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.INFO)
+    passwords = tmp_path / "passwords"
+    passwords.write_text(f"robot:{hashed('open sesame')}\n")
+    broker = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}")
+    await broker.start()
+    try:
+        with_password = broker.url.replace("//", "//robot:open%20sesame@")
+        async with publishing(with_password) as left:
+            await until(lambda: left.connected)
+        assert said(caplog) == ["connected, MQTT 5"]
+        caplog.clear()
+        async with publishing(broker.url.replace("//", "//robot:tell-nobody@")) as left:
+            left.publish(topics.CONTACT_EVENT, Messages.event(1))
+            await until(lambda: bool(caplog.records))
+            attempts = broker_attempts(monkeypatch)
+            await until(lambda: len(attempts) > 4)
+            assert not left.connected
+        assert len(caplog.records) == 1
+        assert "Not authorized" in caplog.text
+        assert "tell-nobody" not in caplog.text
+    finally:
+        await broker.kill()
+
+
+@pytest.mark.usefixtures("_impatient")
+async def test_an_unknown_host_is_said_once(monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    asked = []
+
+    def getaddrinfo(host: str, *_: object, **__: object) -> None:
+        asked.append(host)
+        raise socket.gaierror(-2, "Name or service not known")
+
+    monkeypatch.setattr(socket, "getaddrinfo", getaddrinfo)
+    async with publishing("mqtt://no-such-host.invalid") as left:
+        await until(lambda: len(asked) > 5)
+        assert not left.connected
+    assert said(caplog) == ["[Errno -2] Name or service not known; trying again"]
+    assert caplog.records[0].getMessage().startswith("broker no-such-host.invalid:1883: ")
+
+
+@pytest.mark.usefixtures("_impatient")
+async def test_a_host_that_cannot_be_a_name_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    async with publishing(f"mqtt://{'a' * 70}.invalid"):
+        await until(lambda: bool(caplog.records))
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.usefixtures("_impatient")
+async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog: pytest.LogCaptureFixture) -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.mute = True
+        await until(lambda: len(script.connections) > 2)
+        assert said(caplog) == ["Operation timed out; trying again"]
+        script.mute = False
+        await until(lambda: left.connected)
+
+
+async def test_closing_while_a_broker_does_not_answer_takes_no_time() -> None:
+    async with scripted_broker() as (url, script):
+        script.mute = True
+        async with asyncio.timeout(1), publishing(url):
+            await until(lambda: bool(script.connections))
+
+
+async def test_the_reason_that_the_broker_gives_for_ending_the_connection(caplog: pytest.LogCaptureFixture) -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        await until(lambda: left.connected)
+        script.connections[-1].write(b"\xe0\x01\x8e")
+        await until(lambda: bool(caplog.records))
+        assert said(caplog) == ["[code:142] Session taken over; trying again"]
+
+
+async def test_a_connection_that_ends_without_a_reason(broker, caplog: pytest.LogCaptureFixture) -> None:
+    async with publishing(broker.url) as left:
+        await until(lambda: left.connected)
+        await broker.kill()
+        await until(lambda: bool(caplog.records))
+        assert said(caplog)[0] == "connection lost; trying again"

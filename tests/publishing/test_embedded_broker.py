@@ -1,0 +1,50 @@
+"""The embedded broker: a port of its own, no noise, and one clear sentence where it is not installed."""
+
+import logging
+import sys
+
+import aiomqtt
+import pytest
+from mqtt_helpers import until
+from observer import observe
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing.embedded_broker import embedded_broker
+
+
+async def test_two_brokers_do_not_share_messages() -> None:
+    async with embedded_broker() as one, embedded_broker() as other:
+        assert one != other
+        async with observe(one) as at_one, observe(other) as at_other:
+            async with aiomqtt.Client("127.0.0.1", Mqtt(url=one).port) as client:
+                await client.publish("a", b"1", qos=1)
+            await at_one.until(lambda: len(at_one.heard) == 1)
+            assert at_other.heard == []
+
+
+async def test_it_listens_on_the_loopback_interface_only() -> None:
+    async with embedded_broker() as url:
+        assert url.startswith("mqtt://127.0.0.1:")
+
+
+async def test_it_is_quiet_and_stops_with_clients_connected(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.DEBUG)
+    async with embedded_broker() as url:
+        client = aiomqtt.Client("127.0.0.1", Mqtt(url=url).port)
+        await client.__aenter__()
+        await client.publish("a", b"1", qos=1)
+    await until(lambda: client._disconnected.done())
+    with pytest.raises(aiomqtt.MqttError):
+        await client.__aexit__(None, None, None) or client._disconnected.result()
+    assert [record for record in caplog.records if record.name.startswith(("amqtt", "transitions"))] == []
+    with pytest.raises(aiomqtt.MqttError):
+        async with aiomqtt.Client("127.0.0.1", Mqtt(url=url).port):
+            pass
+
+
+async def test_what_to_install_where_amqtt_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "amqtt.broker", None)
+    with pytest.raises(OperatorError, match=r"pip install resonatord\[demo\]"):
+        async with embedded_broker():
+            pass

@@ -1,0 +1,117 @@
+"""What a subscriber of the daemon's own sees: every plate, checked payloads, across restarts of the broker."""
+
+import asyncio
+import logging
+from collections.abc import AsyncIterator
+from contextlib import aclosing
+
+import aiomqtt
+import numpy as np
+import pytest
+from mqtt_helpers import Messages, publishing, until
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing import subscriber, topics
+from resonator_daemon.publishing.subscriber import Received, subscribe
+
+
+async def next_of(received: AsyncIterator[Received], path: str) -> Received:
+    async with asyncio.timeout(10):
+        async for message in received:
+            if message.path == path:
+                return message
+    raise AssertionError("the subscription ended")
+
+
+async def test_messages_of_each_plate_arrive_as_objects(broker) -> None:
+    async with publishing(broker.url) as left, aclosing(subscribe(Mqtt(url=broker.url))) as received:
+        left.publish(topics.STATE_LINK, Messages.state("online", "here"))
+        plate, path, message = await next_of(received, "state/link")
+        assert (plate, path) == ("left", "state/link")
+        assert message == Messages.state("online", "here")
+        left.publish(topics.DECODED, Messages.decoded(3))
+        left.publish(topics.FORCES, Messages.forces(4))
+        decoded = await next_of(received, "decoded")
+        np.testing.assert_array_equal(decoded.message.traction_pascal, np.full((3, 32, 32), 3.0))
+        assert (await next_of(received, "forces")).message == Messages.forces(4)
+
+
+async def test_only_the_topics_asked_for_arrive(mosquitto) -> None:
+    at = Mqtt(url=mosquitto.url)
+    wanted = (topics.FORCES, topics.STATE_LINK)
+    async with publishing(mosquitto.url) as left, aclosing(subscribe(at, wanted)) as received:
+        left.publish(topics.STATE_SENSOR, Messages.state("online"))
+        left.publish(topics.STATE_LINK, Messages.state("online"))
+        assert (await anext(received)).path == "state/link"
+        left.publish(topics.DECODED, Messages.decoded(1))
+        left.publish(topics.FORCES, Messages.forces(2))
+        assert (await anext(received)).path == "forces"
+
+
+async def test_a_prefix_of_several_levels_and_no_other_prefix(mosquitto) -> None:
+    at = Mqtt(url=mosquitto.url, prefix="lab/bench")
+    async with aclosing(subscribe(at)) as received, aiomqtt.Client("127.0.0.1", at.port) as client:
+        for topic in ("lab/left/state/link", "lab/bench/left/state/other", "lab/bench/left/state/link"):
+            state = Messages.state("online", topic).model_dump_json()
+            await client.publish(topic, state, qos=1, retain=True)
+        plate, path, message = await anext(received)
+        assert (plate, path, message.reason) == ("left", "state/link", "lab/bench/left/state/link")
+
+
+async def test_what_cannot_be_read_is_passed_over_and_logged(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
+    at = Mqtt(url=mosquitto.url)
+    async with aclosing(subscribe(at)) as received, aiomqtt.Client("127.0.0.1", at.port) as client:
+        topic = "resonator/left/state/link"
+        await client.publish(topic, Messages.state("lost").model_dump_json(), qos=1, retain=True)
+        assert (await anext(received)).message.state == "lost"
+        await client.publish(topic, b"{", qos=1)
+        await client.publish(topic, Messages.state("online").model_dump_json(), qos=1)
+        assert (await anext(received)).message.state == "online"
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "resonator/left/state/link: message cannot be read" in caplog.text
+
+
+async def test_a_restart_of_the_broker_is_survived(broker) -> None:
+    async with publishing(broker.url) as left, aclosing(subscribe(Mqtt(url=broker.url))) as received:
+        left.publish(topics.STATE_LINK, Messages.state("online"))
+        await next_of(received, "state/link")
+        await broker.kill()
+        await until(lambda: not left.connected)
+        left.publish(topics.STATE_LINK, Messages.state("lost"))
+        await broker.start()
+        while (await next_of(received, "state/link")).message.state != "lost":
+            pass
+
+
+async def test_a_slow_reader_loses_the_oldest(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(subscriber, "RECEIVED_MAX", 10)
+    async with publishing(mosquitto.url) as left, aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
+        left.publish(topics.STATE_LINK, Messages.state("online"))
+        await next_of(received, "state/link")
+        async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as after:
+            await after.subscribe("resonator/left/forces")
+            for number in range(100):
+                left.publish(topics.FORCES, Messages.forces(number))
+            async with asyncio.timeout(10):
+                async for message in after.messages:
+                    if b'"seq":99,' in message.payload:
+                        break
+        left.publish(topics.CONTACT_EVENT, Messages.event(100))
+        await until(lambda: left.account.waiting == 0)
+        numbers = []
+        while (message := await anext(received)).path != "contacts/event":
+            numbers.append(message.message.seq)
+        assert len(numbers) <= 10
+        assert numbers == list(range(100 - len(numbers), 100))
+
+
+async def test_a_defect_ends_the_subscription_instead_of_its_messages(
+    mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def defective(*_: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(subscriber, "keep_connected", defective)
+    async with aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
+        with pytest.raises(ZeroDivisionError):
+            await anext(received)
