@@ -1,0 +1,206 @@
+"""The command `resonatord`: its verbs, their options, and the exit code of each."""
+
+import argparse
+import asyncio
+import json
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.errors import ExitCode, OperatorError
+
+Verb = Callable[[argparse.Namespace], ExitCode | None]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one verb; return the exit code."""
+    options = _parser().parse_args(arguments)
+    logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO, stream=sys.stderr)
+    verb: Verb = options.verb
+    try:
+        return verb(options) or ExitCode.DONE
+    except OperatorError as error:
+        for message in error.messages:
+            sys.stderr.write(f"resonatord: {message}\n")
+        return error.exit_code
+    except KeyboardInterrupt:
+        return ExitCode.DONE
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output left: nobody is there to tell
+        return ExitCode.FAILED
+
+
+def _run(options: argparse.Namespace) -> None:
+    from resonator_daemon.config import load_config
+    from resonator_daemon.service import serve
+
+    asyncio.run(serve(load_config(options.config)))
+
+
+def _check(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config import load_config
+
+    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    try:
+        notes = load_config(options.file).notes
+    except OperatorError as error:
+        findings = error.messages
+    if options.json:
+        _print_json({"file": str(options.file), "ok": not findings, "errors": findings, "notes": notes})
+    else:
+        for line in findings:
+            sys.stderr.write(f"resonatord: {line}\n")
+        for line in notes:
+            sys.stderr.write(f"note: {line}\n")
+        if not findings:
+            sys.stderr.write(f"{options.file}: no errors\n")
+    return ExitCode.CONFIG if findings else ExitCode.DONE
+
+
+def _config_example(options: argparse.Namespace) -> None:
+    from resonator_daemon.config import example_config
+
+    text = example_config()
+    if options.json:
+        _print_json({"example": text})
+    else:
+        sys.stdout.write(text)
+
+
+def _emulate(options: argparse.Namespace) -> None:
+    from simulators.emulator import EmulatorOptions, run
+    from simulators.faults import parse_faults
+
+    try:
+        run(
+            EmulatorOptions(
+                plate=options.plate,
+                pty=options.pty,
+                tcp=options.tcp,
+                scenario=options.scenario,
+                truth=options.truth,
+                faults=parse_faults(options.faults),
+                seed=options.seed,
+                speed=options.speed,
+                json=options.json,
+            )
+        )
+    except (ValueError, OSError) as error:
+        raise OperatorError(str(error)) from error
+
+
+def _watch(options: argparse.Namespace) -> None:
+    from resonator_daemon.view.watch import watch
+
+    asyncio.run(watch(options.url, options.prefix, as_json=options.json))
+
+
+def _demo(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.demo import DemoOptions, run_demo
+
+    logging.getLogger().setLevel(logging.ERROR)  # what matters of it is in the view and in the result
+    plates = tuple(options.plate or ("quartz16", "skin32"))
+    headless = options.headless or options.json or not sys.stdout.isatty()
+    return run_demo(DemoOptions(plates, options.seconds, headless=headless, json=options.json))
+
+
+def _print_json(value: Any) -> None:
+    sys.stdout.write(json.dumps(value) + "\n")
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65_535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 picks a free one)")
+    return host.strip("[]"), int(port)
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
+    return value
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="resonatord",
+        description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
+        "surface traction, published over MQTT.",
+        epilog="Exit codes: 0 done; 1 the run failed (touches or frames lost); 2 usage; 69 link or broker cannot ever "
+        "work; 78 configuration. Start with: resonatord demo",
+    )
+    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+
+    def add(name: str, verb: Verb, summary: str, example: str) -> argparse.ArgumentParser:
+        sub = verbs.add_parser(
+            name,
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=f"Example: {example}",
+        )
+        sub.set_defaults(verb=verb)
+        return sub
+
+    demo = add(
+        "demo",
+        _demo,
+        "touch emulated plates and show what the daemon makes of it, beside the truth",
+        "resonatord demo --plate quartz16 --seconds 20 --json",
+    )
+    demo.add_argument(
+        "--plate", action="append", metavar="NAME", help="quartz16 or skin32; repeat it for both (default)"
+    )
+    demo.add_argument("--seconds", type=_positive, default=60.0, help="how long, from the first frame (default: 60)")
+    demo.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")
+    demo.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
+
+    run = add("run", _run, "measure one board and publish, until stopped", "resonatord run --config left-index.toml")
+    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="see: resonatord config example")
+
+    emulate = add(
+        "emulate",
+        _emulate,
+        "stand in for a plate and its board, on a pseudo-terminal or TCP",
+        "resonatord emulate --plate quartz16 --pty /tmp/board --truth truth.jsonl",
+    )
+    emulate.add_argument("--plate", required=True, metavar="NAME|FILE", help="a shipped plate or a plate file")
+    link = emulate.add_mutually_exclusive_group(required=True)
+    link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
+    link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
+    emulate.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
+    emulate.add_argument("--truth", type=Path, metavar="FILE.jsonl", help="write what is true, a line a frame")
+    emulate.add_argument("--faults", default="", metavar="SPEC", help=_faults_help())
+    emulate.add_argument("--seed", type=int, default=0, help="of noise and gain errors (default: 0)")
+    emulate.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times real time (default: 1)")
+    emulate.add_argument("--json", action="store_true", help="say link and accounts as JSON lines on stdout")
+
+    watch = add("watch", _watch, "show live what plates publish", "resonatord watch --url mqtt://127.0.0.1:1883")
+    watch.add_argument("--url", default="mqtt://127.0.0.1:1883", help="the broker (default: mqtt://127.0.0.1:1883)")
+    watch.add_argument("--prefix", default="resonator", help="first level of the topics (default: resonator)")
+    watch.add_argument("--json", action="store_true", help="one JSON object a message on stdout")
+
+    check = add("check", _check, "check a configuration and its plate file", "resonatord check left-index.toml")
+    check.add_argument("file", type=Path, metavar="FILE")
+    check.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+
+    config = verbs.add_parser("config", help="help with the configuration file")
+    config_verbs = config.add_subparsers(title="verbs", required=True, metavar="VERB")
+    example = config_verbs.add_parser("example", help="print a configuration to start from")
+    example.add_argument("--json", action="store_true", help="print it as a JSON string")
+    example.set_defaults(verb=_config_example)
+    return parser
+
+
+def _faults_help() -> str:
+    return "what goes wrong, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3,reboot_at_s=20,garbage_rate_hz=2"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

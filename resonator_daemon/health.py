@@ -1,0 +1,68 @@
+"""How the daemon itself fares: rates, losses, processor and memory."""
+
+import time
+from typing import TypedDict
+
+import psutil
+
+from resonator_daemon.acquisition.frames import LinkAccount
+from resonator_daemon.publishing.payloads import MessageAccount
+
+
+class Vitals(TypedDict):
+    """The fields of the `health` message beside its header."""
+
+    uptime_s: float
+    frames: int
+    frame_rate_hz: float
+    parts_lost: int
+    frames_not_decoded: int
+    records_unusable: dict[str, int]
+    bytes_in: int
+    bytes_by_fate: dict[str, int]
+    clock_drift_ppm: float
+    cpu_percent: float
+    rss_mb: float
+    messages: MessageAccount
+
+
+class HealthMonitor:
+    """Takes stock of this process; rates are over the time since the last call of `vitals`."""
+
+    def __init__(self) -> None:
+        self._process = psutil.Process()
+        self._process.cpu_percent()  # the first call begins the interval
+        self._started = self._last = time.monotonic()
+        self._last_frames = 0
+
+    def vitals(
+        self,
+        link: LinkAccount,
+        messages: MessageAccount,
+        clock_drift_ppm: float,
+        frames_not_decoded: int,
+        records_unusable: dict[str, int],
+    ) -> Vitals:
+        now = time.monotonic()
+        rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
+        self._last, self._last_frames = now, link.frames
+        return Vitals(
+            uptime_s=now - self._started,
+            frames=link.frames,
+            frame_rate_hz=rate_hz,
+            parts_lost=link.parts_lost,
+            frames_not_decoded=frames_not_decoded,
+            records_unusable=records_unusable,
+            bytes_in=link.bytes_received,
+            bytes_by_fate={
+                "accepted": link.bytes_accepted,
+                "other_version": link.bytes_other_version,
+                "own_direction": link.bytes_own_direction,
+                "discarded": link.bytes_discarded,
+                "waiting": link.bytes_waiting,
+            },
+            clock_drift_ppm=clock_drift_ppm,
+            cpu_percent=self._process.cpu_percent(),
+            rss_mb=self._process.memory_info().rss / 2**20,
+            messages=messages,
+        )

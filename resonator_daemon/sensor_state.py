@@ -1,0 +1,61 @@
+"""The sensor's state from the readings' status: what lasts is said, what passes within a touch is not."""
+
+import math
+import time
+from collections.abc import Callable, Sequence
+
+from resonator_daemon.publishing.payloads import Condition
+
+_LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
+
+_CONDITIONS = {
+    "pressed_at_start": Condition.PRESSED_AT_START,
+    "pilot_lost": Condition.STALLED,
+    "no_signal": Condition.STALLED,
+}
+
+
+class SensorState:
+    """Follows readings and announces each change of condition once.
+
+    Parameters
+    ----------
+    announce
+        Called with condition, reason and the UTC nanoseconds since when.
+    site_forces_only
+        Whether the plate has no field to decode, which the reason then says.
+    """
+
+    def __init__(self, announce: Callable[[Condition, str, int], None], *, site_forces_only: bool) -> None:
+        self._announce = announce
+        self._good = (
+            "site forces only: one captured tone per corner gives no field to decode" if site_forces_only else ""
+        )
+        self._good = self._good or "all sites are read"
+        self._current: tuple[Condition, str] | None = None
+        self._candidate: tuple[Condition, str] | None = None
+        self._candidate_since_ns = 0
+
+    def no_frames(self, reason: str) -> None:
+        """Say that nothing comes which could be judged."""
+        self._become((Condition.WAITING, reason), time.time_ns())
+
+    def update(self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int) -> None:
+        """Take one reading's status; before the first judgement it counts at once."""
+        learnt = not any(map(math.isnan, common_mode))
+        if (condition := _CONDITIONS.get(status)) is None:
+            condition, reason = (Condition.ONLINE, self._good) if learnt else (Condition.STARTING, reason)
+        seen = (condition, reason)
+        if self._current is not None and condition == self._current[0]:
+            self._candidate = None
+            return
+        if self._candidate is None or self._candidate[0] != condition:
+            self._candidate, self._candidate_since_ns = seen, utc_ns
+        waited = self._current is None or self._current[0] in (Condition.WAITING, Condition.STARTING)
+        if waited or utc_ns - self._candidate_since_ns >= _LASTS_NS:
+            self._become(seen, self._candidate_since_ns)
+
+    def _become(self, state: tuple[Condition, str], since_utc_ns: int) -> None:
+        if state != self._current:
+            self._current, self._candidate = state, None
+            self._announce(*state, since_utc_ns)

@@ -1,0 +1,65 @@
+"""A plain MQTT subscriber that shares no code with the daemon, and keeps what it hears."""
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from typing import Any
+from urllib.parse import urlsplit
+
+import aiomqtt
+
+DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs
+
+
+class Observer:
+    """Messages in the order of their arrival."""
+
+    def __init__(self) -> None:
+        self.heard: list[aiomqtt.Message] = []
+        self._news = asyncio.Condition()
+
+    async def listen(self, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            async with self._news:
+                self.heard.append(message)
+                self._news.notify_all()
+
+    def payloads(self, topic: str) -> list[Any]:
+        """Return the JSON payloads of a topic so far."""
+        return [json.loads(message.payload) for message in self.heard if message.topic.value == topic]
+
+    def raw(self, topic: str) -> list[bytes]:
+        return [bytes(message.payload) for message in self.heard if message.topic.value == topic]
+
+    async def until(self, predicate: Callable[[], bool]) -> None:
+        async with asyncio.timeout(DEADLINE_S), self._news:
+            await self._news.wait_for(predicate)
+
+    async def until_last(self, topic: str, **expected: object) -> Any:
+        """Wait until the last payload of a topic has these fields; return it."""
+
+        def said() -> bool:
+            payloads = self.payloads(topic)
+            return bool(payloads) and payloads[-1].items() >= expected.items()
+
+        await self.until(said)
+        return self.payloads(topic)[-1]
+
+    async def until_count(self, topic: str, count: int) -> list[bytes]:
+        """Wait for so many messages of a topic."""
+        await self.until(lambda: len(self.raw(topic)) >= count)
+        return self.raw(topic)
+
+
+@asynccontextmanager
+async def observe(url: str, topics: str = "#") -> AsyncIterator[Observer]:
+    parts = urlsplit(url)
+    observer = Observer()
+    async with aiomqtt.Client(parts.hostname or "", parts.port or 1883) as client:
+        await client.subscribe(topics, qos=1)
+        listening = asyncio.create_task(observer.listen(client))
+        yield observer
+        listening.cancel()
+        with suppress(asyncio.CancelledError, aiomqtt.MqttError):
+            await listening

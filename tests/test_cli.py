@@ -1,0 +1,147 @@
+"""The command line as a user meets it: exit codes, one clear line for each mistake, JSON for programs."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Mosquitto
+from observer import observe
+
+from resonator_daemon.config import load_config
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+VERBS = ("demo", "run", "emulate", "watch", "check", "config")
+
+
+def resonatord(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False, **options)
+
+
+@pytest.fixture
+def config_path(tmp_path: Path) -> Path:
+    path = tmp_path / "board.toml"
+    path.write_text(resonatord("config", "example").stdout)
+    return path
+
+
+def test_help_names_every_verb_and_the_exit_codes() -> None:
+    run = resonatord("--help")
+    assert run.returncode == 0
+    assert all(f"\n    {verb}" in run.stdout for verb in VERBS)
+    assert "69" in run.stdout
+    assert "78" in run.stdout
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_each_verb_explains_itself(verb: str) -> None:
+    run = resonatord(verb, "--help")
+    assert run.returncode == 0
+    assert "usage: resonatord" in run.stdout
+
+
+def test_usage_errors_exit_with_2() -> None:
+    for arguments in ((), ("fly",), ("run",), ("emulate", "--plate", "quartz16"), ("demo", "--seconds", "-1")):
+        run = resonatord(*arguments)
+        assert run.returncode == 2
+        assert "Traceback" not in run.stderr
+
+
+def test_the_example_passes_its_own_check(config_path: Path) -> None:
+    headers = [line for line in config_path.read_text().splitlines() if line.startswith("[")]
+    assert headers == ["[mqtt]", "[measurement]", "[decoding]"]
+    run = resonatord("check", str(config_path), "--json")
+    assert run.returncode == 0
+    found = json.loads(run.stdout)
+    assert found["ok"] is True
+    assert found["errors"] == []
+    assert len(found["notes"]) == 2
+    assert load_config(config_path).measurement.window_s == pytest.approx(0.01)
+
+
+def test_every_mistake_at_once_and_78(config_path: Path) -> None:
+    text = (
+        config_path.read_text()
+        .replace("window_ms", "window_s")
+        .replace("prefix", "prefx")
+        .replace("quartz16", "quarz16")
+    )
+    config_path.write_text(text)
+    run = resonatord("check", str(config_path))
+    assert run.returncode == 78
+    assert "did you mean window_ms?" in run.stderr
+    assert "did you mean prefix?" in run.stderr
+    assert "quartz16" in run.stderr
+    assert len(run.stderr.splitlines()) == 3
+    assert resonatord("run", "--config", str(config_path)).returncode == 78
+
+
+def test_a_baud_rate_too_low_names_load_rate_and_what_fits(config_path: Path) -> None:
+    config_path.write_text(config_path.read_text().replace("baud=4000000", "baud=2000000"))
+    run = resonatord("check", str(config_path))
+    assert run.returncode == 78
+    for number in ("2040000", "2000000", "980"):
+        assert number in run.stderr
+
+
+def test_a_missing_file_is_one_line_and_78(tmp_path: Path) -> None:
+    for arguments in (("run", "--config"), ("check",)):
+        run = resonatord(*arguments, str(tmp_path / "none.toml"))
+        assert run.returncode == 78
+        assert len(run.stderr.splitlines()) == 1
+        assert "none.toml: no such file" in run.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--plate", "quarz16"), "did you mean quartz16?"),
+        (("--plate", "quartz16", "--scenario", "tuches"), "touches"),
+        (("--plate", "quartz16", "--faults", "bit_eror_rate=1e-5"), "bit_error_rate"),
+        (("--plate", "quartz16", "--speed", "1000"), "at most 100, got 1000"),
+    ],
+)
+def test_emulate_refuses_in_one_line(tmp_path: Path, arguments: tuple[str, ...], complaint: str) -> None:
+    run = resonatord("emulate", *arguments, "--pty", str(tmp_path / "board"))
+    assert run.returncode == 78
+    assert len(run.stderr.splitlines()) == 1
+    assert complaint in run.stderr
+
+
+def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    emulator = subprocess.Popen(
+        [*COMMAND, "emulate", "--plate", "quartz16", "--pty", str(port), "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
+    assert emulator.stdout is not None
+    assert json.loads(emulator.stdout.readline()) == {
+        "link": f"serial:{port}?baud=4000000",
+        "plate": "quartz16",
+        "serial_number": "EMU-0001",
+    }
+    assert port.is_symlink()
+    emulator.send_signal(signal.SIGINT)
+    report, _ = emulator.communicate(timeout=30)
+    assert emulator.returncode == 0
+    assert json.loads(report)["frames_made"] == 0
+    assert not port.is_symlink()
+
+
+async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: Path, mosquitto: Mosquitto) -> None:
+    config_path.write_text(config_path.read_text().replace("mqtt://127.0.0.1:1883", mosquitto.url))
+    daemon = subprocess.Popen([*COMMAND, "run", "--config", str(config_path)], stderr=subprocess.PIPE, text=True)
+    async with observe(mosquitto.url) as heard:
+        link = await heard.until_last("resonator/left-index/state/link", state="waiting")
+        await heard.until_last("resonator/left-index/state/daemon", state="online")
+        daemon.send_signal(signal.SIGTERM)
+        await heard.until_last("resonator/left-index/state/daemon", state="offline", reason="stopped")
+    _, stderr = daemon.communicate(timeout=30)
+    assert daemon.returncode == 0
+    assert "Traceback" not in stderr
+    assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")

@@ -1,0 +1,427 @@
+"""Messages made from readings: names, times and numbers against hand-worked ones, in the words of the wire."""
+
+import json
+import math
+import time
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, get_args
+
+import cbor2
+import numpy as np
+import pytest
+
+from firmware_protocol.messages import Configuration, Description, Identity
+from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.acquisition.frames import BoardOnline
+from resonator_daemon.config import Config
+from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
+from resonator_daemon.measurement.chain import ChannelisedReading, SensorStatus, SingleToneReading
+from resonator_daemon.measurement.contacts import Contact, ContactEvent
+from resonator_daemon.measurement.matching import SiteForce
+from resonator_daemon.publishing import payloads
+from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.payloads import Condition, Lost, Message
+from resonator_daemon.publishing.topics import HEALTH, STATE_LINK, STATE_SENSOR
+from resonator_daemon.reports import Reporter
+
+FORCE_SITE = """
+[[sites]]
+id = {id}
+position_mm = {position}
+[[sites.tones]]
+signal = "force"
+f0_hz = [{f0}, {f0}, {f0}, {f0}]
+sensitivity = [-6.3e-6, -6.3e-6, -6.3e-6, -6.3e-6]
+"""
+# Ids that are no indices, and ticks that are no nanoseconds.
+FORCE_PLATE = """\
+format = 1
+name = "three"
+outline_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
+transducers_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
+force_max_newton = 10
+[counter]
+kind = "single-tone"
+reference_hz = 250e6
+frame_rate_hz = 1000
+""" + "".join(
+    FORCE_SITE.format(id=number, position=position, f0=f0)
+    for number, position, f0 in ((70, [6, 4], 9.996e6), (30, [12.5, 4], 9.992e6), (12, [3, 8], 9.988e6))
+)
+SCATTERED_SKIN = """\
+format = 1
+name = "one-spot"
+outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+force_max_newton = 5
+[counter]
+kind = "channelised"
+[skin]
+youngs_modulus_pascal = 2e5
+poisson_ratio = 0.5
+depth_mm = 1.5
+[[sites]]
+id = 5
+position_mm = [1, 0.5]
+""" + "".join(
+    f'[[sites.tones]]\nsignal = "{signal}"\nf0_hz = {[f0] * 4}\nsensitivity = {[k] * 4}\n'
+    for signal, f0, k in (("p_n", 1e6, -1e-11), ("eps_xz", 2e6, 2e-6), ("eps_yz", 3e6, 3e-6))
+)
+
+GATE_END = Instant(1_789_000_000_000_000_123, 42_000)
+NAN = math.nan
+LOST = {"link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "publish_dropped": 5}
+
+
+class Losses:
+    """Losses that grow while messages are made."""
+
+    def __init__(self) -> None:
+        self.now = Lost(**LOST)
+
+    def __call__(self) -> Lost:
+        return self.now
+
+
+def configured(tmp_path: Path, plate: str, **tables: Any) -> Config:
+    if "\n" in plate:
+        path = tmp_path / "plate.toml"
+        path.write_text(plate)
+        plate = str(path)
+    return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
+
+
+def reporter_of(config: Config, losses: Losses | None = None) -> Reporter:
+    reporter = Reporter(config, "9f3c", losses or Losses())
+    reporter.board_boot_id = "51aa"
+    return reporter
+
+
+@pytest.fixture
+def reporter(tmp_path: Path) -> Reporter:
+    """For the plate with the sites 70, 30 and 12."""
+    return reporter_of(configured(tmp_path, FORCE_PLATE))
+
+
+@pytest.fixture
+def skin_reporter(tmp_path: Path) -> Reporter:
+    return reporter_of(configured(tmp_path, "skin32"))
+
+
+def literal(message: Message) -> dict[str, Any]:
+    payload: dict[str, Any] = json.loads(encode(message))
+    return payload
+
+
+def reading(
+    status: SensorStatus = "ok",
+    *,
+    sites: tuple[SiteForce, ...] = (),
+    contacts: tuple[Contact, ...] = (),
+    window_s: float = 0.01,
+    board_ticks: int = 2_000_000_000,
+) -> SingleToneReading:
+    return SingleToneReading(99, board_ticks, window_s, status, "", sites, contacts, (), (NAN,) * 4, (0.0,) * 4)
+
+
+def contact(**change: Any) -> Contact:
+    fields: dict[str, Any] = {
+        "id": 12,
+        "site": 1,
+        "position_m": (0.0125, 0.004),
+        "position_std_m": (2e-4, 3e-4),
+        "force_newton": 1.234,
+        "noise_newton": 0.0006,
+        "systematic_newton": 0.012,
+        "at_least_newton": None,
+        "peak_newton": 1.5,
+        "since_ticks": 1_625_000_000,  # 1.5 s before the reading at 250 MHz
+        "status": "ok",
+        "reason": "",
+    }
+    return Contact(**(fields | change))
+
+
+def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> ChannelisedReading:
+    return ChannelisedReading(7, 2**63 + 1, window_s, "ok", "", signals, np.ones_like(signals), 0.0)
+
+
+def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> DecodedFrame:
+    values = np.arange(float(math.prod(shape))).reshape(shape)
+    fields: dict[str, Any] = {
+        "traction_pascal": values,
+        "traction_std_pascal": values + 0.5,
+        "displacement_m": -values if displacement else None,
+        "border_contact": np.bool_(True),
+        "log_evidence": -3.0,
+        "chi2": np.float64(1.02),
+        "status": "ok",
+        "reason": "",
+    }
+    return DecodedFrame(**(fields | change))
+
+
+def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
+    message = reporter.forces(reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok"),)), GATE_END)
+    assert literal(message) == {
+        "seq": 0,
+        "daemon_boot_id": "9f3c",
+        "board_boot_id": "51aa",
+        "t_ns": "1788999999995000123",  # 5 ms before the end of a window of 10 ms
+        "t_unc_ns": 42000,
+        "lost": LOST,
+        "board_ticks": "2000000000",
+        "window_s": 0.01,
+        "status": "ok",
+        "sites": [
+            {
+                "site": 30,
+                "force_newton": 1.234,
+                "noise_newton": 0.0006,
+                "systematic_newton": 0.012,
+                "status": "ok",
+                "at_least_newton": None,
+            }
+        ],
+    }
+
+
+def test_sites_go_by_their_ids_in_the_order_given(reporter: Reporter) -> None:
+    sites = tuple(SiteForce(index, float(index), 0.0, 0.0, "ok") for index in (2, 0, 1))
+    said = literal(reporter.forces(reading(sites=sites), GATE_END))["sites"]
+    assert [(site["site"], site["force_newton"]) for site in said] == [(12, 2.0), (70, 0.0), (30, 1.0)]
+
+
+def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
+    force = SiteForce(0, NAN, NAN, NAN, "overload", at_least_newton=10.0)
+    said = literal(reporter.forces(reading("overload", sites=(force,)), GATE_END))
+    assert said["status"] == "overload"
+    assert said["sites"] == [
+        {
+            "site": 70,
+            "force_newton": None,
+            "noise_newton": None,
+            "systematic_newton": None,
+            "status": "overload",
+            "at_least_newton": 10.0,
+        }
+    ]
+
+
+@pytest.mark.parametrize("status", get_args(SensorStatus))
+def test_every_status_of_a_reading_has_its_word(reporter: Reporter, status: SensorStatus) -> None:
+    assert literal(reporter.forces(reading(status), GATE_END))["status"] == status
+    unknown = contact(force_newton=NAN, status=status)
+    said = literal(reporter.contacts(reading(status, contacts=(unknown,)), GATE_END))
+    assert said["status"] == said["contacts"][0]["status"] == status
+
+
+@pytest.mark.parametrize(
+    ("window_s", "middle"),
+    [(0.01, 1_788_999_999_995_000_123), (0.001, 1_788_999_999_999_500_123), (1.0, 1_788_999_999_500_000_123)],
+)
+def test_measured_messages_are_dated_at_the_middle_of_the_window(
+    reporter: Reporter, window_s: float, middle: int
+) -> None:
+    measured = reading(window_s=window_s)
+    for message in (
+        reporter.forces(measured, GATE_END),
+        reporter.contacts(measured, GATE_END),
+        reporter.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_END),
+    ):
+        assert message.t_ns == middle
+        assert message.t_unc_ns == 42_000
+
+
+def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
+    said = literal(reporter.contacts(reading(contacts=(contact(), contact(id=13, site=2))), GATE_END))
+    first, second = said["contacts"]
+    assert first == {
+        "id": 12,
+        "site": 30,
+        "position_m": [0.0125, 0.004],
+        "position_std_m": [2e-4, 3e-4],
+        "force_newton": 1.234,
+        "noise_newton": 0.0006,
+        "systematic_newton": 0.012,
+        "since_t_ns": "1788999998495000123",  # 1.5 s of ticks before the middle of the window
+        "status": "ok",
+        "at_least_newton": None,
+    }
+    assert (second["id"], second["site"]) == (13, 12)
+
+
+def test_a_contact_that_sets_on_now_is_as_old_as_its_message(reporter: Reporter) -> None:
+    now = reading(contacts=(contact(since_ticks=2_000_000_000),))
+    message = reporter.contacts(now, GATE_END)
+    assert message.contacts[0].since_t_ns == message.t_ns
+
+
+def test_a_contact_keeps_its_date(reporter: Reporter) -> None:
+    since = set()
+    for readings_later in range(1000):  # of 5 ms at 250 MHz
+        later = reading(contacts=(contact(),), board_ticks=2_000_000_000 + readings_later * 1_250_000)
+        at = Instant(GATE_END.utc_ns + readings_later * 5_000_000, 42_000)
+        since.add(reporter.contacts(later, at).contacts[0].since_t_ns)
+    assert max(since) - min(since) <= 1  # a rounding
+
+
+@pytest.mark.parametrize("word", ["onset", "release"])
+def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, word: Any) -> None:
+    gone = contact(id=3, site=0, force_newton=NAN, noise_newton=NAN, systematic_newton=NAN, status="no_signal")
+    present = reading(contacts=(contact(),))
+    said = literal(reporter.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_END))
+    assert said["event"] == word
+    assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
+    assert said["contact"] == {
+        "id": 3,
+        "site": 70,
+        "position_m": [0.0125, 0.004],
+        "position_std_m": [2e-4, 3e-4],
+        "force_newton": None,
+        "noise_newton": None,
+        "systematic_newton": None,
+        "since_t_ns": "1788999998495000123",
+        "status": "no_signal",
+        "at_least_newton": None,
+        "peak_newton": 1.5,
+    }
+
+
+def test_each_topic_counts_its_own_messages(reporter: Reporter) -> None:
+    made = [
+        reporter.forces(reading(), GATE_END),
+        reporter.contacts(reading(), GATE_END),
+        reporter.forces(reading(), GATE_END),
+        reporter.state(STATE_LINK, Condition.ONLINE, "", 1),
+        reporter.state(STATE_SENSOR, Condition.ONLINE, "", 1),
+        reporter.state(STATE_LINK, Condition.LOST, "", 1),
+        reporter.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_END),
+        reporter.forces(reading(), GATE_END),
+    ]
+    assert [message.seq for message in made] == [0, 0, 1, 0, 0, 1, 0, 2]
+    assert [reporter.header(HEALTH)["seq"] for _ in range(2)] == [0, 1]
+
+
+def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> None:
+    losses = Losses()
+    reporter = Reporter(configured(tmp_path, FORCE_PLATE), "9f3c", losses)
+    first = literal(reporter.state(STATE_LINK, Condition.WAITING, "", 1))
+    assert first["board_boot_id"] is None
+    losses.now = Lost(damaged=8)
+    reporter.board_boot_id = "51ab"
+    second = literal(reporter.forces(reading(), GATE_END))
+    assert (first["lost"], second["lost"]["damaged"]) == (LOST, 8)
+    assert second["board_boot_id"] == "51ab"
+
+
+def test_a_state_says_since_when_and_is_dated_when_it_is_made(reporter: Reporter) -> None:
+    before_ns = time.time_ns()
+    said = literal(reporter.state(STATE_LINK, Condition.LOST, "unplugged", 1_788_999_990_000_000_001))
+    assert said["state"] == "lost"
+    assert said["reason"] == "unplugged"
+    assert said["since_t_ns"] == "1788999990000000001"
+    assert before_ns <= int(said["t_ns"]) <= time.time_ns()
+    assert said["t_unc_ns"] == 0
+    assert "board_ticks" not in said
+
+
+BOARD = BoardOnline(
+    Identity("quartz board", "0042", "1.2.3", 0), Description(0, 4, 1, 10**12, 1, 1, "three"), 1, Configuration(1)
+)
+
+
+def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
+    config = configured(tmp_path, FORCE_PLATE, measurement={"window_ms": 20, "step_ms": 4})
+    said = literal(reporter_of(config).info(BOARD, "serial:/dev/ttyACM0?baud=4000000"))
+    expected = {
+        "daemon_version": version("resonatord"),
+        "plate": "three",
+        "link": "serial:/dev/ttyACM0?baud=4000000",
+        "serial_number": "0042",
+        "frame_rate_hz": 1000.0,
+        "window_s": 0.02,
+        "step_s": 0.004,
+        "force_max_newton": 10.0,
+        "outline_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
+    }
+    assert said | expected == said
+    assert [site["site"] for site in said["sites"]] == [70, 30, 12]
+    np.testing.assert_allclose(
+        [site["position_m"] for site in said["sites"]], [[6e-3, 4e-3], [12.5e-3, 4e-3], [3e-3, 8e-3]], rtol=1e-12
+    )
+
+
+def test_info_of_a_skin_whose_every_gate_is_a_window(tmp_path: Path) -> None:
+    config = configured(tmp_path, "skin32", measurement={"window_ms": 20, "step_ms": 4})  # of no use here
+    said = literal(reporter_of(config).info(BOARD, "tcp://127.0.0.1:5000"))
+    assert said["window_s"] == said["step_s"] == 0.01  # of 100 frames/s
+    assert len(said["sites"]) == 1024
+    assert said["sites"][1]["site"] == 2
+    assert said["sites"][1]["position_m"] == pytest.approx([-5.8e-3, -6.2e-3])
+
+
+def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
+    signals = np.random.default_rng(5).normal(size=(3, 1024))
+    signals[1, 7] = NAN
+    payload = encode(skin_reporter.signals(channelised(signals), GATE_END))
+    message = decode(payloads.Signals, payload)
+    np.testing.assert_array_equal(message.signals, signals.astype(np.float32))
+    raw = cbor2.loads(payload)
+    assert raw["t_ns"] == 1_788_999_999_995_000_123
+    assert raw["board_ticks"] == 2**63 + 1
+    assert raw["lost"] == LOST
+
+
+@pytest.mark.parametrize("displacement", [True, False])
+def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displacement: bool) -> None:
+    frame = decoded((3, 32, 32), displacement=displacement)
+    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
+    message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_END, frame)))
+    values = np.arange(3 * 32 * 32, dtype=np.float32).reshape(3, 32, 32)
+    np.testing.assert_array_equal(message.traction_pascal, values)
+    np.testing.assert_array_equal(message.traction_std_pascal, values + 0.5)
+    if displacement:
+        np.testing.assert_array_equal(message.displacement_m, -values)
+    else:
+        assert message.displacement_m is None
+    assert message.t_ns == 1_788_999_999_998_000_123
+    assert message.grid is not None
+    assert message.grid.origin_m == pytest.approx((-6.2e-3, -6.2e-3))  # 15.5 pitches from the middle
+    assert message.grid.pitch_m == pytest.approx(4e-4)
+
+
+def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
+    reporter = reporter_of(configured(tmp_path, SCATTERED_SKIN))
+    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_END, decoded((3, 1), displacement=False))
+    assert message.grid is None
+    assert message.traction_pascal.shape == (3, 1)
+
+
+def test_a_summary_says_how_well_it_went(skin_reporter: Reporter) -> None:
+    frame = decoded((3, 32, 32), displacement=False)
+    said = literal(skin_reporter.summary(channelised(np.zeros((3, 1024))), GATE_END, frame, "fourier"))
+    expected = {"decoder": "fourier", "chi2": 1.02, "border_contact": True, "status": "ok", "patches": []}
+    assert said | expected == said
+    assert said["t_ns"] == "1788999999995000123"
+
+
+@pytest.mark.parametrize("status", ["rejected", "no_signal"])
+def test_a_frame_that_was_not_decoded_says_so(skin_reporter: Reporter, status: str) -> None:
+    frame = decoded((3, 32, 32), displacement=True, status=status, chi2=NAN, border_contact=False)
+    said = literal(skin_reporter.summary(channelised(np.zeros((3, 1024))), GATE_END, frame, "fourier"))
+    assert (said["status"], said["chi2"], said["border_contact"]) == (status, None, False)
+
+
+def test_messages_of_a_skin_count_apart(skin_reporter: Reporter) -> None:
+    measured, frame = channelised(np.zeros((3, 1024))), decoded((3, 32, 32), displacement=False)
+    made = [
+        skin_reporter.signals(measured, GATE_END),
+        skin_reporter.signals(measured, GATE_END),
+        skin_reporter.decoded(measured, GATE_END, frame),
+        skin_reporter.summary(measured, GATE_END, frame, "fourier"),
+        skin_reporter.signals(measured, GATE_END),
+        skin_reporter.summary(measured, GATE_END, frame, "fourier"),
+    ]
+    assert [message.seq for message in made] == [0, 1, 0, 0, 2, 1]
