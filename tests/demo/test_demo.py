@@ -1,0 +1,78 @@
+"""The demo as a program sees it: one JSON object with the agreed keys, and an exit code that follows from it."""
+
+import json
+import signal
+import subprocess
+import sys
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "demo")
+PLATE_KEYS = {
+    "frames",
+    "lost",
+    "frame_rate_hz",
+    "latency_ms",
+    "contacts_true",
+    "contacts_found",
+    "sites_right",
+    "force_error_newton_rms",
+    "position_error_mm_rms",
+    "decoded_frames",
+    "traction_error",
+    "cpu_percent",
+    "rss_mb",
+}
+
+
+def test_both_plates_against_the_truth() -> None:
+    run = subprocess.run(
+        [*COMMAND, "--headless", "--seconds", "6", "--json"], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert "Traceback" not in run.stderr
+    (line,) = run.stdout.splitlines()
+    result = json.loads(line)
+    assert result["broker"] == "amqtt"
+    assert result["seconds"] >= 6.0
+    quartz, skin = result["plates"]["quartz16"], result["plates"]["skin32"]
+    assert quartz.keys() >= PLATE_KEYS
+    assert skin.keys() >= PLATE_KEYS
+    for plate in (quartz, skin):
+        assert {plate["lost"][cause] for cause in ("link_gap", "damaged", "board_overflow", "host_overrun")} == {0}
+        assert plate["latency_ms"]["p50"] <= plate["latency_ms"]["p99"]
+        assert plate["frames"] > 0
+    assert quartz["contacts_true"] >= 2
+    assert 0 <= quartz["sites_right"] <= quartz["contacts_found"] <= quartz["contacts_true"]
+    assert quartz["force_error_newton_rms"] <= 0.005
+    assert quartz["decoded_frames"] is quartz["traction_error"] is None
+    assert 0 < skin["decoded_frames"] <= skin["frames"] + 1
+    assert skin["traction_error"] <= 0.18
+    assert skin["contacts_true"] is None
+    # Whether every touch was told in time is the machine's business here; that the exit code says so is ours.
+    complete = quartz["sites_right"] == quartz["contacts_true"] and not any(
+        count for plate in (quartz, skin) for count in plate["lost"].values()
+    )
+    assert run.returncode == (0 if complete else 1)
+
+
+def test_ctrl_c_ends_it_with_a_result() -> None:
+    demo = subprocess.Popen(
+        [*COMMAND, "--plate", "quartz16", "--headless", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert demo.stderr is not None
+    for line in demo.stderr:
+        if "measuring" in line:
+            break
+    demo.send_signal(signal.SIGINT)
+    stdout, stderr = demo.communicate(timeout=60)
+    assert "Traceback" not in stderr
+    assert demo.returncode in (0, 1)
+    assert json.loads(stdout)["plates"].keys() == {"quartz16"}
+
+
+def test_an_unknown_plate_is_one_line() -> None:
+    run = subprocess.run([*COMMAND, "--plate", "quarz16"], capture_output=True, text=True, timeout=60, check=False)
+    assert run.returncode == 78
+    assert len(run.stderr.splitlines()) == 1
+    assert "did you mean quartz16?" in run.stderr

@@ -1,0 +1,160 @@
+"""Following a truth file while it grows, and the traction that a line of it stands for."""
+
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from resonator_daemon.demo.truth import TruthLine, TruthTable, surface_traction
+
+T0_NS = 1_789_000_000_000_000_123
+
+
+def text_of(number: int, *contacts: dict[str, Any]) -> str:
+    line = {
+        "sequence": 40 + number,
+        "board_ticks": 5000 + 1000 * number,
+        "t_ns": str(T0_NS + 1_000_000 * number),
+        "contacts": list(contacts),
+        "plate_kelvin": 298.4,
+    }
+    return json.dumps(line) + "\n"
+
+
+def touch(force_newton: tuple[float, float, float], position_m: tuple[float, float] = (0.0, 0.0)) -> dict[str, Any]:
+    return {"id": 1, "site": 7, "position_m": list(position_m), "force_newton": list(force_newton), "radius_m": 0.0025}
+
+
+def line_of(*contacts: dict[str, Any]) -> TruthLine:
+    return TruthLine(sequence=1, board_ticks=1, t_ns=1, contacts=contacts)
+
+
+def append(path: Path, text: str) -> None:
+    with path.open("a") as file:
+        file.write(text)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "truth.jsonl"
+
+
+@pytest.fixture
+def table(path: Path) -> Iterator[TruthTable]:
+    table = TruthTable(path)
+    yield table
+    table.close()
+
+
+def test_a_file_that_is_not_there_yet_is_read_once_it_is(path: Path, table: TruthTable) -> None:
+    table.read_on()
+    assert table.lines == []
+    append(path, text_of(0))
+    table.read_on()
+    assert len(table.lines) == 1
+
+
+def test_closing_what_was_never_there_is_no_failure(path: Path) -> None:
+    TruthTable(path).close()
+
+
+def test_lines_keep_ticks_and_time_exactly(path: Path, table: TruthTable) -> None:
+    append(path, text_of(1, touch((0.1, 0.0, 1.2))))
+    table.read_on()
+    (line,) = table.lines
+    assert (line.sequence, line.board_ticks) == (41, 6000)
+    assert line.t_ns == T0_NS + 1_000_000  # more digits than a double has
+    assert line.contacts == (touch((0.1, 0.0, 1.2)),)
+
+
+@pytest.mark.parametrize("piece", [1, 7, 100, 10_000])
+def test_a_file_that_grows_by_pieces_of_lines_is_read_once(path: Path, table: TruthTable, piece: int) -> None:
+    whole = "".join(text_of(number, touch((0.0, 0.0, 0.25 * number))) for number in range(20))
+    for start in range(0, len(whole), piece):
+        append(path, whole[start : start + piece])
+        table.read_on()
+        assert len(table.lines) == whole[: start + piece].count("\n")
+    table.read_on()
+    assert [line.board_ticks for line in table.lines] == [5000 + 1000 * number for number in range(20)]
+    assert [line.contacts[0]["force_newton"][2] for line in table.lines] == [0.25 * number for number in range(20)]
+
+
+def test_a_window_is_the_gates_up_to_its_last(path: Path, table: TruthTable) -> None:
+    append(path, "".join(map(text_of, range(6))))
+    table.read_on()
+    window = table.window(9000, 3)
+    assert window is not None
+    assert [line.board_ticks for line in window] == [7000, 8000, 9000]
+    window = table.window(7000, 3)
+    assert window is not None
+    assert window[0].board_ticks == 5000
+
+
+@pytest.mark.parametrize("ticks", [4000, 9001, 11000, 0])
+def test_a_window_that_ends_at_no_line_is_not_there(path: Path, table: TruthTable, ticks: int) -> None:
+    append(path, "".join(map(text_of, range(6))) + text_of(6)[:-1])  # the last line is not whole yet
+    table.read_on()
+    assert table.window(ticks, 1) is None
+
+
+def test_a_window_that_began_before_the_file_is_not_there(path: Path, table: TruthTable) -> None:
+    append(path, "".join(map(text_of, range(6))))
+    table.read_on()
+    assert table.window(6000, 3) is None
+
+
+def test_net_force_sums_over_the_contacts() -> None:
+    line = line_of(touch((0.1, -0.2, 1.0)), touch((0.3, 0.1, 0.5)))
+    np.testing.assert_allclose(line.net_force_newton, [0.4, -0.1, 1.5])
+    np.testing.assert_array_equal(line_of().net_force_newton, [0.0, 0.0, 0.0])
+
+
+SHAPE = NY, NX = 20, 32
+PITCH_M = 4e-4
+FRICTION = 0.5
+
+
+def partial_slip(force_newton: tuple[float, float, float], x_m: float, y_m: float) -> NDArray[np.float64]:
+    """Cattaneo and Mindlin's tractions (3, ny, nx), averaged over pixels by 24 x 24 points in each."""
+    f_x, f_y, f_z = force_newton
+    a = 2.5e-3 * f_z ** (1 / 3)
+    p_0 = 3 * f_z / (2 * math.pi * a**2)
+    shear = math.hypot(f_x, f_y)
+    c = a * (1 - shear / (FRICTION * f_z)) ** (1 / 3)
+    points = 24
+    x = ((np.arange(NX * points) + 0.5) / points - NX / 2) * PITCH_M - x_m
+    y = ((np.arange(NY * points) + 0.5) / points - NY / 2) * PITCH_M - y_m
+    r2 = x**2 + y[:, None] ** 2
+    pressure = p_0 * np.sqrt(np.maximum(1 - r2 / a**2, 0.0))
+    stuck = FRICTION * p_0 * c / a * np.sqrt(np.maximum(1 - r2 / c**2, 0.0))
+    sheared = FRICTION * pressure - stuck
+    if shear == 0.0:
+        sheared, shear = np.zeros_like(sheared), 1.0
+    fine = np.array([sheared * f_x / shear, sheared * f_y / shear, pressure])
+    averaged: NDArray[np.float64] = fine.reshape(3, NY, points, NX, points).mean(axis=(2, 4))
+    return averaged
+
+
+@pytest.mark.parametrize("force", [(0.0, 0.0, 1.0), (0.2, -0.1, 0.8)])
+def test_a_line_stands_for_a_partial_slip_contact(force: tuple[float, float, float]) -> None:
+    line = line_of(touch(force, (1.7e-3, -0.6e-3)))
+    traction = surface_traction(line, SHAPE, PITCH_M)
+    expected = partial_slip(force, 1.7e-3, -0.6e-3)
+    np.testing.assert_allclose(traction, expected, atol=2e-3 * expected[2].max())
+    np.testing.assert_allclose(traction.sum(axis=(1, 2)) * PITCH_M**2, force, rtol=1e-9, atol=1e-12)
+
+
+def test_the_tractions_of_two_contacts_add_up() -> None:
+    places: tuple[tuple[float, float], ...] = ((-3e-3, 1e-3), (3e-3, -1e-3))
+    line = line_of(touch((0.0, 0.0, 0.3), places[0]), touch((0.05, 0.0, 0.2), places[1]))
+    expected = partial_slip((0.0, 0.0, 0.3), *places[0]) + partial_slip((0.05, 0.0, 0.2), *places[1])
+    np.testing.assert_allclose(surface_traction(line, SHAPE, PITCH_M), expected, atol=2e-3 * expected[2].max())
+
+
+def test_without_contact_there_is_no_traction() -> None:
+    np.testing.assert_array_equal(surface_traction(line_of(), SHAPE, PITCH_M), np.zeros((3, NY, NX)))
