@@ -325,6 +325,10 @@ class _Connection:
     def _start(self, event: Started) -> None:
         if self._described is None:  # the session starts only what it has described
             return
+        asked, given = gate_ticks(self._plate), event.configuration.gate_ticks
+        if given != asked:
+            problem = f"the board counts gates of {given} ticks, {asked} were asked for"
+            raise _BoardRefusedError(BoardRefused((problem,)))
         self._numbering.started()
         self.was_online = True
         self._last_frame = time.monotonic()

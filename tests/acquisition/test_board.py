@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.messages import Configuration, encode_message
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.acquisition.board import BoardReader
 from resonator_daemon.acquisition.frames import (
@@ -297,6 +299,21 @@ def test_nobody_listens_on_tcp() -> None:
         it.wait_for(lambda arrivals: bool(arrivals))
     assert it.states[0][0] == "waiting"
     assert "does not answer" in it.states[0][1]
+
+
+def test_a_board_that_counts_otherwise_than_asked_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    as_asked = DeviceSession._configure
+
+    def stubborn(session: DeviceSession, payload: bytes) -> bytes:
+        as_asked(session, payload)
+        return encode_message(Configuration(2_000_000))
+
+    monkeypatch.setattr(DeviceSession, "_configure", stubborn)
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
+    assert it.states[-1] == ("refused", "the board counts gates of 2000000 ticks, 1000000 were asked for")
+    assert not frames(it.arrivals)
 
 
 def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
