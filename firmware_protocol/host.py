@@ -276,6 +276,6 @@ def _frame_part(packet: Packet) -> FramePart | None:
     if block.encoding != BlockEncoding.TONE_12:
         return None
     tones = packet.payload[BLOCK_STRUCT.size :]
-    if len(tones) != block.tones * TONE_STRUCT.size or block.channel >= CHANNEL_COUNT:
+    if len(tones) != block.tones * TONE_STRUCT.size or block.channel >= CHANNEL_COUNT or block.part >= block.parts:
         raise MalformedMessageError(f"channel {block.channel} with {block.tones} tones in {len(tones)} bytes")
     return FramePart(packet.sequence, packet.board_ticks, packet.size_bytes, block, tones)

@@ -1,6 +1,6 @@
 """Puts the parts of a channelised frame together; parts that did not arrive leave their tones unknown."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,12 @@ class AssembledFrame:
     offset_hz16: NDArray[np.int32]
     sigma_code: NDArray[np.uint8]
     known: NDArray[np.bool_]
-    parts_seen: int = 0
+    seen: set[int] = field(default_factory=set)
     size_bytes: int = 0
+
+    @property
+    def parts_seen(self) -> int:
+        return len(self.seen)
 
 
 class FrameAssembler:
@@ -32,7 +36,7 @@ class FrameAssembler:
     Parameters
     ----------
     tones
-        Tones on each channel; parts that reach beyond are refused and counted in `misfits`.
+        Tones on each channel; parts that reach beyond, and repeated ones, are refused and counted in `misfits`.
     """
 
     def __init__(self, tones: int) -> None:
@@ -74,7 +78,7 @@ class FrameAssembler:
     def _fill(self, frame: AssembledFrame, part: FramePart) -> None:
         block = part.block
         end = block.first_tone + block.tones
-        if end > self._tones:
+        if end > self._tones or block.part in frame.seen:
             self.misfits += 1
             return
         tones = np.frombuffer(part.tones, _TONE)
@@ -82,5 +86,5 @@ class FrameAssembler:
         frame.offset_hz16[where] = tones["offset_hz16"]
         frame.sigma_code[where] = tones["sigma_code"]
         frame.known[where] = (tones["flags"] & _UNUSABLE) == 0
-        frame.parts_seen += 1
+        frame.seen.add(block.part)
         frame.size_bytes += part.size_bytes

@@ -73,6 +73,7 @@ class BoardReader:
         self._state = LinkChange("starting", "the link is being opened", time.time_ns())
 
     def start(self) -> None:
+        self._ring.put(self._state)
         self._thread.start()
 
     def stop(self) -> None:
@@ -102,7 +103,8 @@ class BoardReader:
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
         connection = self._connection
-        return connection.clock.rate_ppm if connection and connection.clock else float("nan")
+        clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
+        return clock.rate_ppm if clock else float("nan")
 
     def _run(self) -> None:
         try:
@@ -139,10 +141,10 @@ class BoardReader:
             self._account.connections += 1
         try:
             while not self._stop.is_set():
+                connection.tend()
                 data = link.read(_POLL_S)
                 with self._lock:
                     connection.receive(data)
-                connection.tend()
             connection.say_goodbye()
         except LinkLostError as error:
             if self._state.state != "stalled":

@@ -59,7 +59,7 @@ class BoardClock:
         self._reference_millihertz = reference_millihertz
         self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
         self._line: _Line | None = None
-        self._utc_less_monotonic_ns = 0
+        self.utc_less_monotonic_ns = 0
 
     @property
     def known(self) -> bool:
@@ -74,7 +74,7 @@ class BoardClock:
     def add(self, exchange: Exchange, utc_less_monotonic_ns: int) -> None:
         """Take one ping exchange and the present difference of the host's two clocks."""
         self._exchanges.append(exchange)
-        self._utc_less_monotonic_ns = utc_less_monotonic_ns
+        self.utc_less_monotonic_ns = utc_less_monotonic_ns
         self._line = self._fit()
 
     def at(self, board_ticks: int) -> Instant:
@@ -92,7 +92,7 @@ class BoardClock:
         correction_ns = line.offset_ns + elapsed_ns * line.rate_ppm * 1e-6
         monotonic_ns = line.origin.middle_monotonic_ns + elapsed_ns + round(correction_ns)
         uncertainty_ns = line.offset_uncertainty_ns + abs(elapsed_ns) * line.rate_uncertainty_ppm * 1e-6
-        return Instant(monotonic_ns + self._utc_less_monotonic_ns, round(uncertainty_ns))
+        return Instant(monotonic_ns + self.utc_less_monotonic_ns, round(uncertainty_ns))
 
     def _nominal_ns(self, ticks: int) -> int:
         return ticks * 10**12 // self._reference_millihertz

@@ -41,6 +41,7 @@ _FIRST_PINGS_S = 0.04
 _FIRST_PINGS = 16
 _SILENCE_FRAMES, _SILENCE_S = 3, 0.05
 _REOPEN_S = 1.0
+_FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
 
 
 class BoardRefusedError(Exception):
@@ -69,6 +70,7 @@ class Connection:
         self._ring = ring
         self._account = account
         self._say = say
+        self._single_tone = plate.counter.kind == "single-tone"
         self._session = HostSession()
         self._assembler = FrameAssembler(len(plate.tones.f0_hz))
         self._described: Described | None = None
@@ -82,7 +84,6 @@ class Connection:
         self._next_ping = now
         self.clock: BoardClock | None = None
         self.was_online = False
-        self._flush()
 
     def receive(self, data: bytes) -> None:
         """Take received bytes."""
@@ -140,10 +141,13 @@ class Connection:
 
     def _handle(self, event: HostEvent, now_ns: int) -> None:
         match event:
-            case Frame() | FramePart():
-                self._last_frame = now_ns / 1e9
-                for frame in [event] if isinstance(event, Frame) else self._assembler.add(event):
+            case Frame() if self._single_tone:
+                self._frame(event)
+            case FramePart() if not self._single_tone:
+                for frame in self._assembler.add(event):
                     self._frame(frame)
+            case Frame() | FramePart():
+                self._account.messages_malformed += 1  # of the other kind of counter
             case Pong():
                 self._pong(event, now_ns)
             case Described():
@@ -157,6 +161,8 @@ class Connection:
             case BoardLog():
                 self._ring.put(BoardSays(event.level, event.text))
             case Rebooted():
+                for frame in self._assembler.flush():  # it belongs to the boot, and the clock, before
+                    self._frame(frame)
                 self._say("lost", "the board started anew")
                 self.clock = None
                 self._opened = time.monotonic()
@@ -182,6 +188,7 @@ class Connection:
             return
         asked, given = gate_ticks(self._plate), event.configuration.gate_ticks
         if given != asked:
+            self.say_goodbye()
             problem = f"the board counts gates of {given} ticks, {asked} were asked for"
             raise BoardRefusedError(BoardRefused((problem,)))
         self._numbering.started()
@@ -219,11 +226,16 @@ class Connection:
         if self.clock is None or self._described is None:
             return
         gate_end = self.clock.at(frame.board_ticks)
+        age_ns = time.monotonic_ns() - (gate_end.utc_ns - self.clock.utc_less_monotonic_ns)
+        if not -_FRAME_AGE_NS < age_ns < _FRAME_AGE_NS:
+            self._account.messages_malformed += 1  # ticks that this boot has not reached, or long left behind
+            return
         accepted = self._numbering.accept(self._described.boot_id, frame.sequence, frame.board_ticks, gate_end)
         if accepted is None:
             self._account.messages_stale += 1
             return
         index, gap = accepted
+        self._last_frame = time.monotonic()
         self._account.frames += 1
         if gap is not None:
             self._account.lost = self._account.lost + gap.loss

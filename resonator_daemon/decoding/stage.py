@@ -16,6 +16,8 @@ from resonator_daemon.elastic import HalfSpace
 Floats = NDArray[np.float64]
 Origin = TypeVar("Origin")
 
+_NOISE_CHANGE = 1.5  # a smaller one hardly changes what is decoded
+
 
 class DecodingStage(Generic[Origin]):
     """Decodes in a thread of its own; signals that come while it is busy replace those that wait.
@@ -44,6 +46,7 @@ class DecodingStage(Generic[Origin]):
         self._depth_m = depth_m
         self._deliver = deliver
         self._decoder: FourierDecoder | None = None
+        self._channel_std: Floats | None = None  # what the decoder was built for
         self._newest: tuple[Origin, Floats, Floats] | None = None
         self._offered = asyncio.Event()
         self.frames_skipped = 0
@@ -69,12 +72,13 @@ class DecodingStage(Generic[Origin]):
                     self._deliver(origin, decoded)
 
     def _decode(self, signals: Floats, noise_std: Floats) -> Decoded | None:
-        if self._decoder is None:
-            channel_std = _median_by_channel(noise_std)
-            if channel_std is None:
-                return None
-            # The board states its noise with the signals: the first frame that is heard decides the decoder.
+        channel_std = _median_by_channel(noise_std)
+        # The board states its noise with the signals; a decoder serves until that has changed.
+        if channel_std is not None and (self._channel_std is None or _differ(channel_std, self._channel_std)):
             self._decoder = FourierDecoder(self._half_space, self._shape, self._pitch_m, self._depth_m, channel_std)
+            self._channel_std = channel_std
+        if self._decoder is None:
+            return None
         return self._decoder.decode(signals.reshape(3, *self._shape), displacement=True)
 
 
@@ -83,3 +87,7 @@ def _median_by_channel(noise_std: Floats) -> Floats | None:
     if not known.any(axis=1).all():
         return None
     return np.array([np.median(row[keep]) for row, keep in zip(noise_std, known, strict=True)])
+
+
+def _differ(std: Floats, other: Floats) -> bool:
+    return bool((np.maximum(std / other, other / std) > _NOISE_CHANGE).any())

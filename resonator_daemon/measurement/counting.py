@@ -14,6 +14,7 @@ from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 WRAP_MASK: Final = 0xFFFFFFFF  # edge and tick counters are 32 bits wide on the wire
 STAMPS_MIN: Final = 3  # two give a slope but say nothing about their noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
+NOISE_SIGMAS: Final = 6.0
 FREQUENCY_JUMP: Final = 20e-6  # between adjacent gates; a press of 3 N/ms at 6.3e-6 / N stays below it
 QUANTISATION_TICKS2: Final = 1 / 12  # variance of a stamp rounded to whole ticks
 OSCILLATOR_STD_1S: Final = 3e-10  # white frequency noise of a site: Allan deviation at 1 s, sqrt(h0 / 2)
@@ -133,6 +134,18 @@ def fault(record: SingleToneRecord) -> str | None:
     if abs(2 * record.s1_ticks - stamps * span) > 2 * stamps * slack:
         return "impossible_counts"
     if abs(6 * record.s2_ticks - stamps * (2 * stamps - 1) * span) > 3 * stamps * (stamps - 1) * slack:
+        return "impossible_counts"
+    # Regression and end points give one frequency but for noise and the chirp of a press.
+    slope_numerator = 6 * (2 * record.s2_ticks - (stamps - 1) * record.s1_ticks)
+    if slope_numerator <= 0:
+        return "impossible_counts"
+    slope = slope_numerator / (stamps * (stamps * stamps - 1))
+    end_points = span / (stamps - 1)
+    sums = Sums.of(record)
+    noise_ticks = math.sqrt(2.0) * stamp_std_ticks(sums)
+    if noise_ticks > end_points:
+        return "impossible_counts"  # stamps that scatter by more than their distance are not in order
+    if abs(slope / end_points - 1.0) > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
         return "impossible_counts"
     return None
 

@@ -71,3 +71,12 @@ def test_parts_beyond_the_plate_are_counted() -> None:
     assert assembler.misfits == 1
     (frame,) = assembler.flush()
     assert not frame.known.any()
+
+
+def test_a_repeated_part_does_not_complete_a_frame() -> None:
+    assembler = FrameAssembler(TONES)
+    parts = all_parts(1)
+    done = [frame for one in [*parts[:6], parts[5], parts[0]] for frame in assembler.add(one)]
+    assert done == []
+    assert assembler.misfits == 2
+    assert [frame.parts_seen for one in parts[6:] for frame in assembler.add(one)] == [8]

@@ -202,6 +202,31 @@ def test_a_reboot_is_told_from_an_unplugging(tmp_path: Path) -> None:
     assert gaps(it.arrivals)[0].loss.link_gap > 0
 
 
+def test_a_reboot_within_a_channelised_frame_costs_that_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The half frame belongs to the boot before; the new boot's frames count from 0 and all arrive."""
+    as_sent = DeviceSession.frame_parts
+    cut = []
+
+    def half(session: DeviceSession, sequence: int, board_ticks: int, channels: list[bytes]) -> list[bytes]:
+        parts = as_sent(session, sequence, board_ticks, channels)
+        if sequence == 20 and not cut:
+            cut.append(sequence)
+            return parts[:7]
+        return parts
+
+    monkeypatch.setattr(DeviceSession, "frame_parts", half)
+    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), faults=parse_faults("reboot_at_s=0.215"))
+    with emulated(options) as emulator, Listener(parse_link(emulator.link.address), SKIN) as it:
+        it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
+        it.wait_for(lambda arrivals: len(frames(arrivals[-20:])) == 20)
+        account = it.reader.account()
+    check_indices(it.arrivals)
+    assert cut == [20]
+    assert account.parts_lost == 13
+    assert account.lost.total < 200
+    assert account.messages_stale == 0
+
+
 def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with (
@@ -273,8 +298,9 @@ def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> N
 def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with Listener(SerialLink(str(port), 4000000)) as it:
-        it.wait_for(lambda arrivals: bool(arrivals))
-        state, reason = it.states[0]
+        it.wait_for(lambda arrivals: len(arrivals) > 1)
+        assert it.states[0] == ("starting", "the link is being opened")
+        state, reason = it.states[1]
         assert state == "waiting"
         assert reason.startswith(f"no port {port}; ")
         with emulated(EmulatorOptions("quartz16", pty=port)):
@@ -287,8 +313,8 @@ def test_a_busy_port_says_so_and_is_waited_for(tmp_path: Path) -> None:
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link) as holder:
         holder.wait_for_frames(1)
         with Listener(link) as it:
-            it.wait_for(lambda arrivals: bool(arrivals))
-            assert it.states[0] == ("waiting", f"{port} is held by another program; close it there")
+            it.wait_for(lambda arrivals: len(arrivals) > 1)
+            assert it.states[1] == ("waiting", f"{port} is held by another program; close it there")
         holder.wait_for_frames(len(frames(holder.arrivals)) + 50)
 
 
@@ -296,9 +322,9 @@ def test_nobody_listens_on_tcp() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         link = TcpLink("127.0.0.1", listener.getsockname()[1])
     with Listener(link) as it:
-        it.wait_for(lambda arrivals: bool(arrivals))
-    assert it.states[0][0] == "waiting"
-    assert "does not answer" in it.states[0][1]
+        it.wait_for(lambda arrivals: len(arrivals) > 1)
+    assert it.states[1][0] == "waiting"
+    assert "does not answer" in it.states[1][1]
 
 
 def test_a_board_that_counts_otherwise_than_asked_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -316,12 +342,28 @@ def test_a_board_that_counts_otherwise_than_asked_is_refused(tmp_path: Path, mon
     assert not frames(it.arrivals)
 
 
+def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    as_counted = DeviceSession.frame
+
+    def absurd(session: DeviceSession, sequence: int, board_ticks: int, records: bytes) -> bytes:
+        return as_counted(session, sequence, board_ticks + (2**63 if sequence % 5 == 3 else 0), records)
+
+    monkeypatch.setattr(DeviceSession, "frame", absurd)
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(100)
+        account = it.reader.account()
+    assert account.messages_malformed >= 20
+    check_indices(it.arrivals)
+    assert all(abs(frame.gate_end.utc_ns - time.time_ns()) < 60e9 for frame in frames(it.arrivals))
+
+
 def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: object) -> None:
         raise ZeroDivisionError("mistake")
 
     monkeypatch.setattr("resonator_daemon.acquisition.board.open_tcp", fail)
     with Listener(TcpLink("127.0.0.1", 1)) as it:
-        (failed,) = it.wait_for(lambda arrivals: bool(arrivals))
+        _, failed = it.wait_for(lambda arrivals: len(arrivals) > 1)
     assert isinstance(failed, ReaderFailed)
     assert isinstance(failed.error, ZeroDivisionError)

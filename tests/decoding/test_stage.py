@@ -221,7 +221,9 @@ async def test_without_noise_of_every_channel_there_is_no_decoder_yet(
     assert stage.delivered.empty()
 
 
-async def test_the_first_frame_that_is_heard_makes_the_decoder(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_the_first_frame_that_is_heard_makes_the_decoder_and_another_noise_the_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made: list[SubstituteDecoder] = []
 
     class Remembered(SubstituteDecoder):
@@ -234,13 +236,13 @@ async def test_the_first_frame_that_is_heard_makes_the_decoder(monkeypatch: pyte
     # Medians of what is known in each channel, by hand: 2 of 1 2 5, 4 of 4 4 8, 5 between 3 and 7.
     noise = np.array([[1.0, 5.0, 2.0, NAN], [4.0, 4.0, np.inf, 8.0], [9.0, 1.0, 3.0, 7.0]])
     async with stage.running():
-        for noise_std in (noise, 10 * noise, np.full((3, 4), NAN)):
+        for noise_std in (noise, 1.4 * noise, np.full((3, 4), NAN), 10 * noise):
             stage.stage.offer("frame", np.zeros((3, 4)), noise_std)
             await stage.next()
-    (decoder,) = made
-    *place, channel_std = decoder.arguments
-    assert place == [HALF_SPACE, (2, 2), PITCH_M, DEPTH_M]
-    np.testing.assert_array_equal(channel_std, [2.0, 4.0, 5.0])
+    for decoder, factor in zip(made, (1.0, 10.0), strict=True):
+        *place, channel_std = decoder.arguments
+        assert place == [HALF_SPACE, (2, 2), PITCH_M, DEPTH_M]
+        np.testing.assert_array_equal(channel_std, [2.0 * factor, 4.0 * factor, 5.0 * factor])
 
 
 async def test_the_linear_algebra_keeps_to_one_thread_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -197,8 +197,10 @@ def test_malformed_and_unknown_messages_are_counted() -> None:
     host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes(7), boot_id=0x1234))
     host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes((4, 0, 0, 0, 0, 0, 0, 1)), boot_id=0x1234))
     host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes((0, 0, 0, 0, 1, 0, 0, 1)), boot_id=0x1234))
+    host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes((0, 0, 0, 0, 0, 0, 2, 2)), boot_id=0x1234))
+    host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes(8), boot_id=0x1234))
     host.receive(encode_packet(MessageType.LOG, 0, b"\x01", boot_id=0x1234))
-    assert host.messages.malformed == 5
+    assert host.messages.malformed == 7
     host.receive(encode_packet(0xC0, 0, boot_id=0x1234))
     host.receive(encode_packet(MessageType.FRAME_PART, 0, bytes((0, 9, 0, 0, 0, 0, 0, 1)), boot_id=0x1234))
     assert host.messages.unknown == 2

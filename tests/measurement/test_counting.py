@@ -261,3 +261,22 @@ def test_restart_forgets_gates_and_fault():
 def test_a_window_of_no_gates_is_refused():
     with pytest.raises(ValueError, match="0 frames"):
         window(0)
+
+
+def test_sums_that_contradict_each_other_give_no_frequency() -> None:
+    """A regression slope that leaves the end points' behind is damage that a check sum cannot see."""
+    stamps = [1000 + 1001 * k // 10 * 10 for k in range(1000)]
+    offsets = [stamp - stamps[0] for stamp in stamps]
+    second = [offsets[k] - 2 * offsets[k - 1] + offsets[k - 2] for k in range(2, 1000)]
+    s2 = sum(k * offset for k, offset in enumerate(offsets))
+    sound = SingleToneRecord(
+        0, 1000, 1000, 10, offsets[-1], sum(offsets), s2, sum(value * value for value in second), 0, 0
+    )
+    assert fault(sound) is None
+    assert fault(sound._replace(s2_ticks=s2 + s2 // 20_000)) == "impossible_counts"
+    assert fault(sound._replace(s2_ticks=s2 - s2 // 20_000)) == "impossible_counts"
+    assert fault(sound._replace(q2_ticks2=2**64 - 1)) == "impossible_counts"
+
+
+def test_a_slope_of_nothing_is_no_frequency() -> None:
+    assert fault(SingleToneRecord(0, 0, 3, 1, 2, 3, 3, 0, 0, 0)) == "impossible_counts"
