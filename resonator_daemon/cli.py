@@ -4,6 +4,7 @@ import argparse
 import asyncio
 import json
 import logging
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,8 +20,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO, stream=sys.stderr)
     verb: Verb = options.verb
+    if sys.stdout is None:  # closed by whoever started us
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for as long as the process lives
     try:
-        return verb(options) or ExitCode.DONE
+        code = verb(options) or ExitCode.DONE
+        sys.stdout.flush()
+        return code
     except OperatorError as error:
         for message in error.messages:
             sys.stderr.write(f"resonatord: {message}\n")
@@ -29,6 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left: nobody is there to tell
+        return ExitCode.FAILED
+    except OSError as error:  # as where stdout is on a full disk
+        sys.stderr.write(f"resonatord: {error}\n")
         return ExitCode.FAILED
 
 

@@ -107,8 +107,8 @@ def _split(url: str) -> SplitResult:
     )
 
 
-def _topic_level(text: str) -> str:
-    """Check one level of an MQTT topic."""
+def topic_level(text: str) -> str:
+    """Return the text if it can be one level of an MQTT topic; ValueError says why not."""
     if not text.isprintable() or not text or any(sign in text for sign in " /+#") or text.startswith("$"):
         raise ValueError(
             "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
@@ -118,7 +118,7 @@ def _topic_level(text: str) -> str:
 
 def _topic(text: str) -> str:
     for level in text.split("/"):
-        _topic_level(level)
+        topic_level(level)
     return text
 
 
@@ -201,7 +201,7 @@ def _plate(value: object, info: ValidationInfo) -> Plate:
 class Config(Table):
     """One board: its plate, its link, and what to do with its counts."""
 
-    name: Annotated[str, Field(max_length=100), AfterValidator(_topic_level)] | None = None  # default: serial number
+    name: Annotated[str, Field(max_length=100), AfterValidator(topic_level)] | None = None  # default: serial number
     plate: Annotated[Plate, PlainValidator(_plate)]
     link: Annotated[SerialLink | TcpLink, PlainValidator(parse_link)]
     mqtt: Mqtt = Mqtt()

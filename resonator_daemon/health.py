@@ -18,6 +18,7 @@ class Vitals(TypedDict):
     parts_lost: int
     frames_not_decoded: int
     records_unusable: dict[str, int]
+    packets_ignored: dict[str, int]
     bytes_in: int
     bytes_by_fate: dict[str, int]
     clock_drift_ppm: float
@@ -53,6 +54,11 @@ class HealthMonitor:
             parts_lost=link.parts_lost,
             frames_not_decoded=frames_not_decoded,
             records_unusable=records_unusable,
+            packets_ignored={
+                "stale": link.messages_stale,
+                "malformed": link.messages_malformed,
+                "unknown": link.messages_unknown,
+            },
             bytes_in=link.bytes_received,
             bytes_by_fate={
                 "accepted": link.bytes_accepted,

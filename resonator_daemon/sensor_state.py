@@ -34,11 +34,12 @@ class SensorState:
         self._good = self._good or "all sites are read"
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
-        self._candidate_since_ns = 0
+        self._candidate_since_ns = self._since_utc_ns = 0
 
     def no_frames(self, reason: str) -> None:
         """Say that nothing comes which could be judged."""
-        self._become((Condition.WAITING, reason), time.time_ns())
+        waiting = self._current is not None and self._current[0] is Condition.WAITING
+        self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else time.time_ns())
 
     def update(self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int) -> None:
         """Take one reading's status; before the first judgement it counts at once."""
@@ -58,4 +59,5 @@ class SensorState:
     def _become(self, state: tuple[Condition, str], since_utc_ns: int) -> None:
         if state != self._current:
             self._current, self._candidate = state, None
+            self._since_utc_ns = since_utc_ns
             self._announce(*state, since_utc_ns)

@@ -25,7 +25,7 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.config import Config, SerialLink
+from resonator_daemon.config import Config, SerialLink, topic_level
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
@@ -60,7 +60,7 @@ _NO_MESSAGES = MessageAccount(
 
 
 async def serve(config: Config) -> None:
-    """Measure and publish until SIGINT or SIGTERM.
+    """Measure and publish until SIGINT, SIGTERM or SIGHUP.
 
     Raises
     ------
@@ -69,7 +69,7 @@ async def serve(config: Config) -> None:
     """
     service = Service(config)
     loop = asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, service.stop)
     await service.run()
 
@@ -205,11 +205,16 @@ class Service:
     def _adopt(self, board: BoardOnline) -> None:
         """Take a board that counts; a boot that was not seen before has nothing in common with the past."""
         if self._publisher is None:
-            self._begin_publishing(board.identity.serial_number)
-        self._reporter.board_boot_id = f"{board.boot_id:08x}"
+            try:
+                self._begin_publishing(topic_level(board.identity.serial_number))
+            except ValueError as error:
+                serial_number = board.identity.serial_number
+                self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
+                return
         if self._board_boot_id != board.boot_id:
             self._board_boot_id = board.boot_id
             self._begin_measuring(board)
+        self._reporter.board_boot_id = f"{board.boot_id:08x}"
         self._publish(INFO, self._reporter.info(board, _link_text(self._config)))
 
     def _begin_measuring(self, board: BoardOnline) -> None:
@@ -303,6 +308,8 @@ class Service:
             self._publish_health()
 
     def _publish_health(self) -> None:
+        if self._publisher is None:
+            return
         vitals = self._monitor.vitals(
             self.link_account,
             self.message_account,

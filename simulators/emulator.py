@@ -57,7 +57,7 @@ class EmulatorOptions:
 
 
 def run(options: EmulatorOptions) -> None:
-    """Emulate until SIGINT or SIGTERM; must be called in the main thread.
+    """Emulate until SIGINT, SIGTERM or SIGHUP; must be called in the main thread.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def run(options: EmulatorOptions) -> None:
         The link or the truth file cannot be opened.
     """
     emulator = Emulator(options)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: emulator.stop())
     sys.stderr.write(f"emulating {options.plate} at {emulator.link.address}; stop with Ctrl-C\n")
     if options.json:

@@ -45,7 +45,7 @@ class PtyLink:
     Raises
     ------
     FileExistsError
-        `path` is there already, and no symbolic link.
+        `path` is there already: a file, or a link to a terminal that is alive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -94,8 +94,9 @@ class PtyLink:
     def plug_in(self) -> None:
         if self._master_fd is not None:
             return
-        if self._path.exists() and not self._path.is_symlink():
-            raise FileExistsError(f"{self._path} exists and is no symbolic link; remove it or name another")
+        if self._path.exists():  # a link whose terminal is gone does not
+            what = "is in use" if self._path.is_symlink() else "exists and is no symbolic link"
+            raise FileExistsError(f"{self._path} {what}; remove it or name another")
         # This end keeps the slave open as well: without any holder, reading from the master fails.
         self._master_fd, self._slave_fd = os.openpty()
         tty.setraw(self._slave_fd)

@@ -302,6 +302,13 @@ async def test_without_a_name_the_serial_number_is_the_topic(bench: Bench, mosqu
         await heard.until_last("resonator/EMU-0001/state/daemon", state="online")
 
 
+async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
+    async with bench.emulated(scenario="still"):
+        with pytest.raises(ConfigError, match=r"serial number .EMU\+1. .*; set name in the configuration"):
+            await bench.service(name=None).run()
+
+
 async def test_a_board_for_another_plate_ends_the_daemon(bench: Bench, mosquitto: Mosquitto) -> None:
     async with bench.emulated(scenario="still", tcp=("127.0.0.1", 0)) as emulator, observe(mosquitto.url) as heard:
         with pytest.raises(ConfigError, match="the board describes quartz16, the plate file has skin32") as refused:

@@ -34,6 +34,7 @@ _HEARD = tuple(topic for topic in TOPICS.values() if topic not in (SIGNALS, CONT
 _START_S = 30.0
 _JOIN_S = 0.05
 _QUIET_S = 0.3
+_LATE_MS = 50.0
 _DRAW_HZ = 8.0
 _BROKER_PART = "broker, view and score"
 
@@ -79,7 +80,7 @@ class _Demo:
 
     async def run(self) -> ExitCode:
         loop = asyncio.get_running_loop()
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self._stop.set)
         async with AsyncExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-demo-")))
@@ -294,7 +295,9 @@ def _failures(plate: dict[str, Any]) -> list[str]:
     if plate["contacts_true"] is not None:
         for what, key in (("found", "contacts_found"), ("given the right site", "sites_right")):
             if missed := plate["contacts_true"] - plate[key]:
-                failures.append(f"{missed} of {plate['contacts_true']} touches not {what}")
+                failures.append(f"{missed} of {plate['contacts_true']} touches not {what} within 50 ms")
+    if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS and failures:
+        failures.append(f"messages came {plate['latency_ms']['p99']:.0f} ms late (99 %): this machine is too busy")
     return failures
 
 

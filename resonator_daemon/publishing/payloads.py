@@ -20,7 +20,7 @@ Vector2 = tuple[Float, Float]
 def _float32(value: Any) -> NDArray[np.float32]:
     if not isinstance(value, np.ndarray) or value.ndim not in (2, 3) or value.shape[0] != 3:
         raise ValueError(f"{np.shape(value)}: must be an array of shape (3, n) or (3, ny, nx)")
-    return np.ascontiguousarray(value, "<f4")
+    return np.asarray(value, "<f4")
 
 
 Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32)]
@@ -30,7 +30,7 @@ class Status(StrEnum):
     """What a number is worth; where it is not "ok" and no number is given, this is the reason."""
 
     OK = "ok"
-    SETTLING = "settling"  # the untouched plate is still being learnt: forces are not yet at their stated accuracy
+    SETTLING = "settling"  # the window is not full yet, as after the start and when the captured tone has changed
     CONSTRAINT_DROPPED = "constraint_dropped"  # contact physics given up for this frame, the linear map is shown
     AMBIGUOUS = "ambiguous"  # two sites explain the readings about equally well
     REJECTED = "rejected"  # no load explains the readings
@@ -239,6 +239,7 @@ class Health(Header):
     parts_lost: int  # of channelised frames that did arrive; their tones are NaN
     frames_not_decoded: int  # skipped because a newer one was there
     records_unusable: dict[str, int]  # readings that gave no frequency, by cause
+    packets_ignored: dict[str, int]  # sound packets that led to nothing: stale, malformed, unknown
     bytes_in: int
     bytes_by_fate: dict[str, int]  # their sum is bytes_in
     clock_drift_ppm: Float

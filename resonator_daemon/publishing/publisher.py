@@ -66,7 +66,7 @@ class Publisher:
     def dropped(self) -> int:
         """Messages that a subscriber misses; `lost.publish_dropped` of the messages to come.
 
-        A state that gave way to a newer one before it was sent is in `account.dropped`, and misses nobody.
+        A state that gave way to a newer one before it was sent counts in `account.dropped` only: nobody misses it.
         """
         return self._dropped - self._superseded
 

@@ -31,7 +31,7 @@ Draw = Callable[[Sequence[PlateView]], None]
 
 
 async def watch(url: str, prefix: str, *, as_json: bool) -> None:
-    """Show what plates publish on stdout until SIGINT, SIGTERM, or the reader of a pipe leaves.
+    """Show what plates publish on stdout until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
 
     Raises
     ------
@@ -46,7 +46,7 @@ async def watch(url: str, prefix: str, *, as_json: bool) -> None:
         showing = asyncio.create_task(_show_page(broker, console))
     else:
         showing = asyncio.create_task(_redraw(broker, _print_lines(broker), _LINES_S))
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, showing.cancel)
     try:
         await asyncio.wait([showing])

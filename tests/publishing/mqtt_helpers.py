@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -63,13 +64,25 @@ class Messages:
         )
 
 
+@dataclass(frozen=True)
+class Published:
+    """A PUBLISH packet as it came over the wire."""
+
+    qos: int
+    retain: bool
+    topic: str
+    payload: bytes
+
+
 class ScriptedBroker:
     """Just enough of MQTT 5 to accept a connection and to answer each QoS 1 message as told, or not at all."""
 
     def __init__(self) -> None:
-        self.received: list[tuple[int, bytes]] = []  # QoS, topic
+        self.received: list[Published] = []
         self.answer: Callable[[int], int | None] = lambda number: 0  # reason code of the n-th QoS 1 message
         self.connections: list[asyncio.StreamWriter] = []
+        self.greetings: list[bytes] = []  # bodies of CONNECT
+        self.farewells = 0  # DISCONNECT packets
         self.mute = False
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -78,12 +91,14 @@ class ScriptedBroker:
             while not self.mute:
                 kind, body = await self._packet(reader)
                 if kind >> 4 == 1:
+                    self.greetings.append(body)
                     writer.write(b"\x20\x03\x00\x00\x00")
                 elif kind >> 4 == 3:
                     self._publish(kind, body, writer)
                 elif kind >> 4 == 12:
                     writer.write(b"\xd0\x00")
                 elif kind >> 4 == 14:
+                    self.farewells += 1
                     break
             await reader.read()  # a mute broker: until the client gives up
         writer.close()
@@ -94,12 +109,13 @@ class ScriptedBroker:
 
     def _publish(self, kind: int, body: bytes, writer: asyncio.StreamWriter) -> None:
         qos = kind >> 1 & 3
-        length = int.from_bytes(body[:2], "big")
-        self.received.append((qos, body[2 : 2 + length]))
+        topic_end = 2 + int.from_bytes(body[:2], "big")
+        properties_end = topic_end + 2 * qos + 1  # a packet id with QoS 1, and the length of no properties
+        self.received.append(Published(qos, bool(kind & 1), body[2:topic_end].decode(), body[properties_end:]))
         if qos:
-            reason = self.answer(sum(qos for qos, _ in self.received))
+            reason = self.answer(sum(message.qos for message in self.received))
             if reason is not None:
-                writer.write(b"\x40\x03" + body[2 + length : 4 + length] + bytes([reason]))
+                writer.write(b"\x40\x03" + body[topic_end : topic_end + 2] + bytes([reason]))
 
     @staticmethod
     async def _packet(reader: asyncio.StreamReader) -> tuple[int, bytes]:

@@ -68,6 +68,26 @@ async def test_small_messages_do_not_wait_for_acknowledgements_of_tcp(mosquitto)
         assert left._client._client.socket().getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
 
 
+async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:
+    async with scripted_broker() as (url, script), publishing(url.replace("//", "//robot:sesame@")) as left:
+        await until(lambda: left.connected)
+        probe, connect = (greeting.removeprefix(b"\x00\x04MQTT\x05") for greeting in script.greetings)
+    assert probe[0] == 0b0000_0010  # flags: clean start only
+    assert connect[0] == 0b1110_1110  # name, password, will: retained, QoS 1, present; clean start
+    assert b"robot\x00\x06sesame" in connect
+    assert b"resonator/left/state/daemon" in connect
+
+
+async def test_a_daemon_that_comes_back_takes_over_its_old_connection() -> None:
+    async with scripted_broker() as (url, script):
+        for daemons in (1, 2):
+            async with publishing(url) as left:
+                await until(lambda: left.connected)
+            assert len(script.greetings) == 2 * daemons
+    identifier = b"\x00\x19resonatord-resonator-left"
+    assert [identifier in greeting for greeting in script.greetings] == [False, True, False, True]
+
+
 @pytest.mark.usefixtures("_impatient")
 async def test_credentials_and_a_wrong_password(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch

@@ -1,6 +1,7 @@
 """The publisher's contract on Mosquitto (MQTT 5) and the embedded broker (3.1.1), and its accounts to the message."""
 
 import asyncio
+import json
 import logging
 import random
 import time
@@ -37,7 +38,7 @@ async def test_messages_reach_a_subscriber_as_they_were_made(broker) -> None:
     assert len(by_topic["resonator/left/decoded"].payload) > 2 * 12288
 
 
-async def test_streams_go_by_qos_0_events_and_states_by_qos_1() -> None:
+async def test_quality_of_service_and_retention_of_each_topic_on_the_wire() -> None:
     async with scripted_broker() as (url, script), publishing(url) as left:
         await until(lambda: left.connected)
         left.publish(topics.FORCES, Messages.forces(1))
@@ -47,12 +48,12 @@ async def test_streams_go_by_qos_0_events_and_states_by_qos_1() -> None:
         await until(lambda: left.account.waiting == 0)
         assert left.account.handed_to_socket == 2
         assert left.account.acknowledged == 2
-    assert {topic.decode(): qos for qos, topic in script.received} == {
-        "resonator/left/forces": 0,
-        "resonator/left/contacts/event": 1,
-        "resonator/left/decoded": 0,
-        "resonator/left/state/link": 1,
-        "resonator/left/state/daemon": 1,
+    assert {message.topic: (message.qos, message.retain) for message in script.received} == {
+        "resonator/left/forces": (0, False),
+        "resonator/left/contacts/event": (1, False),
+        "resonator/left/decoded": (0, False),
+        "resonator/left/state/link": (1, True),
+        "resonator/left/state/daemon": (1, True),
     }
 
 
@@ -98,6 +99,29 @@ async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> N
     assert left.account.acknowledged == 52
     left.publish(topics.CONTACT_EVENT, Messages.event(1))
     assert left.account.dropped == 1
+
+
+async def test_close_takes_leave_of_the_broker_so_that_the_will_is_not_published() -> None:
+    async with scripted_broker() as (url, script):
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            await until(lambda: script.farewells == 1)  # that of the connection which asked for the version
+        await until(lambda: script.farewells == 2)
+
+
+async def test_while_closing_nothing_new_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(publisher, "CLOSE_TIMEOUT_S", 0.2)
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.answer = lambda number: None
+        await until(lambda: left.connected)
+        closing = asyncio.create_task(left.close())
+        await until(lambda: left.account.made == 1)
+        left.publish(topics.FORCES, Messages.forces(1))
+        left.publish(topics.CONTACT_EVENT, Messages.event(1))
+        assert left.account.dropped == 2
+        assert not closing.done()
+        await closing
+    assert {message.topic for message in script.received} == {"resonator/left/state/daemon"}
 
 
 async def test_the_last_will_speaks_for_a_daemon_that_vanishes(broker) -> None:
@@ -161,6 +185,8 @@ async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
         left.publish(topics.FORCES, Messages.forces(1))
         assert_exact(left)
         assert left.account.waiting == 2
+        assert left.account.dropped == 2
+        assert left.dropped == 1  # nobody misses the state that a newer one replaced
         await broker.start()
         async with observe(broker.url) as observer:
             await observer.until_last("resonator/left/state/daemon", state="online")
@@ -181,13 +207,14 @@ async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
         longest_s = 0.0
         number = 0
         while left.connected:
-            before = time.thread_time()
-            left.publish(topics.DECODED, Messages.decoded(number))
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
-            longest_s = max(longest_s, time.thread_time() - before)
-            assert_exact(left)
-            assert left.account.waiting <= publisher.STREAMS_WAITING_MAX + publisher.EVENTS_WAITING_MAX + 11
-            number += 1
+            for _ in range(10):
+                before = time.thread_time()
+                left.publish(topics.DECODED, Messages.decoded(number))
+                left.publish(topics.CONTACT_EVENT, Messages.event(number))
+                longest_s = max(longest_s, time.thread_time() - before)
+                assert_exact(left)
+                assert left.account.waiting <= publisher.STREAMS_WAITING_MAX + publisher.EVENTS_WAITING_MAX + 11
+                number += 1
             await asyncio.sleep(0)
         assert longest_s < 0.1
         frozen = left.account
@@ -292,7 +319,18 @@ async def test_acknowledgements_that_do_not_come_delay_no_stream(monkeypatch: py
         await until(lambda: len(script.received) == 100 + publisher.UNACKNOWLEDGED_MAX)
         assert left.account.handed_to_socket == 100
         assert left.account.waiting == 100
-        script.hang_up()
+
+
+@pytest.mark.usefixtures("_short_timeouts")
+async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.answer = lambda number: None
+        await until(lambda: left.connected)
+        left.publish(topics.CONTACT_EVENT, Messages.event(1))
+        await until(lambda: left.account.unknown_at_disconnect == 1)
+        await until(lambda: "no answer; trying again" in caplog.text)
+        script.answer = lambda number: 0
+        await until(lambda: left.connected)
 
 
 async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
@@ -306,7 +344,9 @@ async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
             left.publish(topics.CONTACT_EVENT, Messages.event(number))
         assert left.account.dropped == 12
         await until(lambda: left.account.acknowledged == publisher.EVENTS_WAITING_MAX)
-        assert len(script.received) == publisher.STREAMS_WAITING_MAX + publisher.EVENTS_WAITING_MAX
+        for qos, first, count in ((0, 7, publisher.STREAMS_WAITING_MAX), (1, 5, publisher.EVENTS_WAITING_MAX)):
+            numbers = [json.loads(message.payload)["seq"] for message in script.received if message.qos == qos]
+            assert numbers == list(range(first, first + count))
 
 
 async def test_a_topic_takes_its_own_payload_only() -> None:

@@ -103,7 +103,11 @@ def test_pulling_the_plug_ends_the_host_and_its_return_has_the_same_name(pty: tu
 def test_closing_takes_its_own_name_away_and_no_other(tmp_path: Path) -> None:
     before = open_fds()
     path = tmp_path / "board"
-    first, second = PtyLink(path), PtyLink(path)
+    first = PtyLink(path)
+    with pytest.raises(FileExistsError, match="is in use; remove it or name another"):
+        PtyLink(path)
+    path.unlink()
+    second = PtyLink(path)
     first.close()
     assert stat.S_ISCHR(path.stat().st_mode)
     second.close()
