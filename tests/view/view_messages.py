@@ -85,6 +85,7 @@ def health(**changes: Any) -> Health:
         "parts_lost": 0,
         "frames_not_decoded": 0,
         "records_unusable": {},
+        "packets_ignored": {"stale": 0, "malformed": 0, "unknown": 0},
         "bytes_in": 1,
         "bytes_by_fate": {"accepted": 1},
         "clock_drift_ppm": 1.5,
