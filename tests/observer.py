@@ -17,20 +17,25 @@ class Observer:
 
     def __init__(self) -> None:
         self.heard: list[aiomqtt.Message] = []
+        self._raw: dict[str, list[bytes]] = {}
+        self._parsed: dict[str, list[Any]] = {}
         self._news = asyncio.Condition()
 
     async def listen(self, client: aiomqtt.Client) -> None:
         async for message in client.messages:
             async with self._news:
                 self.heard.append(message)
+                self._raw.setdefault(message.topic.value, []).append(bytes(message.payload))
                 self._news.notify_all()
 
     def payloads(self, topic: str) -> list[Any]:
-        """Return the JSON payloads of a topic so far."""
-        return [json.loads(message.payload) for message in self.heard if message.topic.value == topic]
+        """Return the JSON payloads of a topic so far; each is read once, since this is asked again and again."""
+        parsed = self._parsed.setdefault(topic, [])
+        parsed += [json.loads(payload) for payload in self.raw(topic)[len(parsed) :]]
+        return list(parsed)
 
     def raw(self, topic: str) -> list[bytes]:
-        return [bytes(message.payload) for message in self.heard if message.topic.value == topic]
+        return self._raw.get(topic, [])
 
     async def until(self, predicate: Callable[[], bool]) -> None:
         async with asyncio.timeout(DEADLINE_S), self._news:
