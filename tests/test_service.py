@@ -280,7 +280,11 @@ async def test_between_sites_the_bound_holds_or_the_reading_is_ambiguous(bench: 
         observe(mosquitto.url) as heard,
         bench.running(bench.service()),
     ):
-        await heard.until(lambda: heard.payloads("resonator/hand/forces")[-1:] != [] and len(bench.truth()) > 2800)
+        await heard.until_count("resonator/hand/forces", 1)
+        start_ticks = int(heard.payloads("resonator/hand/forces")[0]["board_ticks"])
+        await heard.until(
+            lambda: int(heard.payloads("resonator/hand/forces")[-1]["board_ticks"]) - start_ticks > 2_900_000_000
+        )
     seen = set()
     for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
         true = mean_newton(window)
