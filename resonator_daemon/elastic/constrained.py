@@ -1,0 +1,268 @@
+"""Tractions that obey a condition at every pixel: one method for known regions, normal contact and friction.
+
+It finds the tractions f of a convex set that minimise  f.A f / 2 - f.b,  A symmetric and positive, among those of a
+prescribed sum where there is one. At the minimum the slack  b + shift - A f  vanishes wherever f is free to move; the
+shift, the multiplier of the sum, is how far the object came.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+LinearMap = Callable[[Floats], Floats]
+
+_STALL_ITERATIONS = 100  # without a better residual: it goes round in circles, or rounding is reached
+
+
+class NotConvergedError(ArithmeticError):
+    """An iteration that ended above its tolerance; `residuals` holds its history."""
+
+    def __init__(self, message: str, residuals: tuple[float, ...]) -> None:
+        super().__init__(message)
+        self.residuals = residuals
+
+
+@dataclass(frozen=True)
+class Face:
+    """Directions in which tractions can move that are at their bounds and pushed outwards."""
+
+    free: Bools  # broadcasts to (components, ny, nx)
+    barred: Floats | None = None  # (components, ny, nx), unit vectors, or 0 where none is barred
+    curvature: Floats | None = None  # (ny, nx): how much the bend of the bound adds to the energy's second derivative
+
+    def restrict(self, vectors: Floats) -> Floats:
+        """Project (components, ny, nx) orthogonally."""
+        kept = np.where(self.free, vectors, 0.0)
+        if self.barred is not None:
+            kept -= self.barred * np.einsum("iyx,iyx->yx", self.barred, kept)
+        return kept
+
+    def means(self, vectors: Floats) -> Floats:
+        """Constant vector, (components, 1, 1), that comes nearest to `vectors` in these directions."""
+        components = len(vectors)
+        counts = np.diag(np.broadcast_to(self.free, vectors.shape).sum(axis=(1, 2), dtype=np.float64))
+        if self.barred is not None:
+            counts -= np.einsum("iyx,jyx->ij", self.barred, self.barred)
+        means = np.linalg.pinv(counts, hermitian=True) @ self.restrict(vectors).sum(axis=(1, 2))
+        return np.asarray(means, np.float64).reshape(components, 1, 1)
+
+    def bend(self, direction: Floats) -> float:
+        """Share of the bounds' bend in the second derivative of the energy along `direction`."""
+        return 0.0 if self.curvature is None else float(np.vdot(direction, self.curvature * direction))
+
+
+class Bounds(Protocol):
+    """A closed convex set of tractions at every pixel."""
+
+    def nearest(self, tractions: Floats) -> Floats:
+        """Project (components, ny, nx) onto the set."""
+
+    def face(self, tractions: Floats, push: Floats | None) -> Face:
+        """Directions open to allowed `tractions` under `push`; those of tractions off their bounds where it is None."""
+
+    def yielding(self, tractions: Floats) -> Floats:
+        """Differentiate the sum of `nearest` by a common offset: (components, components), positive definite."""
+
+
+@dataclass(frozen=True)
+class Prescribed:
+    """Known tractions at some components and pixels, any at the others."""
+
+    values: Floats
+    free: Bools
+
+    def nearest(self, tractions: Floats) -> Floats:
+        return np.where(self.free, tractions, self.values)
+
+    def face(self, tractions: Floats, push: Floats | None) -> Face:
+        return Face(self.free)
+
+    def yielding(self, tractions: Floats) -> Floats:
+        return np.asarray(np.diag(np.maximum(self.free.sum(axis=(1, 2)), 1.0)), np.float64)
+
+
+@dataclass(frozen=True)
+class Pushing:
+    """Tractions of one component >= 0, and 0 outside `allowed`."""
+
+    allowed: Bools  # (ny, nx)
+
+    def nearest(self, tractions: Floats) -> Floats:
+        return np.where(self.allowed, np.maximum(tractions, 0.0), 0.0)
+
+    def face(self, tractions: Floats, push: Floats | None) -> Face:
+        open_ = tractions > 0.0 if push is None else (tractions > 0.0) | (push > 0.0)
+        return Face(open_ & self.allowed)
+
+    def yielding(self, tractions: Floats) -> Floats:
+        return np.array([[max(np.count_nonzero((tractions > 0.0) & self.allowed), 1)]])
+
+
+@dataclass(frozen=True)
+class Friction:
+    """Tangential tractions whose modulus is at most `limit`."""
+
+    limit: Floats  # (ny, nx)
+
+    def nearest(self, tractions: Floats) -> Floats:
+        modulus = np.hypot(*tractions)
+        share = np.divide(self.limit, modulus, out=np.ones_like(modulus), where=modulus > self.limit)
+        return np.asarray(tractions * share, np.float64)
+
+    def face(self, tractions: Floats, push: Floats | None) -> Face:
+        modulus = np.hypot(*tractions)
+        held = modulus >= self.limit * (1.0 - 1e-12)
+        if push is not None:
+            held &= np.einsum("iyx,iyx->yx", tractions, push) >= 0.0
+        direction = np.divide(tractions, modulus, out=np.zeros_like(tractions), where=held & (modulus > 0.0))
+        if push is None:
+            return Face(self.limit > 0.0, direction)
+        outward = np.einsum("iyx,iyx->yx", direction, push)
+        curvature = np.divide(outward, modulus, out=np.zeros_like(modulus), where=modulus > 0.0)
+        return Face(self.limit > 0.0, direction, curvature)
+
+    def yielding(self, tractions: Floats) -> Floats:
+        modulus = np.hypot(*tractions)
+        beyond = modulus > self.limit
+        share = np.divide(self.limit, modulus, out=np.ones_like(modulus), where=beyond)
+        share[self.limit == 0.0] = 0.0
+        direction = np.divide(tractions, modulus, out=np.zeros_like(tractions), where=beyond)
+        turned = np.einsum("yx,iyx,jyx->ij", share, direction, direction)
+        return np.asarray((share.sum() + 1e-12) * np.eye(2) - turned, np.float64)
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Solution of `minimise`."""
+
+    tractions: Floats  # (components, ny, nx)
+    shift: Floats  # (components, 1, 1); 0 where no sum was prescribed
+    residuals: tuple[float, ...]  # one an iteration; the last one is certified with a fresh product A f
+
+
+def minimise(
+    compliance: LinearMap,
+    target: Floats,
+    bounds: Bounds,
+    start: Floats,
+    *,
+    self_compliance: float,
+    precondition: LinearMap,
+    sums: Floats | None = None,
+    tolerance: float = 1e-8,
+    iterations_max: int = 2000,
+) -> Minimum:
+    """Minimise f.A f / 2 - f.target over the bounds, and over those of sum `sums` (components,) where given.
+
+    The residual that is compared with `tolerance` is |f - nearest(f + slack / self_compliance)| / |f|: it is 0 at the
+    solution and nowhere else, whatever the bounds (the natural map of Karush, Kuhn and Tucker's conditions).
+
+    Steps are preconditioned conjugate gradients within the current face of the bounds, then the nearest allowed
+    tractions (Polonsky and Keer 1999, with Polak and Ribiere's update). Where such a step lowers the energy too
+    little, a projected gradient step, which always lowers it enough, takes its place: so the energy falls in each
+    iteration and no state comes twice, where the method as published can go round in circles.
+
+    Raises NotConvergedError after `iterations_max`, or where the residual no longer falls.
+    """
+
+    def nearest(tractions: Floats) -> Floats:
+        return bounds.nearest(tractions) if sums is None else _nearest_of_sum(bounds, tractions, sums)
+
+    directions = _ConjugateDirections(precondition, self_compliance, balanced=sums is not None)
+    step_length = 1.0 / self_compliance  # of the projected gradient, halved until it is safe
+    f = nearest(start)
+    response, fresh = compliance(f), True
+    shift = np.zeros((len(target), 1, 1))
+    residuals: list[float] = []
+    best, best_at = np.inf, 0
+    while True:
+        slack = target - response
+        if sums is not None:
+            shift = -bounds.face(f, None).means(slack)
+            slack = slack + shift
+        natural = float(np.linalg.norm(bounds.nearest(f + slack / self_compliance) - f))
+        size = float(np.linalg.norm(f))
+        residual = natural / size if size else float(natural > 0.0)
+        if residual <= tolerance and not fresh:
+            response, fresh = compliance(f), True
+            directions.forget()
+            continue
+        residuals.append(residual)
+        if residual <= tolerance:
+            return Minimum(f, shift, tuple(residuals))
+        if residual < 0.9 * best:
+            best, best_at = residual, len(residuals)
+        if len(residuals) - best_at >= _STALL_ITERATIONS or len(residuals) > iterations_max:
+            raise NotConvergedError(
+                f"residual stays at {best:.2g} after {len(residuals)} iterations, must reach {tolerance:.2g}",
+                tuple(residuals),
+            )
+
+        face = bounds.face(f, slack)
+        direction, slope = directions.next(face, slack)
+        moved = compliance(direction)
+        length = slope / (float(np.vdot(direction, moved)) + face.bend(direction))
+        aim = f + length * direction
+        allowed = nearest(aim)
+        if np.array_equal(allowed, aim):
+            f, response, fresh = aim, response + length * moved, False
+            continue
+        change = allowed - f
+        moved = compliance(change)
+        if np.vdot(slack, change) - 0.5 * np.vdot(change, moved) < 0.5 * step_length * (self_compliance * natural) ** 2:
+            directions.forget()
+            while True:
+                change = nearest(f + step_length * slack) - f
+                moved = compliance(change)
+                if np.vdot(change, moved) <= np.vdot(change, change) / step_length:
+                    break
+                step_length /= 2.0
+        f, response, fresh = f + change, response + moved, False
+
+
+class _ConjugateDirections:
+    """Search directions within a face that changes: preconditioned, conjugate after Polak and Ribiere."""
+
+    def __init__(self, precondition: LinearMap, self_compliance: float, *, balanced: bool) -> None:
+        self._precondition = precondition
+        self._self_compliance = self_compliance
+        self._balanced = balanced  # the tractions keep their sum
+        self._last: tuple[Floats, Floats, Floats] | None = None  # direction, push, eased push
+
+    def forget(self) -> None:
+        self._last = None
+
+    def next(self, face: Face, slack: Floats) -> tuple[Floats, float]:
+        """Direction (components, ny, nx), and how fast the energy falls along it."""
+        push = self._within(face, slack)
+        soft = 1.0 if face.curvature is None else 1.0 / np.sqrt(1.0 + face.curvature / self._self_compliance)
+        eased = self._within(face, soft * self._precondition(soft * push))
+        direction = eased
+        if self._last is not None:
+            last_direction, last_push, last_eased = self._last
+            gain = float(np.vdot(eased, push - last_push)) / float(np.vdot(last_eased, last_push))
+            direction = eased + max(0.0, gain) * self._within(face, last_direction)
+            if np.vdot(direction, push) <= 0.0:
+                direction = eased
+        self._last = direction, push, eased
+        return direction, float(np.vdot(direction, push))
+
+    def _within(self, face: Face, vectors: Floats) -> Floats:
+        return face.restrict(vectors - face.means(vectors)) if self._balanced else face.restrict(vectors)
+
+
+def _nearest_of_sum(bounds: Bounds, tractions: Floats, sums: Floats) -> Floats:
+    """Project onto the tractions within the bounds that have this sum: Newton's method on their common offset."""
+    offset = np.zeros((len(sums), 1, 1))
+    for _ in range(100):
+        allowed = bounds.nearest(tractions + offset)
+        missing = sums - allowed.sum(axis=(1, 2))
+        if np.linalg.norm(missing) <= 1e-14 * np.abs(allowed).sum():
+            break
+        offset += np.linalg.solve(bounds.yielding(tractions + offset), missing).reshape(offset.shape)
+    return allowed

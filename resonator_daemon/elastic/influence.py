@@ -1,0 +1,191 @@
+"""Displacement of a surface by uniformly loaded pixels: exact coefficients, summed by convolution."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from resonator_daemon.elastic.grid import SpectralGrid
+from resonator_daemon.elastic.half_space import HalfSpace
+
+Floats = NDArray[np.float64]
+Lags = NDArray[np.intp]
+
+X, Y, Z = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class SurfaceCompliance:
+    """Linear map from the tractions of square pixels to the displacements of their centres, all on the surface.
+
+    Parameters
+    ----------
+    half_space
+        The body.
+    shape
+        Pixels (ny, nx).
+    pitch_m
+        Side of a pixel.
+    periodic
+        False: the pixels lie on an infinite plane, free of traction elsewhere; coefficients of the uniformly loaded
+        square (Love 1929; Johnson, Contact Mechanics, eqs 3.19 and 3.75 integrated), exact to rounding.
+        True: the grid repeats in both directions for ever; samples of band-limited tractions, by eq. (18), and
+        displacements counted from their mean, which a periodic load leaves undefined.
+
+    Raises ValueError for a shape or pitch that `SpectralGrid` refuses.
+    """
+
+    half_space: HalfSpace
+    shape: tuple[int, int]
+    pitch_m: float
+    periodic: bool = False
+
+    def __post_init__(self) -> None:
+        SpectralGrid(self.shape, self.pitch_m)
+
+    def displacement_m(self, traction_pascal: ArrayLike) -> Floats:
+        """Displacement of the centres, shape (3, ny, nx), under tractions of that shape, x, y, z.
+
+        ValueError for another shape or a value that is not finite.
+        """
+        traction = np.asarray(traction_pascal, np.float64)
+        if traction.shape != (3, *self.shape):
+            raise ValueError(f"traction_pascal has shape {traction.shape}, must be {(3, *self.shape)}")
+        if not np.isfinite(traction).all():
+            raise ValueError("traction_pascal holds a value that is not finite; all must be finite")
+        return self.convolution((X, Y, Z), (X, Y, Z), self.shape)(traction)
+
+    def convolution(self, rows: tuple[int, ...], columns: tuple[int, ...], shape: tuple[int, int]) -> "Convolution":
+        """Displacements `rows` by tractions `columns` (0, 1, 2 for x, y, z) among the pixels of a window of `shape`."""
+        ny, nx = shape
+        lags_y = _lags(ny, self.shape[0] if self.periodic else 2 * ny - 1)
+        lags_x = _lags(nx, self.shape[1] if self.periodic else 2 * nx - 1)
+        kernel = np.array([[self._coefficients(row, column, lags_y, lags_x) for column in columns] for row in rows])
+        return Convolution(kernel, shape)
+
+    @property
+    def of_own_load(self) -> float:
+        """Normal displacement of a pixel's centre by its own normal traction, in metres per pascal."""
+        at_zero = np.zeros(1, np.intp)
+        return float(self._coefficients(Z, Z, at_zero, at_zero)[0, 0])
+
+    def _coefficients(self, row: int, column: int, lags_y: Lags, lags_x: Lags) -> Floats:
+        """Displacement in metres per pascal at each lag (y, x) from the loaded pixel."""
+        if self.periodic:
+            ny, nx = self.shape
+            return np.asarray(self._periodic_coefficients[row, column][np.ix_(lags_y % ny, lags_x % nx)], np.float64)
+        values: Floats = self._quadrant(row, column)[np.ix_(np.abs(lags_y), np.abs(lags_x))]
+        # Odd in each tangential direction that names just one of load and displacement.
+        if (row == X) != (column == X):
+            values *= np.sign(lags_x)
+        if (row == Y) != (column == Y):
+            values *= np.sign(lags_y)[:, None]
+        return values
+
+    def _quadrant(self, row: int, column: int) -> Floats:
+        """Coefficients at lags 0 .. n - 1, shape (ny, nx)."""
+        mu, nu = self.half_space.shear_modulus_pascal, self.half_space.poisson_ratio
+        if row == column == Z:
+            return (1.0 - nu) / (2.0 * np.pi * mu) * (self._squares.xx + self._squares.yy)
+        if row == column:
+            along, across = self._squares.xx, self._squares.yy
+            if row == Y:
+                along, across = across, along
+            return (along + (1.0 - nu) * across) / (2.0 * np.pi * mu)
+        if Z not in (row, column):
+            return nu / (2.0 * np.pi * mu) * self._squares.xy
+        sign = -1.0 if column == Z else 1.0  # a normal load draws the surface in, a tangential one lowers it ahead
+        slope = self._squares.x if X in (row, column) else self._squares.y
+        return sign * (1.0 - 2.0 * nu) / (4.0 * np.pi * mu) * slope
+
+    @cached_property
+    def _squares(self) -> "_Squares":
+        return _Squares.of(self.shape, self.pitch_m)
+
+    @cached_property
+    def _periodic_coefficients(self) -> Floats:
+        """Shape (3, 3, ny, nx), lags in the order of the discrete transform."""
+        matrix = SpectralGrid(self.shape, self.pitch_m).transfer_matrix(
+            self.half_space, "displacement", "traction", 0.0, zero="periodic"
+        )
+        return np.asarray(fft.irfft2(np.moveaxis(matrix, (2, 3), (0, 1)), s=self.shape), np.float64)
+
+
+@dataclass(frozen=True)
+class _Squares:
+    """Integrals over a square pixel, at lags 0 .. n - 1 from its centre, shape (ny, nx), in metres.
+
+    Of x^2/r^3, y^2/r^3, x y/r^3, x/r^2 and y/r^2, each the difference over the corners of its primitive.
+    """
+
+    xx: Floats
+    yy: Floats
+    xy: Floats
+    x: Floats
+    y: Floats
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], pitch_m: float) -> "_Squares":
+        # In half pitches every corner is an odd number: none lies on an axis, where the primitives have no value.
+        y, x = (2.0 * np.arange(n + 1) - 1.0 for n in shape)
+        y = y[:, None]
+        r = np.hypot(x, y)
+        log_r = np.log(r)
+
+        def over_pixel(primitive: Floats) -> Floats:
+            return np.diff(np.diff(primitive, axis=0), axis=1) * (pitch_m / 2.0)
+
+        return cls(
+            xx=over_pixel(y * np.arcsinh(x / np.abs(y))),
+            yy=over_pixel(x * np.arcsinh(y / np.abs(x))),
+            xy=over_pixel(-r),
+            x=over_pixel(y * log_r + x * np.arctan(y / x)),
+            y=over_pixel(x * log_r + y * np.arctan(x / y)),
+        )
+
+
+class Convolution:
+    """Convolution of images (columns, ny, nx) with real kernels to images (rows, ny, nx), by Fourier transform."""
+
+    def __init__(self, kernel: Floats, shape: tuple[int, int]) -> None:
+        """Take `kernel` (rows, columns, ky, kx), lags in the order of the discrete transform."""
+        self._shape = shape
+        self._lengths = kernel.shape[-2:]
+        self._spectrum = fft.rfft2(kernel)
+
+    def __call__(self, images: Floats) -> Floats:
+        ny, nx = self._shape
+        ky, kx = self._lengths
+        # Transformed along x where rows hold something, and back where they are asked for.
+        inputs = fft.fft(fft.rfft(images, kx), ky, axis=-2)
+        outputs = np.einsum("rcyx,cyx->ryx", self._spectrum, inputs)
+        return np.asarray(fft.irfft(fft.ifft(outputs, axis=-2)[:, :ny], kx)[..., :nx], np.float64)
+
+
+class RoughStiffness:
+    """Image times the modulus of its frequency: a compliance's inverse but for a factor and for what lies at the rim.
+
+    The preconditioner of conjugate gradients with a `SurfaceCompliance`; linear, symmetric and positive.
+    """
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        ky, kx = (fft.next_fast_len(n + n // 4, real=True) for n in shape)
+        frequency = np.hypot(fft.rfftfreq(kx), fft.fftfreq(ky)[:, None])
+        self._shape, self._lengths, self._frequency = shape, (ky, kx), frequency
+
+    def __call__(self, images: Floats) -> Floats:
+        """Transform images (..., ny, nx)."""
+        ny, nx = self._shape
+        stiff = fft.irfft2(self._frequency * fft.rfft2(images, self._lengths), self._lengths)
+        return np.asarray(stiff[..., :ny, :nx], np.float64)
+
+
+def _lags(count: int, length_min: int) -> Lags:
+    """Lags of a window of `count` pixels, in the order of a transform of at least `length_min`."""
+    length = fft.next_fast_len(length_min, real=True) if length_min >= 2 * count - 1 else length_min
+    lags = np.arange(length)
+    lags[count:] -= length
+    np.maximum(lags, 1 - count, out=lags)  # what the window never reaches
+    return lags
