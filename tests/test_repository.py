@@ -15,7 +15,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 BUILD = PROJECT["build-system"]["requires"]
 RUN = PROJECT["project"]["dependencies"] + PROJECT["project"]["optional-dependencies"]["demo"]
-TEST = RUN + PROJECT["project"]["optional-dependencies"]["test"]
+FIGURES = RUN + PROJECT["project"]["optional-dependencies"]["figures"]
+TEST = FIGURES + PROJECT["project"]["optional-dependencies"]["test"]
+PEERS = FIGURES + PROJECT["dependency-groups"]["peers"]
 MAKE_PINS = PROJECT["dependency-groups"]["pins"]
 
 EXACT_AND_HASHED = re.compile(
@@ -39,7 +41,14 @@ def pinned(filename: str) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     ("filename", "declared"),
-    [("build.txt", BUILD), ("run.txt", RUN), ("test.txt", TEST), ("pins.txt", MAKE_PINS)],
+    [
+        ("build.txt", BUILD),
+        ("run.txt", RUN),
+        ("figures.txt", FIGURES),
+        ("test.txt", TEST),
+        ("peers.txt", PEERS),
+        ("pins.txt", MAKE_PINS),
+    ],
 )
 def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[str]) -> None:
     versions = pinned(filename)
@@ -48,15 +57,17 @@ def test_pins_satisfy_what_the_project_declares(filename: str, declared: list[st
     assert unmet == []
 
 
-def test_tests_run_on_the_versions_that_users_get() -> None:
-    assert pinned("run.txt").items() <= pinned("test.txt").items()
+def test_tests_and_benchmarks_run_on_the_versions_that_users_get() -> None:
+    assert pinned("run.txt").items() <= pinned("figures.txt").items()
+    assert pinned("figures.txt").items() <= pinned("test.txt").items()
+    assert pinned("figures.txt").items() <= pinned("peers.txt").items()
 
 
 def test_every_dependency_has_its_reason_beside_it() -> None:
     lines = (ROOT / "pyproject.toml").read_text().splitlines()
     with_reason = re.compile(r'.*"(?P<dependency>[^"]+)"[\],]* +# \w+')
     reasons = {match["dependency"] for match in map(with_reason.match, lines) if match}
-    assert {*BUILD, *TEST, *MAKE_PINS} - reasons == set()
+    assert {*BUILD, *TEST, *PEERS, *MAKE_PINS} - reasons == set()
 
 
 def test_no_package_index_is_named() -> None:
