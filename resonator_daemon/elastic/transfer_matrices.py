@@ -1,8 +1,8 @@
 """Transfer matrices of Karason, Srinivasan and Annaswamy, eqs (4) and (14)-(23), for omega > 0, misprints corrected.
 
 "Encoding and Decoding of Static Information in Tactile Sensing Systems". Each function names its equation and, where
-the print is wrong, the entries that differ. All are finite at nu = 1/2: stresses are written out, never formed from the
-strains by Hooke's law, whose Lame constant is infinite there.
+the print is wrong, the entries that differ; docs/errata.md has both forms. All are finite at nu = 1/2: stresses are
+written out, never formed from the strains by Hooke's law, whose Lame constant is infinite there.
 """
 
 from collections.abc import Callable, Sequence
@@ -138,7 +138,10 @@ def displacement_of_displacement(y: Symbols) -> NDArray[np.complex128]:
 
 
 def strain_of_displacement(y: Symbols) -> NDArray[np.complex128]:
-    """(21), which is (2), corrected in the brackets of [xx, u_x], [yy, u_y] and of rows xy (j, too), xz, yz."""
+    """(21), corrected in the brackets of [xx, u_x], [yy, u_y] and of rows xy (j, too), xz, yz.
+
+    (2) is the same matrix, corrected in [xz, u_z] (brackets) and [yz, u_z] (brackets, omega_y for omega_x).
+    """
     c, s, t, nu, k = y.c, y.s, y.t, y.nu, y.k
     cc, ss = c * c, s * s
     return _matrix(

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
-from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.elastic import Convention, HalfSpace, SpectralGrid
 from resonator_daemon.elastic.half_space import Input, Output
 
 Floats = NDArray[np.float64]
@@ -229,35 +229,48 @@ def polar_frequencies(z: float) -> tuple[Floats, Floats, Floats]:
     return np.outer(w, np.cos(angle)), np.outer(w, np.sin(angle)), area
 
 
-@pytest.mark.parametrize("z", [0.4e-3, 1.0e-3])
+def surface_displacement_spectrum(wx: Floats, wy: Floats, nu: float) -> NDArray[np.complex128]:
+    """Transform of the point loads' displacement at z = 0, (..., 3, 3), from those of 1/r, x/r^2, x^2/r^3, xy/r^3."""
+    w, m = np.hypot(wx, wy), 1 - 2 * nu
+    inverse_r = 2 * np.pi / w
+    x_r2, y_r2 = -2j * np.pi * wx / w**2, -2j * np.pi * wy / w**2
+    xx_r3, yy_r3, xy_r3 = 2 * np.pi / w**3 * np.array([wy * wy, wx * wx, -wx * wy])
+    rows = [
+        [(1 + m) * inverse_r + (1 - m) * xx_r3, (1 - m) * xy_r3, -m * x_r2],
+        [(1 - m) * xy_r3, (1 + m) * inverse_r + (1 - m) * yy_r3, -m * y_r2],
+        [m * x_r2, m * y_r2, (1 + m) * inverse_r],
+    ]
+    mu = E / (2 * (1 + nu))
+    return np.moveaxis(np.array(rows), (0, 1), (-2, -1)) / (4 * np.pi * mu)
+
+
+@pytest.mark.parametrize("source", ["traction", "displacement"])
+@pytest.mark.parametrize("z", [0.5e-3, 1.0e-3, 2.0e-3, 3.0e-3])
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.5])
-def test_gaussian_load_agrees_with_superposed_point_loads(nu: float, z: float):
-    truth = gaussian_load_fields(nu, z)
+def test_gaussian_load_agrees_with_superposed_point_loads(nu: float, z: float, source: Input):
+    """The load itself as traction, or the displacement of the surface under it, brings about its inner fields."""
     body = HalfSpace(E, nu)
     wx, wy, area = polar_frequencies(z)
-    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2)
-    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * (area * load)
-    for output, expected in truth.items():
-        matrix = body.transfer_matrix(output, "traction", wx, wy, z)
-        found = np.einsum("pwa,waij->pij", phases, matrix)
+    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2)[..., None, None] * np.eye(3)
+    if source == "displacement":
+        load = surface_displacement_spectrum(wx, wy, nu) @ load
+    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * area
+    for output, expected in gaussian_load_fields(nu, z).items():
+        fields = body.transfer_matrix(output, source, wx, wy, z) @ load
+        found = np.einsum("pwa,waij->pij", phases, fields)
         error = np.abs(found - expected).max(axis=0) / np.abs(expected).max()
         assert error.max() < 1e-11, (output, error)
 
 
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
-def test_displacement_of_a_gaussian_load_brings_back_its_inner_fields(nu: float):
-    """The surface displacement of the load, put in as displacement, gives the same inside as the load itself."""
-    z = 0.7e-3
-    truth = gaussian_load_fields(nu, z)
-    body = HalfSpace(E, nu)
-    wx, wy, area = polar_frequencies(z)
-    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2)
-    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * (area * load)
-    surface = body.transfer_matrix("displacement", "traction", wx, wy, 0.0)
-    for output, expected in truth.items():
-        matrix = body.transfer_matrix(output, "displacement", wx, wy, z) @ surface
-        found = np.einsum("pwa,waij->pij", phases, matrix)
-        assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max(), output
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.5])
+def test_surface_displacement_of_a_gaussian_load_brings_back_the_load(nu: float):
+    wx, wy, area = polar_frequencies(SPREAD)
+    load = np.exp(-(SPREAD**2) * (wx * wx + wy * wy) / 2) * area
+    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in POINTS]) * load
+    stiffness = HalfSpace(E, nu).transfer_matrix("traction", "displacement", wx, wy, 0.0)
+    found = np.einsum("pwa,waij->pij", phases, stiffness @ surface_displacement_spectrum(wx, wy, nu))
+    bell = np.array([np.exp(-(x * x + y * y) / (2 * SPREAD**2)) for x, y in POINTS]) / (2 * np.pi * SPREAD**2)
+    np.testing.assert_allclose(found, bell[:, None, None] * np.eye(3), atol=1e-11 * bell.max(), rtol=0)
 
 
 # --- omega = 0
@@ -331,6 +344,39 @@ def test_isolated_rule_leaves_an_error_of_third_order_in_the_period(nu: float, o
     assert errors[0] < 0.01
     assert errors[0] / errors[1] > 6.5
     assert errors[1] / errors[2] > 7.2
+
+
+# --- what the caller's numbers mean
+
+STRESS, PRESSURE = Convention(traction_is_stress=True), Convention(p_n_is_pressure=True)
+
+
+@pytest.mark.parametrize("wx", [0.0, 700.0])
+def test_traction_can_be_the_stress_at_the_surface(wx: float):
+    body = HalfSpace(E, 0.3)
+    stress = body.transfer_matrix("stress", "traction", wx, wx, 0.0, convention=STRESS)
+    np.testing.assert_allclose(stress[[4, 5, 2]], np.eye(3), atol=1e-15)
+    moved = body.transfer_matrix("displacement", "traction", wx, wx, 0.0, period_m=1.0, convention=STRESS)
+    assert moved[2, 2].real < 0  # tension lifts the surface
+    held = body.transfer_matrix("traction", "displacement", 700.0, 0.0, 0.0, convention=STRESS)
+    inside = body.transfer_matrix("stress", "displacement", 700.0, 0.0, 0.0, convention=STRESS)
+    np.testing.assert_allclose(held, inside[[4, 5, 2]], atol=1e-12 * np.abs(held).max())
+
+
+@pytest.mark.parametrize("source", ["traction", "displacement"])
+@pytest.mark.parametrize("wx", [0.0, 700.0])
+def test_p_n_can_be_a_pressure(wx: float, source: Input):
+    body = HalfSpace(E, 0.3)
+    both = Convention(traction_is_stress=True, p_n_is_pressure=True)
+    for convention in (PRESSURE, both):
+        stress = body.transfer_matrix("stress", source, wx, wx, 1e-3, convention=convention)
+        strain = body.transfer_matrix("strain", source, wx, wx, 1e-3, convention=convention)
+        p_n = body.transfer_matrix("p_n", source, wx, wx, 1e-3, convention=convention)
+        sensor = body.transfer_matrix("sensor", source, wx, wx, 1e-3, convention=convention)
+        np.testing.assert_allclose(p_n[0], -stress[:3].sum(axis=0) / 3, atol=1e-14 * np.abs(stress).max())
+        np.testing.assert_allclose(sensor, [1.5 / E * p_n[0], strain[4], strain[5]], rtol=1e-13)
+    pressed = body.transfer_matrix("p_n", "traction", 0.0, 0.0, 1e-3, convention=PRESSURE)
+    assert pressed[0, 2].real > 0
 
 
 # --- shapes and refusals
