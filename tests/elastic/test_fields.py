@@ -1,0 +1,295 @@
+"""Fields of sampled loads against closed forms, an integral over polar frequencies, and each other."""
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.fields import Method, SurfaceFields
+from resonator_daemon.elastic.half_space import Input, Output
+from simulators.contact import pixel_tractions
+from simulators.half_space_fields import hertz_fields
+
+Floats = NDArray[np.float64]
+
+E = 2.0e5
+A = 2e-3  # radius of the Hertz distributions
+
+
+def centres(count: int, pitch: float) -> Floats:
+    return (np.arange(count) - (count - 1) / 2) * pitch
+
+
+def hertz_signals(
+    shape: tuple[int, int], pitch: float, depth: float, nu: float, force: Floats, centre: tuple[float, float]
+) -> Floats:
+    """Closed form of the "sensor" rows under a Hertz distribution of `force`, shape (3, ny, nx)."""
+    x, y = np.meshgrid(centres(shape[1], pitch) - centre[0], centres(shape[0], pitch) - centre[1])
+    fields = hertz_fields(np.stack([x.ravel(), y.ravel()], axis=1), depth, [A], E, nu)[0]
+    signals = np.tensordot(force, fields, 1) * np.array([[1.5 / E], [1.0], [1.0]])
+    return signals.reshape(3, *shape)
+
+
+def relative_errors(found: Floats, expected: Floats) -> Floats:
+    return np.linalg.norm(found - expected, axis=(-2, -1)) / np.linalg.norm(expected, axis=(-2, -1))
+
+
+# --- Hertz
+
+
+def hertz_errors(method: Method, nu: float, count: int = 128, side: float = 12.8e-3) -> Floats:
+    """Errors of p_n, eps_xz, eps_yz 1 mm below a Hertz pressure with equal shear along x."""
+    shape, pitch, force = (count, count), side / count, np.array([1.0, 0.0, 1.0])
+    load = pixel_tractions(force, (0.0, 0.0), A, 1.0, shape, pitch)
+    found = SurfaceFields(HalfSpace(E, nu), shape, pitch, "sensor", 1e-3, method=method)(load)
+    return relative_errors(found, hertz_signals(shape, pitch, 1e-3, nu, force, (0.0, 0.0)))
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_hertz_load_as_stated(nu: float):
+    np.testing.assert_array_less(hertz_errors("wrap-free", nu), 5e-6)
+    np.testing.assert_allclose(hertz_errors("periodic", nu), [0.12, 0.13, 0.043], rtol=0.05)
+    np.testing.assert_allclose(hertz_errors("padded", nu), [0.013, 0.013, 0.0013], rtol=0.1)
+    np.testing.assert_array_less(hertz_errors("wrap-free", nu, 32), 1.3e-3)
+
+
+@pytest.mark.parametrize("method", ["periodic", "padded"])
+def test_images_disturb_by_the_inverse_cube_of_the_period(method: Method):
+    """At the same places and pitch, so that only the period changes."""
+    errors = []
+    for count in (64, 128, 256):
+        shape, pitch, force = (count, count), 4e-4, np.array([0.4, -0.7, 1.0])
+        load = pixel_tractions(force, (0.0, 0.0), A, 1.0, shape, pitch)
+        found = SurfaceFields(HalfSpace(E, 0.3), shape, pitch, "stress", 1e-3, method=method)(load)
+        truth = SurfaceFields(HalfSpace(E, 0.3), shape, pitch, "stress", 1e-3)(load)
+        middle = slice(count // 2 - 16, count // 2 + 16)
+        errors.append(np.abs(found - truth)[:, middle, middle].max())
+    assert 6.5 < errors[0] / errors[1] < 9.5
+    assert 7.0 < errors[1] / errors[2] < 9.0
+
+
+def test_oblong_grid_load_off_centre_and_several_depths():
+    shape, pitch, force, centre = (45, 64), 2e-4, np.array([0.5, -0.8, 1.0]), (1.7e-3, -1.1e-3)
+    load = pixel_tractions(force, centre, A, np.hypot(0.5, 0.8), shape, pitch)
+    depths = np.array([[2e-3, 0.6e-3]])
+    found = SurfaceFields(HalfSpace(E, 0.3), shape, pitch, "sensor", depths)(load)
+    assert found.shape == (1, 2, 3, *shape)
+    for depth, signals in zip(depths[0], found[0], strict=True):
+        expected = hertz_signals(shape, pitch, depth, 0.3, force, centre)
+        assert relative_errors(signals, expected).max() < 3e-4
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+def test_surface_displacement_of_a_hertz_load(nu: float):
+    """Johnson, Contact Mechanics, eqs (3.41), (3.42) under the normal load and beside it; (3.91) under the shear."""
+    count, pitch = 80, 1e-4
+    x, y = np.meshgrid(centres(count, pitch), centres(count, pitch))
+    r = np.hypot(x, y)
+    inside = r < A
+    p0, mu = 1.5 / (math.pi * A**2), E / (2 * (1 + nu))
+    field = SurfaceFields(HalfSpace(E, nu), (count, count), pitch, "displacement", 0.0)
+
+    ratio = np.minimum(A / r, 1.0)
+    under = np.pi / 2 * (2 * A**2 - r**2)
+    beside = (2 * A**2 - r**2) * np.arcsin(ratio) + r**2 * ratio * np.sqrt(1 - ratio**2)
+    normal = (1 - nu**2) * p0 / (2 * E * A) * np.where(inside, under, beside)
+    hollow = np.where(inside, 1 - np.maximum(1 - (r / A) ** 2, 0.0) ** 1.5, 1.0)
+    radial = -(1 - 2 * nu) * (1 + nu) / (3 * E) * A**2 / r * p0 * hollow
+    found = field(pixel_tractions((0.0, 0.0, 1.0), (0.0, 0.0), A, 0.0, (count, count), pitch))
+    expected = np.stack([radial * x / r, radial * y / r, normal])
+    assert np.abs(found - expected).max() < 6e-4 * normal.max()
+
+    shear = np.pi * p0 / (32 * mu * A)
+    along = shear * (4 * (2 - nu) * A**2 - (4 - 3 * nu) * x**2 - (4 - nu) * y**2)
+    across = shear * 2 * nu * x * y
+    sliding = pixel_tractions((1.0, 0.0, 1.0), (0.0, 0.0), A, 1.0, (count, count), pitch)
+    sliding[2] = 0.0
+    found = field(sliding)
+    error = np.abs(found[:2] - np.stack([along, across]))[:, inside].max()
+    assert error < 6e-4 * along.max()
+    assert np.abs(found[2] + radial * x / r).max() < 6e-4 * along.max()  # reciprocal to the pull of the normal load
+
+
+def test_at_the_surface_stresses_are_as_good_as_the_samples():
+    count, pitch = 32, 4e-4
+    x, y = np.meshgrid(centres(count, pitch), centres(count, pitch))
+    pressure = 1.5 / (math.pi * A**2) * np.sqrt(np.maximum(1 - (x**2 + y**2) / A**2, 0.0))
+    load = pixel_tractions((1.0, 0.0, 1.0), (0.0, 0.0), A, 1.0, (count, count), pitch)
+    stress = SurfaceFields(HalfSpace(E, 0.3), (count, count), pitch, "stress", 0.0)(load)
+    assert relative_errors(stress[2], -pressure) < 0.04
+    assert relative_errors(stress[4], -pressure) < 0.04
+
+
+# --- a smooth load, whose samples miss nothing: all matrices
+
+PITCH = 4e-4
+SPREAD = 2.4 * PITCH
+SHAPE = (36, 42)
+CENTRE = np.array([0.7 * PITCH, -0.4 * PITCH])
+
+
+def gaussian_samples(input: Input) -> Floats:
+    """A Gaussian bell of unit height: means over the pixels for a traction, values for a displacement."""
+    axes = []
+    for count, centre in zip(SHAPE, CENTRE[::-1], strict=True):
+        place = centres(count, PITCH) - centre
+        if input == "displacement":
+            axes.append(np.exp(-((place / SPREAD) ** 2) / 2))
+        else:
+            upto = [erf((place + side * PITCH / 2) / (math.sqrt(2) * SPREAD)) for side in (-1, 1)]
+            axes.append(math.sqrt(math.pi / 2) * SPREAD / PITCH * (upto[1] - upto[0]))
+    return np.outer(*axes)
+
+
+def gaussian_fields(output: Output, input: Input, nu: float, depth: float, places: Floats) -> Floats:
+    """Fields (n, rows, 3) of a bell at the origin, by the inverse transform in polar form: no grid, no period."""
+    nodes, weights = np.polynomial.legendre.leggauss(120)
+    w = 9.0 / SPREAD * (1 + nodes) / 2
+    angle = np.arange(96) * (2 * np.pi / 96)
+    wx, wy = np.outer(w, np.cos(angle)), np.outer(w, np.sin(angle))
+    bell = 2 * np.pi * SPREAD**2 * np.exp(-(SPREAD**2) * w**2 / 2)
+    area = (9.0 / SPREAD * weights / 2 * w * bell)[:, None] * (2 * np.pi / 96) / (4 * np.pi**2)
+    matrix = HalfSpace(E, nu).transfer_matrix(output, input, wx, wy, depth)
+    phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in places]) * area
+    return np.einsum("pwa,waij->pij", phases, matrix).real
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
+@pytest.mark.parametrize(
+    ("output", "input"),
+    [
+        *((output, "traction") for output in ("displacement", "strain", "stress", "p_n", "sensor")),
+        *((output, "displacement") for output in ("displacement", "strain", "stress", "p_n", "sensor", "traction")),
+    ],
+)
+def test_gaussian_load_agrees_with_the_integral_over_the_plane(output: Output, input: Input, nu: float):
+    sites = [(3, 5), (17, 21), (18, 20), (14, 25), (22, 17), (35, 41)]
+    places = np.array([[centres(SHAPE[1], PITCH)[i], centres(SHAPE[0], PITCH)[j]] for j, i in sites]) - CENTRE
+    depths = [0.0] if output == "traction" else [0.0, 2.1e-4, 1e-3]
+    loads = np.zeros((3, 3, *SHAPE))
+    loads[range(3), range(3)] = gaussian_samples(input)
+    found = SurfaceFields(HalfSpace(E, nu), SHAPE, PITCH, output, depths, input=input)(loads)
+    for number, depth in enumerate(depths):
+        expected = gaussian_fields(output, input, nu, depth, places)
+        at_sites = np.stack([found[:, number, :, j, i].T for j, i in sites])
+        assert np.abs(at_sites - expected).max() < 1e-10 * np.abs(expected).max(), depth
+
+
+def test_surface_values_are_the_input_at_every_lag_of_a_large_grid():
+    """Noise holds all frequencies of the band; what an untrue node or weight adds would show."""
+    moved = np.random.default_rng(2).standard_normal((3, 150, 220))
+    found = SurfaceFields(HalfSpace(E, 0.3), (150, 220), PITCH, "displacement", 0.0, input="displacement")(moved)
+    np.testing.assert_allclose(found, moved, atol=1e-10)
+
+
+def test_deep_below_the_grid_the_load_is_a_point():
+    """Boussinesq: sigma_zz = -3 F / (2 pi z^2), u_z = (3 - 2 nu) F / (4 pi mu z); 2 mm square, 10 m down."""
+    shape, pitch, z, nu = (5, 5), 4e-4, 10.0, 0.3
+    body = HalfSpace(E, nu)
+    load = np.zeros((3, *shape))
+    load[2, 2, 2] = 1 / pitch**2
+    stress = SurfaceFields(body, shape, pitch, "stress", z)(load)[2, 2, 2]
+    assert stress == pytest.approx(-3 / (2 * math.pi * z**2), rel=1e-8)
+    moved = SurfaceFields(body, shape, pitch, "displacement", z)(load)[2, 2, 2]
+    assert moved == pytest.approx((3 - 2 * nu) / (4 * math.pi * body.shear_modulus_pascal * z), rel=1e-8)
+
+
+# --- no wrap, loads that repeat, batches
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (7, 1), (7, 10), (13, 8)])
+def test_a_wider_grid_changes_nothing(shape: tuple[int, int]):
+    """Every lag of the small grid, to its opposite corners, holds what the middle of a large one holds."""
+    rng = np.random.default_rng(5)
+    ny, nx = shape
+    small = rng.standard_normal((3, ny, nx))
+    large = np.zeros((3, ny + 9, nx + 20))
+    large[:, 4 : 4 + ny, 11 : 11 + nx] = small
+    for output in ("displacement", "strain"):
+        found = SurfaceFields(HalfSpace(E, 0.3), shape, PITCH, output, 3e-4)(small)
+        wide = SurfaceFields(HalfSpace(E, 0.3), large.shape[1:], PITCH, output, 3e-4)(large)
+        expected = wide[:, 4 : 4 + ny, 11 : 11 + nx]
+        assert np.abs(found - expected).max() < 1e-9 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_a_load_that_repeats(nu: float):
+    """f_z = 1 + cos(k x): sigma_zz = -1 - (1 + k z) exp(-k z) cos(k x), sigma_xz = -k z exp(-k z) sin(k x).
+
+    The mean is a laterally confined layer, sigma_xx = -nu / (1 - nu).
+    """
+    shape, z = (6, 16), 1e-3
+    k = 2 * np.pi * 3 / (shape[1] * PITCH)
+    x = np.arange(shape[1]) * PITCH
+    load = np.zeros((3, *shape))
+    load[2] = 1 + (np.sin(k * (x + PITCH / 2)) - np.sin(k * (x - PITCH / 2))) / (k * PITCH)
+    field = SurfaceFields(HalfSpace(E, nu), shape, PITCH, "stress", z, method="periodic", zero="periodic")
+    xx, _, zz, xy, xz, _ = field(load)
+    e, cos = np.exp(-k * z), np.broadcast_to(np.cos(k * x), shape)
+    np.testing.assert_allclose(zz, -1 - (1 + k * z) * e * cos, atol=1e-12)
+    np.testing.assert_allclose(xx, -nu / (1 - nu) - (1 - k * z) * e * cos, atol=1e-12)
+    np.testing.assert_allclose(xz, np.broadcast_to(-k * z * e * np.sin(k * x), shape), atol=1e-12)
+    np.testing.assert_allclose(xy, 0.0, atol=1e-12)
+
+
+def test_displacement_under_a_load_that_repeats_is_periodic():
+    field = SurfaceFields(HalfSpace(E, 0.3), (4, 6), PITCH, "displacement", 1e-3, method="periodic", zero="periodic")
+    moved = field(np.ones((3, 4, 6)))
+    shear_modulus = E / 2.6
+    expected = [-1e-3 / shear_modulus, -1e-3 / shear_modulus, -1e-3 * 0.4 / (1.4 * shear_modulus)]
+    np.testing.assert_allclose(moved, np.broadcast_to(np.reshape(expected, (3, 1, 1)), (3, 4, 6)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", ["periodic", "padded", "wrap-free"])
+def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
+    loads = np.random.default_rng(1).standard_normal((2, 4, 3, 9, 12))
+    field = SurfaceFields(HalfSpace(E, 0.3), (9, 12), PITCH, "p_n", [1e-3, 0.0], method=method)
+    together = field(loads)
+    assert together.shape == (2, 4, 2, 1, 9, 12)
+    np.testing.assert_array_equal(together[1, 2], field(loads[1, 2]))
+    shallow = SurfaceFields(HalfSpace(E, 0.3), (9, 12), PITCH, "p_n", 0.0, method=method)
+    np.testing.assert_array_equal(together[:, :, 1], shallow(loads))
+    np.testing.assert_array_equal(field(np.ones((3, 9, 12), int)), field(np.ones((3, 9, 12))))
+
+
+# --- refusals
+
+
+@pytest.mark.parametrize(
+    ("arguments", "keywords", "message"),
+    [
+        (((0, 4), PITCH, "p_n", 1e-3), {}, "shape is"),
+        (((4, 4), np.nan, "p_n", 1e-3), {}, "pitch_m is nan"),
+        (((4, 4), PITCH, "pressure", 1e-3), {}, "no matrix"),
+        (((4, 4), PITCH, "p_n", [1e-3, -1e-3]), {}, r"depth_m spans -0.001"),
+        (((4, 4), PITCH, "p_n", np.inf), {}, "depth_m"),
+        (((4, 4), PITCH, "traction", 1e-3), {"input": "displacement"}, "depth_m reaches 0.001"),
+        (((4, 4), PITCH, "p_n", 1e-3), {"method": "mirror"}, "method is 'mirror'"),
+        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "dc"}, "zero is 'dc'"),
+        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "periodic"}, "zero is 'periodic', must be 'isolated' for method"),
+        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "raise", "method": "padded"}, "zero is 'raise', must be 'isolated'"),
+        (((4, 4), PITCH, "p_n", 1e-3), {"zero": "raise", "method": "periodic"}, "omega is 0"),
+        (((4, 4), PITCH, "displacement", 0.0), {"method": "periodic"}, "must be 'wrap-free' for the displacement"),
+        (((4, 4), PITCH, "displacement", 0.0), {"method": "padded"}, "must be 'wrap-free' for the displacement"),
+    ],
+)
+def test_refuses(arguments: tuple, keywords: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        SurfaceFields(HalfSpace(E, 0.3), *arguments, **keywords)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_refuses_loads_that_are_not_finite(bad: float):
+    load = np.zeros((3, 4, 5))
+    load[1, 2, 3] = bad
+    with pytest.raises(ValueError, match="1 values that are not finite"):
+        SurfaceFields(HalfSpace(E, 0.3), (4, 5), PITCH, "p_n", 1e-3)(load)
+
+
+@pytest.mark.parametrize("shape", [(3, 5, 4), (1, 4, 5), (4, 5), (4, 5, 3)])
+def test_refuses_loads_of_another_shape(shape: tuple[int, ...]):
+    with pytest.raises(ValueError, match=r"must be \(..., 3, 4, 5\)"):
+        SurfaceFields(HalfSpace(E, 0.3), (4, 5), PITCH, "p_n", 1e-3)(np.zeros(shape))
