@@ -42,13 +42,15 @@ class Face:
             kept -= self.barred * np.einsum("iyx,iyx->yx", self.barred, kept)
         return kept
 
-    def means(self, vectors: Floats) -> Floats:
-        """Constant vector, (components, 1, 1), that comes nearest to `vectors` in these directions."""
+    def means(self, vectors: Floats, balanced: Bools) -> Floats:
+        """Constant vector, (components, 1, 1), nearest to `vectors` in these directions; 0 where not `balanced`."""
         components = len(vectors)
         counts = np.diag(np.broadcast_to(self.free, vectors.shape).sum(axis=(1, 2), dtype=np.float64))
         if self.barred is not None:
             counts -= np.einsum("iyx,jyx->ij", self.barred, self.barred)
-        means = np.linalg.pinv(counts, hermitian=True) @ self.restrict(vectors).sum(axis=(1, 2))
+        means = np.linalg.pinv(counts * np.outer(balanced, balanced), hermitian=True) @ self.restrict(vectors).sum(
+            axis=(1, 2)
+        )
         return np.asarray(means, np.float64).reshape(components, 1, 1)
 
     def bend(self, direction: Floats) -> float:
@@ -157,7 +159,7 @@ def minimise(
     tolerance: float = 1e-8,
     iterations_max: int = 2000,
 ) -> Minimum:
-    """Minimise f.A f / 2 - f.target over the bounds, and over those of sum `sums` (components,) where given.
+    """Minimise f.A f / 2 - f.target over the bounds, and over those of sum `sums` (components,), NaN where none is.
 
     The residual that is compared with `tolerance` is |f - nearest(f + slack / self_compliance)| / |f|: it is 0 at the
     solution and nowhere else, whatever the bounds (the natural map of Karush, Kuhn and Tucker's conditions).
@@ -173,7 +175,8 @@ def minimise(
     def nearest(tractions: Floats) -> Floats:
         return bounds.nearest(tractions) if sums is None else _nearest_of_sum(bounds, tractions, sums)
 
-    directions = _ConjugateDirections(precondition, self_compliance, balanced=sums is not None)
+    balanced = np.zeros(len(target), np.bool_) if sums is None else np.isfinite(sums)
+    directions = _ConjugateDirections(precondition, self_compliance, balanced)
     step_length = 1.0 / self_compliance  # of the projected gradient, halved until it is safe
     f = nearest(start)
     response, fresh = compliance(f), True
@@ -183,7 +186,7 @@ def minimise(
     while True:
         slack = target - response
         if sums is not None:
-            shift = -bounds.face(f, None).means(slack)
+            shift = -bounds.face(f, None).means(slack, balanced)
             slack = slack + shift
         natural = float(np.linalg.norm(bounds.nearest(f + slack / self_compliance) - f))
         size = float(np.linalg.norm(f))
@@ -228,10 +231,10 @@ def minimise(
 class _ConjugateDirections:
     """Search directions within a face that changes: preconditioned, conjugate after Polak and Ribiere."""
 
-    def __init__(self, precondition: LinearMap, self_compliance: float, *, balanced: bool) -> None:
+    def __init__(self, precondition: LinearMap, self_compliance: float, balanced: Bools) -> None:
         self._precondition = precondition
         self._self_compliance = self_compliance
-        self._balanced = balanced  # the tractions keep their sum
+        self._balanced = balanced  # components that keep their sum
         self._last: tuple[Floats, Floats, Floats] | None = None  # direction, push, eased push
 
     def forget(self) -> None:
@@ -253,16 +256,35 @@ class _ConjugateDirections:
         return direction, float(np.vdot(direction, push))
 
     def _within(self, face: Face, vectors: Floats) -> Floats:
-        return face.restrict(vectors - face.means(vectors)) if self._balanced else face.restrict(vectors)
+        return face.restrict(vectors - face.means(vectors, self._balanced) if self._balanced.any() else vectors)
 
 
 def _nearest_of_sum(bounds: Bounds, tractions: Floats, sums: Floats) -> Floats:
-    """Project onto the tractions within the bounds that have this sum: Newton's method on their common offset."""
+    """Project onto the tractions within the bounds that have this sum: Newton's method on their common offset.
+
+    Where most pixels are at their bounds the sum hardly yields, and Newton's steps would go astray: none is longer than
+    what is there already, and one that overshoots is halved. The sum is the gradient of a convex function of the offset.
+    """
     offset = np.zeros((len(sums), 1, 1))
-    for _ in range(100):
+    balanced = np.isfinite(sums)
+
+    def pull(offset: Floats) -> tuple[Floats, Floats]:
         allowed = bounds.nearest(tractions + offset)
-        missing = sums - allowed.sum(axis=(1, 2))
+        return allowed, np.where(balanced, sums - allowed.sum(axis=(1, 2)), 0.0)
+
+    allowed, missing = pull(offset)
+    for _ in range(100):
         if np.linalg.norm(missing) <= 1e-14 * np.abs(allowed).sum():
             break
-        offset += np.linalg.solve(bounds.yielding(tractions + offset), missing).reshape(offset.shape)
+        yielding = bounds.yielding(tractions + offset) * np.outer(balanced, balanced) + np.diag(~balanced)
+        step = np.linalg.solve(yielding, missing)
+        reach = np.abs(tractions + offset).max() + np.abs(missing).max() / tractions[0].size
+        step *= min(1.0, reach / float(np.linalg.norm(step)))
+        before = float(step @ missing)
+        while True:
+            allowed, missing = pull(offset + step.reshape(offset.shape))
+            if step @ missing >= -0.5 * before:
+                break
+            step, before = step / 2.0, before / 2.0
+        offset += step.reshape(offset.shape)
     return allowed

@@ -1,0 +1,142 @@
+"""Mixed conditions that are the same all over a periodic surface: three of its six quantities known at every point."""
+
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+
+from resonator_daemon.elastic.grid import SpectralGrid
+from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+Quantity = Literal["u_x", "u_y", "u_z", "f_x", "f_y", "f_z"]
+_QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+
+CONDITION_MAX = 1e6  # how much larger a relative error of the known quantities may become in the others
+
+
+@dataclass(frozen=True)
+class MixedBoundary:
+    """Half-space of which three surface quantities are known everywhere, the paper's cases 1 and 2 (section 2.3).
+
+    The known ones are phi = F [u0; f], the rows of F unit vectors, so that f = (F [T_u0f; I])^-1 phi at each frequency.
+    That inverse exists where phi holds one of u_i and f_i for each axis i, because T_u0f is Hermitian and positive;
+    where an axis is named twice and another not at all it fails at least at omega = 0 and along a line through it,
+    although the paper has it that any three will do.
+
+    Parameters
+    ----------
+    half_space
+    grid
+        Samples of the surface, which repeats at its sides.
+    known
+        Three different ones of "u_x", "u_y", "u_z" (m), "f_x", "f_y", "f_z" (Pa).
+    zero
+        What the means obey. "periodic": the load repeats for ever, and no displacement holds a mean traction up: where
+        u_i is known, its mean is as given and the mean of f_i is 0; where f_i is known, displacements are counted from
+        the mean of u_i on the surface. "isolated": the load stands alone, so that the mean of u_i, counted from
+        infinity, and the mean of f_i give each other, as in `HalfSpace.transfer_matrix`; for poisson_ratio < 0.5
+        without the part linear in x and y that it describes.
+
+    Raises
+    ------
+    ValueError
+        What `SpectralGrid.transfer_matrix` refuses; `known` that names not three different quantities; and a mix that
+        does not determine the surface: where F [T_u0f; I], with displacements scaled to tractions by the largest entry
+        of T_u0f, has a condition number above `CONDITION_MAX`. The message names the mix and the frequencies.
+    """
+
+    half_space: HalfSpace
+    grid: SpectralGrid
+    known: tuple[Quantity, Quantity, Quantity]
+    _: KW_ONLY
+    zero: ZeroRule
+
+    def __post_init__(self) -> None:
+        if len(self.known) != 3 or len(set(self.known)) != 3 or not set(self.known) <= set(_QUANTITIES):
+            raise ValueError(f"known is {self.known}, must be three different ones of {', '.join(_QUANTITIES)}")
+        choice, _ = self._choice
+        unfit = ~(np.linalg.cond(choice) <= CONDITION_MAX)
+        if unfit.any():
+            raise ValueError(
+                f"known is {', '.join(self.known)}, which at poisson_ratio {self.half_space.poisson_ratio} does not "
+                f"determine the surface at {self._name(unfit)} (condition number above {CONDITION_MAX:.0e}); "
+                "must be one of u_i and f_i for each axis i, which always determines it"
+            )
+
+    def transfer_matrix(self, output: Output, depth_m: float) -> Complexes:
+        """Matrix from the known quantities, in their order, to `output`, shape (ny, nx // 2 + 1, rows, 3).
+
+        Outputs and errors are those of `HalfSpace.transfer_matrix`; "traction" too is an output, at depth 0.
+        """
+        if output == "traction":
+            if depth_m != 0.0:
+                raise ValueError(f"depth_m is {depth_m}, must be 0 for output 'traction', which acts on the surface")
+            return self._traction.copy()
+        of_traction = self.grid.transfer_matrix(self.half_space, output, "traction", depth_m, zero=self.zero)
+        matrix = np.asarray(of_traction @ self._traction, np.complex128)
+        if output == "displacement" and self.zero == "periodic":
+            for column, name in enumerate(self.known):
+                if name[0] == "u":
+                    matrix[0, 0, "xyz".index(name[2]), column] = 1.0  # carried along at any depth
+        return matrix
+
+    def field(self, known_values: ArrayLike, output: Output, depth_m: float = 0.0) -> Floats:
+        """Field (rows, ny, nx) that goes with samples (3, ny, nx) of the known quantities, in their order.
+
+        ValueError also for values of another shape or not finite.
+        """
+        values = np.asarray(known_values, np.float64)
+        wanted = (3, *self.grid.shape)
+        if values.shape != wanted:
+            raise ValueError(f"known_values have shape {values.shape}, must be {wanted}")
+        if not np.isfinite(values).all():
+            raise ValueError("known_values hold a value that is not finite; all must be finite")
+        spectrum = np.einsum("yxij,jyx->iyx", self.transfer_matrix(output, depth_m), fft.rfft2(values))
+        return np.asarray(fft.irfft2(spectrum, s=self.grid.shape), np.float64)
+
+    @cached_property
+    def _choice(self) -> tuple[Complexes, Floats]:
+        """F [T_u0f; I] without units at each frequency, (ny, nx // 2 + 1, 3, 3), and the stiffness that scales T_u0f.
+
+        A mean displacement of a periodic body may have any stiffness here: its traction is set to 0 afterwards.
+        """
+        compliance = self.grid.transfer_matrix(self.half_space, "displacement", "traction", 0.0, zero=self.zero)
+        if self.zero == "periodic":
+            compliance[0, 0] = np.eye(3)
+        stiffness = 1.0 / np.abs(compliance).max(axis=(-2, -1))
+        identity = np.broadcast_to(np.eye(3), compliance.shape)
+        all_six = np.concatenate([compliance * stiffness[..., None, None], identity], axis=-2)
+        return all_six[..., [_QUANTITIES.index(name) for name in self.known], :], stiffness
+
+    @cached_property
+    def _traction(self) -> Complexes:
+        choice, stiffness = self._choice
+        matrix = np.linalg.inv(choice)
+        displacements = [column for column, name in enumerate(self.known) if name[0] == "u"]
+        matrix[..., displacements] *= stiffness[..., None, None]
+        if self.zero == "periodic":
+            matrix[0, 0][:, displacements] = 0.0
+        return np.asarray(matrix, np.complex128)
+
+    def _name(self, unfit: NDArray[np.bool_]) -> str:
+        """Put frequencies into words: the lines that they fill, how many they are, and the first of those above 0."""
+        ny, nx = self.grid.shape
+        count = int((unfit * self.grid.multiplicity).sum())
+        wx, wy = np.broadcast_arrays(self.grid.omega_x, self.grid.omega_y)
+        lines = {"omega_x = 0": wx == 0.0, "omega_y = 0": wy == 0.0}
+        if nx % 2 == 0:
+            lines["omega_x = Nyquist"] = wx == wx.max()
+        if ny % 2 == 0:
+            lines["omega_y = Nyquist"] = wy == wy.min()
+        filled = [name for name, line in lines.items() if unfit[line].all()]
+        beside = unfit & ~np.any([lines[name] for name in filled], axis=0)
+        where = "every frequency" if unfit.all() else ", ".join(filled + ["elsewhere"] * bool(beside.any()))
+        row, column = np.argwhere(unfit)[:2][-1]
+        example = f"({wx[row, column]:.4g}, {wy[row, column]:.4g}) rad/m"
+        return f"{where}: {count} of {ny * nx} frequencies, among them {example}"

@@ -1,0 +1,173 @@
+"""Three of six surface quantities: against waves solved in 100 digits, and refused where they do not suffice."""
+
+from itertools import combinations, product
+
+import numpy as np
+import pytest
+from boundary_value_problem import BoundaryValueProblem, mp
+from numpy.typing import NDArray
+
+from resonator_daemon.elastic import HalfSpace, SpectralGrid
+from resonator_daemon.elastic.mixed import MixedBoundary, Quantity
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+E, PITCH_M = 2e5, 4e-4
+NAMES: tuple[Quantity, ...] = ("u_x", "u_y", "u_z", "f_x", "f_y", "f_z")
+TRIPLES = list(combinations(NAMES, 3))
+CONJUGATE = [triple for triple in TRIPLES if {name[2] for name in triple} == set("xyz")]
+SINGULAR = [triple for triple in TRIPLES if triple not in CONJUGATE]
+OUTPUT_DEPTHS = [("traction", 0.0), ("displacement", 0.0), ("displacement", 3e-4), ("strain", 3e-4), ("stress", 5e-4)]
+
+
+def wave(grid: SpectralGrid, wx: float, wy: float, amplitudes: Complexes) -> Floats:
+    """Real part of amplitudes (rows,) times exp(j omega r), sampled."""
+    y, x = (np.arange(n) * grid.pitch_m for n in grid.shape)
+    return np.real(amplitudes[:, None, None] * np.exp(1j * (wx * x + wy * y[:, None])))
+
+
+def pick(grid: SpectralGrid, known: tuple[Quantity, ...], displacement: Floats, traction: Floats) -> Floats:
+    six = dict(zip(NAMES, [*displacement, *traction], strict=True))
+    return np.array([six[name] for name in known])
+
+
+@pytest.mark.parametrize("nu", [-0.6, 0.0, 0.3, 0.5])
+@pytest.mark.parametrize("bin_", [(0, 2), (3, 0), (2, 5), (-3, 1)])
+def test_every_axis_wise_mix_gives_the_wave_that_elasticity_has(nu: float, bin_: tuple[int, int]):
+    """The truth is solved from equilibrium and Hooke's law, without any matrix of ours."""
+    grid = SpectralGrid((9, 14), PITCH_M)
+    body = HalfSpace(E, nu)
+    wy, wx = (2 * np.pi * index / (n * PITCH_M) for index, n in zip(bin_, grid.shape, strict=True))
+    problem = BoundaryValueProblem(mp.mpf(wx), mp.mpf(wy), mp.mpf(nu), mp.mpf(body.shear_modulus_pascal))
+    load = np.array([300.0 - 100.0j, 250.0 + 40.0j, -80.0 + 500.0j])
+    at_depth = {depth: problem.matrices("traction", mp.mpf(depth)) for depth in (0.0, 3e-4, 5e-4)}
+
+    def truth(output: str, depth: float) -> Floats:
+        matrix = np.array(at_depth[depth][output].tolist(), dtype=complex) if output != "traction" else np.eye(3)
+        return wave(grid, wx, wy, matrix @ load)
+
+    displacement, traction = truth("displacement", 0.0), truth("traction", 0.0)
+    for known in CONJUGATE:
+        boundary = MixedBoundary(body, grid, known, zero="periodic")
+        values = pick(grid, known, displacement, traction)
+        for output, depth in OUTPUT_DEPTHS:
+            expected = truth(output, depth)
+            found = boundary.field(values, output, depth)
+            np.testing.assert_allclose(
+                found, expected, atol=3e-14 * np.abs(expected).max(), err_msg=f"{known} {output}"
+            )
+
+
+@pytest.mark.parametrize("zero", ["periodic", "isolated"])
+@pytest.mark.parametrize("shape", [(8, 8), (7, 7), (1, 1)])
+def test_a_traction_comes_back_from_any_three_that_it_made(zero: str, shape: tuple[int, int]):
+    """Nyquist frequencies and means included; the order of the known is the caller's."""
+    rng = np.random.default_rng(5)
+    grid = SpectralGrid(shape, PITCH_M)
+    for nu, known in product((0.2, 0.5), CONJUGATE):
+        body = HalfSpace(E, nu)
+        traction = rng.normal(size=(3, *shape))
+        if zero == "periodic":  # a mean traction pushes such a body away for ever
+            for name in known:
+                if name[0] == "u":
+                    traction["xyz".index(name[2])] -= traction["xyz".index(name[2])].mean()
+        by_traction = MixedBoundary(body, grid, ("f_x", "f_y", "f_z"), zero=zero)
+        displacement = by_traction.field(traction, "displacement")
+        order = rng.permutation(3)
+        shuffled = tuple(known[i] for i in order)
+        boundary = MixedBoundary(body, grid, shuffled, zero=zero)
+        values = pick(grid, shuffled, displacement, traction)
+        np.testing.assert_allclose(boundary.field(values, "traction"), traction, atol=1e-13)
+        scale = np.abs(displacement).max()
+        np.testing.assert_allclose(boundary.field(values, "displacement"), displacement, atol=1e-13 * scale)
+        deep = by_traction.field(traction, "p_n", 2e-4)
+        np.testing.assert_allclose(boundary.field(values, "p_n", 2e-4), deep, atol=1e-13)
+
+
+def test_means_of_a_body_that_repeats():
+    """A mean displacement moves the body as a whole; a mean traction compresses it, confined to its period."""
+    nu, depth = 0.3, 1e-3
+    body, grid = HalfSpace(E, nu), SpectralGrid((6, 4), PITCH_M)
+    boundary = MixedBoundary(body, grid, ("f_z", "u_y", "u_x"), zero="periodic")
+    values = np.broadcast_to(np.array([70.0, 2e-6, 5e-6])[:, None, None], (3, 6, 4))
+
+    def uniform(output: str, at_m: float) -> Floats:
+        field = boundary.field(values, output, at_m)
+        np.testing.assert_allclose(field, np.broadcast_to(field[:, :1, :1], field.shape), rtol=1e-14)
+        return field[:, 0, 0]
+
+    oedometric_modulus = E * (1 - nu) / ((1 + nu) * (1 - 2 * nu))
+    np.testing.assert_allclose(uniform("traction", 0.0), [0, 0, 70.0], atol=1e-13)
+    np.testing.assert_allclose(uniform("displacement", 0.0), [5e-6, 2e-6, 0], atol=1e-20)
+    np.testing.assert_allclose(
+        uniform("displacement", depth), [5e-6, 2e-6, -70.0 * depth / oedometric_modulus], rtol=1e-13
+    )
+    np.testing.assert_allclose(uniform("stress", depth), [-30.0, -30.0, -70.0, 0, 0, 0], rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("nu", ["-0.6", "0.3", "0.5"])
+def test_three_quantities_suffice_only_with_one_of_each_axis(nu: str):
+    """Determinants in 100 digits, from elasticity: what is refused has two states of the surface for one input."""
+    smallest = dict.fromkeys(TRIPLES, mp.mpf(1))
+    for wx, wy in [(1, 0), (0, 1), (1, 1), (-3, 2)]:
+        problem = BoundaryValueProblem(mp.mpf(wx), mp.mpf(wy), mp.mpf(nu), mp.mpf(1))
+        compliance = problem.matrices("traction", mp.mpf(0))["displacement"]
+        six = np.vstack([compliance, np.eye(3, dtype=int)])
+        for triple in TRIPLES:
+            determinant = abs(mp.det(mp.matrix(six[[NAMES.index(name) for name in triple]].tolist())))
+            smallest[triple] = min(smallest[triple], determinant)
+    assert all(smallest[triple] > 1e-3 for triple in CONJUGATE)
+    assert all(smallest[triple] < 1e-90 for triple in SINGULAR)
+    body = HalfSpace(E, float(nu))
+    for triple in SINGULAR:
+        with pytest.raises(ValueError, match=f"known is {', '.join(triple)}, which at poisson_ratio"):
+            MixedBoundary(body, SpectralGrid((7, 9), PITCH_M), triple, zero="periodic")
+
+
+@pytest.mark.parametrize(
+    ("known", "nu", "shape", "words"),
+    [
+        (("f_x", "f_y", "u_x"), 0.3, (7, 9), r"omega_x = 0: 7 of 63 frequencies, among them \(0, 2244\) rad/m"),
+        (("f_x", "f_y", "u_x"), 0.3, (8, 8), r"at omega_x = 0, omega_x = Nyquist: 16 of 64 frequencies"),
+        (("f_z", "u_z", "u_y"), 0.3, (8, 9), r"at omega_x = 0: 8 of 72 frequencies"),
+        (("f_z", "u_z", "u_x"), 0.3, (8, 9), r"at omega_y = 0, omega_y = Nyquist: 18 of 72 frequencies"),
+        (("f_x", "u_x", "f_z"), 0.3, (7, 9), r"at omega_x = 0, omega_y = 0: 15 of 63 frequencies"),
+        (("f_x", "f_y", "u_x"), 0.5, (7, 9), r"at every frequency: 63 of 63 frequencies"),
+        (("f_x", "f_y", "u_x"), 0.4999999, (7, 9), r"at every frequency: 63 of 63 frequencies"),
+        (("f_x", "f_y", "u_x"), 0.499998, (7, 9), r"at omega_x = 0, elsewhere: \d+ of 63 frequencies"),
+        (("f_x", "f_y", "u_x"), 0.3, (1, 9), r"at omega_x = 0: 1 of 9 frequencies, among them \(0, 0\) rad/m"),
+    ],
+)
+def test_names_the_frequencies_of_a_singular_mix(
+    known: tuple[Quantity, ...], nu: float, shape: tuple[int, int], words: str
+):
+    with pytest.raises(ValueError, match=words) as refused:
+        MixedBoundary(HalfSpace(E, nu), SpectralGrid(shape, PITCH_M), known, zero="periodic")
+    assert str(refused.value).endswith("must be one of u_i and f_i for each axis i, which always determines it")
+
+
+def test_a_mix_of_the_isolated_rule_is_refused_in_the_same_words():
+    grid = SpectralGrid((8, 8), PITCH_M)
+    with pytest.raises(ValueError, match="at omega_x = 0, omega_x = Nyquist: 16 of 64 frequencies"):
+        MixedBoundary(HalfSpace(E, 0.3), grid, ("f_x", "f_y", "u_x"), zero="isolated")
+
+
+def test_refuses_bad_input():
+    body, grid = HalfSpace(E, 0.3), SpectralGrid((6, 8), PITCH_M)
+    for known in [("f_x", "f_x", "u_z"), ("f_x", "f_y"), ("f_x", "f_y", "f_z", "u_x"), ("f_x", "f_y", "sigma")]:
+        with pytest.raises(ValueError, match=r"known is .*three different ones of u_x, u_y"):
+            MixedBoundary(body, grid, known, zero="periodic")
+    with pytest.raises(ValueError, match="omega is 0"):
+        MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="raise")
+    with pytest.raises(ValueError, match="must be square"):
+        MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="isolated")
+    boundary = MixedBoundary(body, grid, ("f_x", "f_y", "u_z"), zero="periodic")
+    with pytest.raises(ValueError, match=r"known_values have shape \(3, 8, 6\), must be \(3, 6, 8\)"):
+        boundary.field(np.zeros((3, 8, 6)), "strain", 1e-3)
+    with pytest.raises(ValueError, match="not finite"):
+        boundary.field(np.full((3, 6, 8), np.nan), "strain", 1e-3)
+    with pytest.raises(ValueError, match="must be 0 for output 'traction'"):
+        boundary.field(np.zeros((3, 6, 8)), "traction", 1e-3)
+    with pytest.raises(ValueError, match="depth_m spans"):
+        boundary.field(np.zeros((3, 6, 8)), "strain", -1e-3)

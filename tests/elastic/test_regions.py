@@ -1,0 +1,223 @@
+"""Known regions: rigid punches and cracks of closed form, dense algebra, reciprocity, and what is refused."""
+
+import numpy as np
+import pytest
+from dense_surface import dense_compliance
+from numpy.typing import NDArray
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.influence import SurfaceCompliance
+from resonator_daemon.elastic.regions import RegionSolution, solve_regions
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+MU, PITCH_M = 7e4, 4e-4
+NU = [-0.5, 0.0, 0.3, 0.5]
+
+
+def surface(nu: float, shape: tuple[int, int], *, periodic: bool = False) -> SurfaceCompliance:
+    return SurfaceCompliance(HalfSpace(2 * MU * (1 + nu), nu), shape, PITCH_M, periodic)
+
+
+class Punch:
+    """A rigid disc of 20 pixels' radius; tractions 0 where no displacement is known."""
+
+    def __init__(self) -> None:
+        axis = (np.arange(48) - 23.5) * PITCH_M
+        self.x, self.y = np.meshgrid(axis, axis)
+        self.radius_m = 20 * PITCH_M
+        self.under = np.hypot(self.x, self.y) <= self.radius_m
+
+    def move(
+        self, nu: float, held: str, displacement: list[Floats | float], resultant: list[float] | None = None
+    ) -> RegionSolution:
+        known = np.array([self.under & (axis in held) for axis in "xyz"])
+        moved = np.array([np.broadcast_to(u, self.x.shape) for u in displacement])
+        return solve_regions(
+            surface(nu, self.x.shape),
+            np.where(known, np.nan, 0.0),
+            np.where(known, moved, np.nan),
+            resultant_newton=resultant,
+        )
+
+    def force(self, solution: RegionSolution) -> Floats:
+        return solution.traction_pascal.sum(axis=(1, 2)) * PITCH_M**2
+
+
+PUNCH = Punch()
+A = PUNCH.radius_m
+
+
+def bonded_stiffness(nu: float) -> float:
+    """Mossakovskii 1954, Spence 1968."""
+    return 4 * MU * A * (np.log(3 - 4 * nu) / (1 - 2 * nu) if nu < 0.5 else 2.0)
+
+
+@pytest.mark.parametrize("nu", NU)
+def test_frictionless_flat_punch(nu: float):
+    """P = 2 E* a delta and p = P / (2 pi a sqrt(a^2 - r^2)), Boussinesq."""
+    solution = PUNCH.move(nu, "z", [0, 0, 1e-5])
+    load = 4 * MU / (1 - nu) * A * 1e-5
+    assert PUNCH.force(solution)[2] == pytest.approx(load, rel=5e-3)
+    r = np.hypot(PUNCH.x, PUNCH.y)
+    inner = r < 0.8 * A
+    pressure = load / (2 * np.pi * A * np.sqrt(A**2 - r[inner] ** 2))
+    np.testing.assert_allclose(solution.traction_pascal[2][inner], pressure, rtol=0.015)
+    beside = (r > 1.1 * A) & (r < 1.3 * A)
+    np.testing.assert_allclose(solution.displacement_m[2][beside], 2e-5 / np.pi * np.arcsin(A / r[beside]), rtol=0.011)
+    assert not solution.traction_pascal[:2].any()
+    assert not solution.shift_m.any()
+
+
+@pytest.mark.parametrize("nu", NU)
+def test_bonded_flat_punch(nu: float):
+    """The tangential tractions that bonding takes stiffen it by up to a fifth (nu = -0.5), not at nu = 1/2."""
+    solution = PUNCH.move(nu, "xyz", [0, 0, 1e-5])
+    assert PUNCH.force(solution) == pytest.approx([0, 0, bonded_stiffness(nu) * 1e-5], rel=6e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("nu", NU)
+def test_smooth_punch_moved_sideways(nu: float):
+    """Mindlin 1949: F = 8 mu a delta / (2 - nu) where the disc holds u_x and u_y and takes no pressure."""
+    solution = PUNCH.move(nu, "xy", [0, -2e-5, 0])
+    assert PUNCH.force(solution) == pytest.approx([0, -8 * MU * A * 2e-5 / (2 - nu), 0], rel=5e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize("nu", NU)
+def test_punch_in_torsion(nu: float):
+    """Reissner and Sagoci 1944: M = 16/3 mu a^3 beta, whatever nu."""
+    solution = PUNCH.move(nu, "xy", [-0.01 * PUNCH.y, 0.01 * PUNCH.x, 0])
+    f_x, f_y, f_z = solution.traction_pascal
+    moment = (f_y * PUNCH.x - f_x * PUNCH.y).sum() * PITCH_M**2
+    assert moment == pytest.approx(16 / 3 * MU * A**3 * 0.01, rel=0.015)
+    assert not f_z.any()
+
+
+def test_bonded_punch_under_a_given_load():
+    """It shifts as a whole; a direction without a resultant keeps the displacement that is given."""
+    nu = 0.3
+    both = PUNCH.move(nu, "xyz", [0, 0, 0], [1.0, 0.0, 4.0])
+    sideways, down = both.shift_m[[0, 2]]
+    assert PUNCH.force(both) == pytest.approx([1.0, 0.0, 4.0], abs=1e-12)
+    assert down == pytest.approx(4.0 / bonded_stiffness(nu), rel=6e-3)
+    assert both.displacement_m[:, PUNCH.under] == pytest.approx(
+        np.broadcast_to(both.shift_m[:, None], (3, PUNCH.under.sum())), abs=1e-7 * down
+    )
+    moved = PUNCH.move(nu, "xyz", [sideways, 0, 3e-6], [np.nan, np.nan, 4.0])
+    assert moved.shift_m == pytest.approx([0.0, 0.0, down - 3e-6], rel=1e-6, abs=1e-7 * down)
+    np.testing.assert_allclose(moved.traction_pascal, both.traction_pascal, atol=1e-5 * both.traction_pascal.max())
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.5])
+def test_penny_shaped_crack(nu: float):
+    """Sneddon 1946: pressure inside, symmetry outside; the dual of the punch, known outside in place of inside."""
+    n, radius = 96, 24
+    axis = np.arange(n) - (n - 1) / 2
+    r = np.hypot(axis, axis[:, None])
+    inside = r < radius
+    traction = np.zeros((3, n, n))
+    traction[2] = np.where(inside, 50.0, np.nan)
+    displacement = np.full((3, n, n), np.nan)
+    displacement[2][~inside] = 0.0
+    solution = solve_regions(surface(nu, (n, n)), traction, displacement)
+    opening = 2 * (1 - nu) / (np.pi * MU) * 50.0 * PITCH_M * np.sqrt(np.maximum(radius**2 - r**2, 0.0))
+    inner = r < 0.8 * radius
+    np.testing.assert_allclose(solution.displacement_m[2][inner], opening[inner], rtol=0.02)
+    assert (solution.traction_pascal[2][~inside] < 0.0).all()  # it pulls where it is held
+    assert np.abs(solution.displacement_m[2][~inside]).max() < 1e-6 * opening.max()
+
+
+def known_half(mask: Bools, traction: Floats, displacement: Floats) -> tuple[Floats, Floats]:
+    return np.where(mask, np.nan, traction), np.where(mask, displacement, np.nan)
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("nu", NU)
+def test_recovers_a_state_from_either_half_of_it(nu: float, periodic: bool):
+    """Made by a dense matrix that shares nothing with the code; then the known and the unknown change places."""
+    rng = np.random.default_rng(11)
+    shape = (9, 12)
+    matrix = dense_compliance(shape, nu, MU, PITCH_M, periodic=periodic)
+    traction = rng.normal(size=(3, *shape))
+    displacement = (matrix @ traction.ravel()).reshape(3, *shape)
+    mask = rng.random((3, *shape)) < 0.5
+    for region in (mask, ~mask):
+        solution = solve_regions(
+            surface(nu, shape, periodic=periodic), *known_half(region, traction, displacement), tolerance=1e-11
+        )
+        np.testing.assert_allclose(solution.traction_pascal, traction, atol=1e-9)
+        np.testing.assert_allclose(solution.displacement_m, displacement, atol=1e-10 * np.abs(displacement).max())
+
+
+def test_two_states_are_reciprocal():
+    """Betti: the work of either's tractions on the other's displacements is the same, whatever was known of each."""
+    rng = np.random.default_rng(2)
+    shape = (10, 13)
+    states = [
+        solve_regions(
+            surface(0.2, shape),
+            *known_half(rng.random((3, *shape)) < share, rng.normal(size=(3, *shape)), rng.normal(size=(3, *shape))),
+            tolerance=1e-12,
+        )
+        for share in (0.2, 0.7)
+    ]
+    works = [float(np.vdot(a.traction_pascal, b.displacement_m)) for a, b in (states, states[::-1])]
+    assert works[0] == pytest.approx(works[1], rel=1e-10)
+
+
+def test_displacements_known_all_over_a_periodic_surface_need_a_resultant():
+    rng = np.random.default_rng(4)
+    shape = (8, 9)
+    matrix = dense_compliance(shape, 0.3, MU, PITCH_M, periodic=True)
+    traction = rng.normal(size=(3, *shape))
+    displacement = (matrix @ traction.ravel()).reshape(3, *shape)
+    offset = np.array([3e-9, -1e-9, 2e-9])
+    given = displacement - offset[:, None, None]
+    unknown = np.full((3, *shape), np.nan)
+    compliance = surface(0.3, shape, periodic=True)
+    solution = solve_regions(
+        compliance, unknown, given, resultant_newton=traction.sum(axis=(1, 2)) * PITCH_M**2, tolerance=1e-11
+    )
+    np.testing.assert_allclose(solution.traction_pascal, traction, atol=1e-9)
+    np.testing.assert_allclose(solution.shift_m, offset, rtol=1e-6)
+    with pytest.raises(ValueError, match=r"u_y on the whole of a periodic surface, which leaves its mean f_y open"):
+        solve_regions(compliance, unknown, given, resultant_newton=[0.0, np.nan, 0.0])
+
+
+def test_nothing_known_but_zeros_is_nothing():
+    zeros = np.zeros((3, 5, 6))
+    held = np.zeros((3, 5, 6), bool)
+    held[:, 2, 3] = True
+    solution = solve_regions(surface(0.3, (5, 6)), *known_half(held, zeros, zeros))
+    assert not solution.traction_pascal.any()
+    assert not solution.displacement_m.any()
+
+
+def test_tractions_known_everywhere_are_just_applied():
+    traction = np.random.default_rng(1).normal(size=(3, 5, 6))
+    solution = solve_regions(surface(0.3, (5, 6)), traction, np.full((3, 5, 6), np.nan))
+    np.testing.assert_array_equal(solution.traction_pascal, traction)
+    matrix = dense_compliance((5, 6), 0.3, MU, PITCH_M, periodic=False)
+    np.testing.assert_allclose(solution.displacement_m.ravel(), matrix @ traction.ravel(), rtol=1e-11)
+
+
+def test_refuses_bad_input():
+    compliance = surface(0.3, (4, 5))
+    traction, displacement = np.zeros((3, 4, 5)), np.full((3, 4, 5), np.nan)
+    with pytest.raises(ValueError, match=r"traction_pascal has shape \(3, 5, 4\), must be \(3, 4, 5\)"):
+        solve_regions(compliance, np.zeros((3, 5, 4)), displacement)
+    with pytest.raises(ValueError, match=r"resultant_newton has shape \(2,\)"):
+        solve_regions(compliance, traction, displacement, resultant_newton=[1.0, 2.0])
+    with pytest.raises(ValueError, match="traction_pascal holds an infinite value"):
+        solve_regions(compliance, traction + np.inf, displacement)
+    twice = displacement.copy()
+    twice[1, 2:, 3] = 0.0
+    with pytest.raises(ValueError, match=r"give both f_y and u_y at 2 pixels, first at \[2, 3\]"):
+        solve_regions(compliance, traction, twice)
+    unknown = traction.copy()
+    unknown[2, 0, 1] = np.nan
+    with pytest.raises(ValueError, match=r"give neither f_z nor u_z at 1 pixels, first at \[0, 1\]"):
+        solve_regions(compliance, unknown, displacement)
+    with pytest.raises(ValueError, match="resultant_newton is 2 along z, must be NaN where no u_z is known"):
+        solve_regions(compliance, traction, displacement, resultant_newton=[np.nan, np.nan, 2.0])
