@@ -115,6 +115,29 @@ def _demo(options: argparse.Namespace) -> ExitCode:
     return run_demo(DemoOptions(plates, options.seconds, headless=headless, json=options.json))
 
 
+def _plan_sensors(options: argparse.Namespace) -> None:
+    from rich.console import Console
+
+    from resonator_daemon.elastic.half_space import HalfSpace
+    from resonator_daemon.elastic.sensor_resolution import SensorArray
+    from resonator_daemon.elastic.sensor_sets import SensorSet
+    from resonator_daemon.view.sensor_plan import SensorPlan
+
+    logging.getLogger().setLevel(logging.WARNING)  # matplotlib tells of its fonts
+    try:
+        skin = HalfSpace(options.youngs_modulus_pascal, options.poisson_ratio)
+        sensors = SensorSet(skin, tuple(options.set.split(",")), 1e-3 * options.depth_mm)
+        plan = SensorPlan(SensorArray(sensors, 1e-3 * options.pitch_mm, options.snr_db))
+    except ValueError as error:
+        options.refuse(str(error))
+    if options.picture is not None:
+        plan.write_picture(options.picture)
+    if options.json:
+        _print_json(plan.as_json())
+    else:
+        Console(highlight=False).print(plan)
+
+
 def _print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value) + "\n")
 
@@ -134,6 +157,13 @@ def _positive(text: str) -> float:
     if not 0 < value < 1e9:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
     return value
+
+
+def _picture(text: str) -> Path:
+    path = Path(text)
+    if path.suffix not in (".svg", ".png", ".pdf"):
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
+    return path
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -197,6 +227,48 @@ def _parser() -> argparse.ArgumentParser:
     check = add("check", _check, "check a configuration and its plate file", "resonatord check left-index.toml")
     check.add_argument("file", type=Path, metavar="FILE")
     check.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+
+    plan = verbs.add_parser("plan", help="help with the design of a plate")
+    plan_verbs = plan.add_subparsers(title="verbs", required=True, metavar="VERB")
+    sensors = plan_verbs.add_parser(
+        "sensors",
+        help="say what sensors under a skin can and cannot feel",
+        description="Say what a square lattice of sensors under a skin can and cannot feel: what it resolves of normal "
+        "and tangential load; bandwidth, symmetry and rank of the signals; what pitch and depth would do; a picture "
+        "of the signals' power over the plane of spatial frequencies. The skin counts as an elastic half-space.",
+        epilog="A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It counts as resolved "
+        "where a best linear estimate brings back at least half of it. docs/sensors.md tells more. "
+        "Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30",
+    )
+    sensors.add_argument(
+        "--set",
+        default="p_n,xz,yz",
+        metavar="NAMES",
+        help="what each sensor measures, by commas: p_n, the mean normal stress; strains xx yy zz xy xz yz, z into the "
+        "skin; stresses sigma_xx to sigma_yz (default: %(default)s)",
+    )
+    for option, default, meaning in (
+        ("--depth-mm", 1.0, "of the sensors under the surface"),
+        ("--pitch-mm", 0.4, "from sensor to sensor, at most ten depths"),
+        ("--youngs-modulus-pascal", 2e5, "of the skin"),
+    ):
+        sensors.add_argument(
+            option, type=_positive, default=default, metavar="X", help=f"{meaning} (default: %(default)g)"
+        )
+    sensors.add_argument(
+        "--poisson-ratio", type=float, default=0.5, metavar="X", help="of the skin, 0.5 for rubber (default: 0.5)"
+    )
+    sensors.add_argument(
+        "--snr-db",
+        type=float,
+        default=30.0,
+        metavar="X",
+        help="20 log10 of the rms of the signals under a load without favoured width over that of the noise, -40 to "
+        "100 (default: 30)",
+    )
+    sensors.add_argument("--picture", type=_picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
+    sensors.add_argument("--json", action="store_true", help="print one JSON object, in SI units, and nothing else")
+    sensors.set_defaults(verb=_plan_sensors, refuse=sensors.error)
 
     config = verbs.add_parser("config", help="help with the configuration file")
     config_verbs = config.add_subparsers(title="verbs", required=True, metavar="VERB")

@@ -14,7 +14,7 @@ from observer import observe
 from resonator_daemon.config import load_config
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
-VERBS = ("demo", "run", "emulate", "watch", "check", "config")
+VERBS = ("demo", "run", "emulate", "watch", "check", "plan", "config")
 
 
 def resonatord(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:

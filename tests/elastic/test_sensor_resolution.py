@@ -1,0 +1,277 @@
+"""What sensor arrays resolve, against white loads drawn, sampled with noise and estimated by plain regression."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import linalg
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
+from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+BEST = ("p_n", "xz", "yz")
+SKIN = HalfSpace(2e5, 0.5)
+
+
+def sensor_array(
+    *components: str, nu: float = 0.5, depth_m: float = 1e-3, pitch_m: float = 0.4e-3, snr_db: float = 30.0
+) -> SensorArray:
+    return SensorArray(SensorSet(HalfSpace(2e5, nu), components or BEST, depth_m), pitch_m, snr_db)
+
+
+class Experiment:
+    """White loads on a periodic square of `count` x `count` sensors, sampled `finer` times more finely in each axis.
+
+    Loads are complex, which makes two independent real ones of each. Sampling happens in space.
+    """
+
+    def __init__(self, array: SensorArray, count: int, finer: int, seed: int) -> None:
+        self.array, self.count, self.finer = array, count, finer
+        self.rng = np.random.default_rng(seed)
+        side = count * finer
+        self.step = 2.0 * np.pi / (count * array.pitch_m)
+        omega = np.fft.fftfreq(side, 1.0 / side) * self.step
+        self.matrix = array.sensors.matrix(omega, omega[:, None])
+        power = np.sum([np.mean(np.abs(self.signals(self.loads(50))) ** 2) for _ in range(4)]) / 4
+        self.noise_std = math.sqrt(power / 10.0 ** (array.snr_db / 10.0))
+
+    def white(self, *shape: int) -> Complexes:
+        return (self.rng.standard_normal(shape) + 1j * self.rng.standard_normal(shape)) / math.sqrt(2.0)
+
+    def loads(self, draws: int) -> Complexes:
+        side = self.count * self.finer
+        return self.white(draws, side, side, 3)
+
+    def signals(self, loads: Complexes) -> Complexes:
+        spectrum = (self.matrix @ loads[..., None])[..., 0]
+        return np.fft.ifft2(spectrum, axes=(1, 2))[:, :: self.finer, :: self.finer]
+
+    def kept(self, load: Load, waves: list[tuple[int, int]], draws: int) -> list[float]:
+        """Share of the load's variance that a regression on the noisy signals brings back, for each (ky, kx).
+
+        What is not to matter, the other components at these frequencies, is made a thousand times as large.
+        """
+        wanted = {"normal": [2], "shear": [0, 1], "normal_alone": [2]}[load]
+        others = [axis for axis in range(3) if axis not in wanted]
+        seen: list[list[Complexes]] = [[] for _ in waves]
+        true: list[list[Complexes]] = [[] for _ in waves]
+        for _ in range(draws // 250):
+            loads = self.loads(250)
+            if load == "normal_alone":
+                loads[..., others] = 0.0
+            for ky, kx in waves:
+                loads[:, ky, kx, others] *= 1e3
+            signals = self.signals(loads)
+            signals += self.noise_std * self.white(*signals.shape)
+            spectrum = np.fft.fft2(signals, axes=(1, 2))
+            for n, (ky, kx) in enumerate(waves):
+                seen[n].append(spectrum[:, ky, kx])
+                true[n].append(loads[:, ky, kx][:, wanted])
+        return [worst_share(np.concatenate(s), np.concatenate(t)) for s, t in zip(seen, true, strict=True)]
+
+
+def worst_share(signals: Complexes, truth: Complexes) -> float:
+    """Share of variance explained by least squares, of the combination of components that is explained least."""
+    fit = np.linalg.lstsq(signals, truth, rcond=None)[0]
+    left = truth - signals @ fit
+    return float(1.0 - linalg.eigvalsh(left.conj().T @ left, truth.conj().T @ truth)[-1])
+
+
+@pytest.mark.parametrize(
+    ("components", "load"),
+    [(BEST, "normal"), (BEST, "shear"), (BEST, "normal_alone"), (("p_n",), "normal_alone"), (("p_n", "zz"), "normal")],
+)
+def test_what_a_wiener_inverse_keeps_is_what_regression_on_drawn_loads_keeps(components: tuple[str, ...], load: Load):
+    """Sparse sensors, 0.7 depths: at the higher waves as much comes from folding as from noise."""
+    array = sensor_array(*components, depth_m=0.7e-3, pitch_m=1e-3, snr_db=14.0)
+    experiment = Experiment(array, count=14, finer=3, seed=5)
+    waves = [(0, 1), (2, 2), (4, 0), (0, 6), (3, 5)]
+    kept = experiment.kept(load, waves, draws=2000)
+    ky, kx = np.transpose(waves) * experiment.step
+    ratio = array.load_to_error(load, kx, ky)
+    np.testing.assert_allclose(kept, ratio / (1.0 + ratio), atol=0.035)
+    assert kept[0] > kept[3] + 0.05
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_stripes_of_the_finest_feature_come_back_by_half_and_those_of_half_that_do_not(load: Load):
+    """The ratio of signal to noise is set so that the third wave of 16 sensors is the finest that is resolved."""
+    array, third = sensor_array(pitch_m=0.7e-3), 3 * 2.0 * np.pi / (16 * 0.7e-3)
+    low, high = -40.0, 100.0
+    while high - low > 1e-3:
+        middle = (low + high) / 2
+        good = float(replace(array, snr_db=middle).load_to_error(load, third, 0.0)) >= 1.0
+        low, high = (low, middle) if good else (middle, high)
+    array = replace(array, snr_db=high)
+    finest_m, coarsest_m = array.features_m(load, 0.0)
+    assert finest_m == pytest.approx(np.pi / third, rel=1e-3)
+    assert math.isinf(coarsest_m)
+    experiment = Experiment(array, count=16, finer=3, seed=9)
+    at_finest, at_half, at_triple = experiment.kept(load, [(0, 3), (0, 6), (0, 1)], draws=1500)
+    assert at_finest == pytest.approx(0.5, abs=0.04)
+    assert at_half < 0.15
+    assert at_triple > 0.75
+
+
+def test_without_folding_the_error_is_that_of_the_inverse_matrix():
+    array = sensor_array("p_n", "xz", "yz", "zz", nu=0.3, pitch_m=0.05e-3, snr_db=20.0)
+    wx, wy = np.random.default_rng(2).uniform(-4e3, 4e3, (2, 50))
+    matrix = array.sensors.matrix(wx, wy)
+    error = array.noise_density * np.linalg.inv(matrix.conj().swapaxes(1, 2) @ matrix)
+    np.testing.assert_allclose(array.load_to_error("normal", wx, wy), 1.0 / error[:, 2, 2].real, rtol=1e-6)
+    worst = np.linalg.eigvalsh(error[:, :2, :2])[:, -1]
+    np.testing.assert_allclose(array.load_to_error("shear", wx, wy), 1.0 / worst, rtol=1e-6)
+    alone = (np.abs(matrix[..., 2]) ** 2).sum(axis=1) / array.noise_density
+    np.testing.assert_allclose(array.load_to_error("normal_alone", wx, wy), alone, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("depths", "wx", "wy"), [(1.0, 0.1, 0.3), (4.0, 0.0, 0.2), (6.0, 0.4, 0.4)])
+def test_what_a_coarse_pitch_folds_is_noise(depths: float, wx: float, wy: float):
+    """p_n of a load without shear passes exp(-omega depth): its power, summed over all frequencies that look alike."""
+    array = sensor_array("p_n", pitch_m=depths * 1e-3)
+    sampling = 2.0 * np.pi / depths
+    steps = np.arange(-30, 31) * sampling
+    power = np.exp(-2.0 * np.hypot(wx + steps, wy + steps[:, None]))
+    here = math.exp(-2.0 * math.hypot(wx, wy))
+    expected = here / (array.noise_density + power.sum() - here)
+    assert array.load_to_error("normal_alone", 1e3 * wx, 1e3 * wy) == pytest.approx(expected, rel=1e-4)
+
+
+def test_nothing_is_known_beyond_nyquist():
+    array, nyquist = sensor_array(), np.pi / 0.4e-3
+    inside, beyond = 0.99 * nyquist, 1.01 * nyquist
+    found = array.load_to_error("normal_alone", [inside, beyond, 0.0, -beyond], [0.0, 0.0, beyond, 0.0])
+    assert found[0] > 0.5
+    np.testing.assert_array_equal(found[1:], 0.0)
+
+
+@pytest.mark.parametrize("components", [BEST, CANDIDATES["e"], ("xx", "xz", "sigma_yy")])
+@pytest.mark.parametrize("load", LOADS)
+def test_one_quarter_of_the_directions_stands_for_all(components: tuple[str, ...], load: Load):
+    array = sensor_array(*components, nu=0.3, pitch_m=1.2e-3)
+    wx, wy = np.random.default_rng(2).uniform(0.0, 2.4e3, (2, 30))
+    first = array.load_to_error(load, wx, wy)
+    for sign_x, sign_y in ((-1, 1), (1, -1), (-1, -1)):
+        np.testing.assert_allclose(array.load_to_error(load, sign_x * wx, sign_y * wy), first, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("snr_db", [30.0, 100.0])
+def test_the_sets_of_the_paper_under_an_incompressible_skin(snr_db: float):
+    for name, components in CANDIDATES.items():
+        array = sensor_array(*components, snr_db=snr_db)
+        resolved = {load: not math.isnan(array.features_m(load)[0]) for load in LOADS}
+        assert resolved["normal"] == (name in "efg")
+        assert resolved["shear"] == (name == "g")
+        assert resolved["normal_alone"]
+    assert not math.isnan(sensor_array(*CANDIDATES["f"]).features_m("shear", math.radians(45.0))[0])
+    assert math.isnan(sensor_array(*CANDIDATES["f"]).features_m("shear", 0.0)[0])
+
+
+def test_one_signal_resolves_nothing_but_a_load_without_shear():
+    array = sensor_array("p_n")
+    for load in ("normal", "shear"):
+        assert np.isnan(array.features_m(load)).all()
+        assert math.isnan(array.deepest_m(load, 2e-3))
+        assert math.isnan(array.widest_pitch_m(load, 2e-3))
+    assert 0.4e-3 < array.features_m("normal_alone")[0] < 1e-3
+
+
+def test_nearly_incompressible_is_nearly_blind():
+    """Strains alone: what they tell of the mean stress fades as 1 - 2 nu, not at once at 1/2."""
+    omega = 1.5e3
+    told = [float(sensor_array(*CANDIDATES["c"], nu=nu).load_to_error("normal", omega, 0.0)) for nu in (0.49, 0.4999)]
+    assert told[0] / told[1] == pytest.approx(1e4, rel=0.1)
+    assert float(sensor_array(*CANDIDATES["c"]).load_to_error("normal", omega, 0.0)) < 1e-6
+
+
+def test_bands_agree_with_a_dense_scan():
+    for array, load in (
+        (sensor_array(), "shear"),
+        (sensor_array("xz", "yz"), "normal_alone"),
+        (sensor_array("xz", "yz", pitch_m=2e-3, snr_db=10.0), "normal_alone"),
+    ):
+        finest_m, coarsest_m = array.features_m(load, math.radians(30.0))
+        omega = np.geomspace(0.1, np.pi / array.pitch_m / math.cos(math.radians(30.0)), 8000)
+        good = array.load_to_error(load, omega * math.cos(math.pi / 6), omega * 0.5) >= 1.0
+        assert np.pi / finest_m == pytest.approx(omega[good].max(), rel=3e-3)
+        if good[0]:
+            assert math.isinf(coarsest_m)
+        else:
+            assert np.pi / coarsest_m == pytest.approx(omega[good].min(), rel=3e-3)
+
+
+def test_even_pressure_is_lost_where_it_makes_no_strain():
+    """The strain zz of an incompressible skin is t exp(-t) of a pressure, t = omega depth: too weak below a wave."""
+    array = sensor_array("zz")
+    coarsest_m = array.features_m("normal_alone")[1]
+    t = np.pi / coarsest_m * 1e-3
+    assert t * math.exp(-t) == pytest.approx(math.sqrt(array.noise_density), rel=1e-3)
+    assert math.isinf(sensor_array("zz", nu=0.3).features_m("normal_alone")[1])
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_less_noise_and_a_finer_pitch_resolve_more(load: Load):
+    finest = [sensor_array(snr_db=snr_db).features_m(load)[0] for snr_db in (10.0, 20.0, 30.0, 40.0)]
+    assert finest == sorted(finest, reverse=True)
+    finest = [sensor_array(pitch_m=pitch_m).features_m(load)[0] for pitch_m in (1e-3, 0.5e-3, 0.2e-3)]
+    assert finest == sorted(finest, reverse=True)
+    assert finest[0] >= 1e-3  # Nyquist
+    everything = sensor_array(snr_db=100.0, pitch_m=0.5e-3).features_m(load)[0]
+    assert everything >= 0.5e-3
+
+
+@pytest.mark.parametrize("load", LOADS)
+def test_deepest_and_widest_are_borders(load: Load):
+    array, feature_m = sensor_array(), 2e-3
+
+    def resolved(**changes: float) -> bool:
+        changed = sensor_array(**changes)
+        return bool((changed.load_to_error(load, *np.pi / feature_m * directions) >= 1.0).all())
+
+    directions = np.array([np.cos(np.radians(np.arange(0, 91, 7.5))), np.sin(np.radians(np.arange(0, 91, 7.5)))])
+    deepest_m, widest_m = array.deepest_m(load, feature_m), array.widest_pitch_m(load, feature_m)
+    assert resolved(depth_m=0.999 * deepest_m)
+    assert not any(resolved(depth_m=deepest_m * factor) for factor in np.geomspace(1.001, 20.0, 40))
+    assert resolved(pitch_m=0.999 * widest_m)
+    if widest_m < feature_m:
+        assert not any(resolved(pitch_m=widest_m * factor) for factor in np.geomspace(1.001, 4.0, 20))
+    finest_m = array.features_m(load)[0]
+    assert array.deepest_m(load, finest_m * 1.01) >= 1e-3  # the depth itself
+    assert math.isnan(array.deepest_m(load, 0.39e-3))
+
+
+def test_absurd_but_allowed_arrays_have_answers():
+    assert np.isnan(sensor_array(pitch_m=10e-3).features_m("normal")).all()
+    assert 1e-3 < sensor_array().widest_pitch_m("normal_alone", 50e-3) <= 10e-3
+    fine = sensor_array(depth_m=5e-3, pitch_m=1e-6, snr_db=100.0).features_m("normal")
+    assert 0.1e-3 < fine[0] < 5e-3
+    assert np.isnan(sensor_array(snr_db=-40.0).features_m("normal_alone")).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"pitch_m": 0.0}, "pitch_m is 0, must be above 0"),
+        ({"pitch_m": 1.01e-2}, "pitch_m is 0.0101, must be above 0 and at most ten depths, 0.01"),
+        ({"pitch_m": math.nan}, "pitch_m is nan"),
+        ({"snr_db": 101.0}, "snr_db is 101, must be from -40 to 100"),
+        ({"snr_db": math.nan}, "snr_db is nan"),
+    ],
+)
+def test_what_is_no_array_is_refused(changes: dict[str, float], complaint: str):
+    with pytest.raises(ValueError, match=complaint):
+        sensor_array(**changes)
+
+
+def test_what_is_no_feature_or_load_is_refused():
+    for call in (sensor_array().deepest_m, sensor_array().widest_pitch_m):
+        with pytest.raises(ValueError, match=r"feature_m is 0\.0, must be finite and above 0"):
+            call("normal", 0.0)
+    with pytest.raises(ValueError, match="load is 'twist', must be one of: normal, shear, normal_alone"):
+        sensor_array().load_to_error("twist", 1.0, 1.0)  # type: ignore[arg-type]

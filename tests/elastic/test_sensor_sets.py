@@ -1,0 +1,275 @@
+"""Sensor sets against closed forms, sums over plain grids, and what Karason, Srinivasan and Annaswamy publish."""
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.sensor_sets import CANDIDATES, COMPONENTS, SensorSet
+
+Floats = NDArray[np.float64]
+
+E = 2.0e5
+DEPTH_M = 1.3e-3
+POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
+STRAINS = ("xx", "yy", "zz", "xy", "xz", "yz")
+BEST = ("p_n", "xz", "yz")
+
+
+def sensor_set(*components: str, nu: float = 0.5, depth_m: float = DEPTH_M) -> SensorSet:
+    return SensorSet(HalfSpace(E, nu), components, depth_m)
+
+
+def random_frequencies(count: int = 100) -> tuple[Floats, Floats]:
+    rng = np.random.default_rng(11)
+    t, angle = rng.uniform(0.02, 6.0, count), rng.uniform(-np.pi, np.pi, count)
+    return t * np.cos(angle) / DEPTH_M, t * np.sin(angle) / DEPTH_M
+
+
+def plane(edge: float = 14.0, count: int = 500) -> tuple[Floats, Floats, float]:
+    """Frequencies over a quarter of the plane, at the middles of squares, and the area that each stands for."""
+    step = edge / count / DEPTH_M
+    omega = (np.arange(count) + 0.5) * step
+    return omega, omega[:, None], 4.0 * step**2
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_determinants_of_the_candidates(nu: float):
+    wx, wy = random_frequencies()
+    w = np.hypot(wx, wy)
+    c, s = wx / w, wy / w
+    shape = {
+        "a": 0.0 * c,
+        "b": 4.0 * (1.0 - 2.0 * nu) * c * s,
+        "c": -(1.0 - 2.0 * nu) + 0.0 * c,
+        "d": -(1.0 - 2.0 * nu) * c * s,
+        "e": s**2 - c**2,
+        "f": 2.0 * c * s,
+        "g": -1.0 + 0.0 * c,
+    }
+    for name, expected in shape.items():
+        found = sensor_set(*CANDIDATES[name], nu=nu).determinant(wx, wy) * np.exp(3.0 * w * DEPTH_M)
+        np.testing.assert_allclose(found, expected, atol=1e-11, err_msg=name)
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_signals_are_dimensionless_and_per_twice_the_shear_modulus(nu: float):
+    body = HalfSpace(E, nu)
+    wx, wy = random_frequencies()
+    two_mu = E / (1.0 + nu)
+    every = sensor_set(*COMPONENTS, nu=nu).matrix(wx, wy) / two_mu
+    stress = body.transfer_matrix("stress", "traction", wx, wy, DEPTH_M)
+    np.testing.assert_allclose(
+        every[:, 1:7], body.transfer_matrix("strain", "traction", wx, wy, DEPTH_M), rtol=1e-13, atol=1e-25
+    )
+    np.testing.assert_allclose(every[:, 7:], stress / two_mu, rtol=1e-13)
+    np.testing.assert_allclose(every[:, 0], stress[:, :3].sum(axis=1) / (2.0 * E), rtol=1e-9, atol=1e-14 / E)
+    np.testing.assert_allclose(
+        sensor_set(*BEST, nu=nu).matrix(wx, wy) / two_mu,
+        body.transfer_matrix("sensor", "traction", wx, wy, DEPTH_M),
+        rtol=1e-13,
+    )
+
+
+@pytest.mark.parametrize("components", [("p_n",), ("zz", "xy"), BEST, COMPONENTS])
+def test_singular_values_are_the_extent_of_what_unit_loads_cause(components: tuple[str, ...]):
+    sensors = sensor_set(*components, nu=0.3)
+    rng = np.random.default_rng(3)
+    for wx, wy in np.transpose(random_frequencies(5)):
+        matrix, values = sensors.matrix(wx, wy), sensors.singular_values(wx, wy)
+        gram = np.linalg.eigvalsh(matrix.conj().T @ matrix)[::-1]
+        np.testing.assert_allclose(values**2, np.maximum(gram, 0.0), atol=1e-14 * gram[0])
+        loads = rng.standard_normal((2000, 3)) + 1j * rng.standard_normal((2000, 3))
+        caused = np.linalg.norm(loads @ matrix.T, axis=1) / np.linalg.norm(loads, axis=1)
+        assert values[2] * (1 - 1e-9) <= caused.min()
+        assert values[0] * 0.9 < caused.max() <= values[0] * (1 + 1e-9)
+        assert sensors.rank(wx, wy) == min(len(components), 3)
+        if len(components) < 3:
+            assert math.isinf(sensors.condition(wx, wy))
+        else:
+            assert sensors.condition(wx, wy) == pytest.approx(values[0] / values[2])
+
+
+def test_condition_of_the_best_set():
+    """Across omega a factor of one; along it and z the block [[j, -1], [-(1 - t), j t]], of determinant one."""
+    sensors = sensor_set(*BEST)
+    for t in (1e-9, 1.0, 3.0):
+        omega = t / DEPTH_M * np.exp(1j * np.radians([0.0, 17.0, 90.0]))
+        trace = 2.0 + t**2 + (1.0 - t) ** 2
+        expected = (trace + math.sqrt(trace**2 - 4.0)) / 2.0  # ratio of singular values whose product is one
+        np.testing.assert_allclose(sensors.condition(omega.real, omega.imag), expected, rtol=1e-8)
+    assert sensors.condition(1.0 / DEPTH_M, 0.0) == pytest.approx((3.0 + math.sqrt(5.0)) / 2.0)
+
+
+def test_rank_does_not_fade_with_the_signals():
+    wx, wy = 40.0 / DEPTH_M * np.array([0.6, -0.8])  # signals of 1e-18
+    assert sensor_set(*BEST).rank(wx, wy) == 3
+    assert sensor_set(*STRAINS).rank(wx, wy) == 2
+    assert sensor_set(*BEST).condition(wx, wy) == pytest.approx(2 * 40**2 - 2 * 40 + 3, rel=1e-3)
+
+
+def test_strains_of_an_incompressible_skin_have_rank_two_at_every_frequency():
+    wx, wy = random_frequencies()
+    assert set(sensor_set(*STRAINS).rank(wx, wy)) == {2}
+    assert np.isinf(sensor_set(*STRAINS).condition(wx, wy)).all()
+    assert set(sensor_set(*STRAINS, nu=0.499).rank(wx, wy)) == {3}
+    for extra in ("p_n", "sigma_xx", "sigma_zz"):
+        assert set(sensor_set(*STRAINS, extra).rank(wx, wy)) == {3}
+    for count in (3, 4, 5):
+        for names in combinations(STRAINS, count):
+            assert sensor_set(*names).best_rank == 2
+
+
+@pytest.mark.parametrize(
+    ("components", "nu", "loss"),
+    [
+        (CANDIDATES["a"], 0.5, "dependent"),
+        (CANDIDATES["a"], 0.3, "dependent"),
+        (CANDIDATES["b"], 0.5, "incompressible"),
+        (CANDIDATES["b"], 0.3, "none"),
+        (CANDIDATES["c"], 0.5, "incompressible"),
+        (CANDIDATES["d"], 0.5, "incompressible"),
+        (CANDIDATES["e"], 0.5, "none"),
+        (CANDIDATES["f"], 0.5, "none"),
+        (CANDIDATES["g"], 0.5, "none"),
+        (("sigma_zz", "sigma_xz", "sigma_yz"), 0.5, "none"),
+        (("p_n",), 0.5, "too_few"),
+        (("p_n", "zz"), 0.3, "too_few"),
+        (("xz", "sigma_xz"), 0.3, "dependent"),
+    ],
+)
+def test_why_a_set_is_deficient(components: tuple[str, ...], nu: float, loss: str):
+    assert sensor_set(*components, nu=nu).loss == loss
+
+
+@pytest.mark.parametrize(
+    ("components", "nu", "degrees"),
+    [
+        (CANDIDATES["a"], 0.3, []),
+        (CANDIDATES["b"], 0.3, [0.0, 90.0]),
+        (CANDIDATES["c"], 0.3, []),
+        (CANDIDATES["d"], 0.3, [0.0, 90.0]),
+        (CANDIDATES["e"], 0.5, [45.0, 135.0]),
+        (CANDIDATES["f"], 0.5, [0.0, 90.0]),
+        (CANDIDATES["g"], 0.5, []),
+        (("xx",), 0.5, [90.0]),
+        # s^2 = 2 c^2: with sigma_zz known, sigma_xx and xy then tell the same
+        (("xy", "sigma_xx", "sigma_zz"), 0.5, [math.degrees(math.atan(math.sqrt(2.0))), 125.26438968]),
+    ],
+)
+def test_directions_in_which_the_rank_drops(components: tuple[str, ...], nu: float, degrees: list[float]):
+    sensors = sensor_set(*components, nu=nu)
+    np.testing.assert_allclose(np.degrees(sensors.blind_directions_rad), degrees, atol=1e-6)
+    for direction in np.radians([x for x in degrees if x % 45.0 == 0.0]):
+        for t in (0.2, 1.0, 4.0):
+            assert sensors.rank(t / DEPTH_M * np.cos(direction), t / DEPTH_M * np.sin(direction)) < sensors.best_rank
+
+
+def test_power_in_closed_form():
+    wx, wy = random_frequencies()
+    w = np.hypot(wx, wy)
+    t, c2, s2 = w * DEPTH_M, (wx / w) ** 2, (wy / w) ** 2
+    fading = np.exp(-2.0 * t)
+    found = sensor_set("p_n", "xz", "yz", "zz").power(wx, wy)
+    expected = [2.0 + 0.0 * t, 1.0 - 2.0 * c2 * (t - t**2), 1.0 - 2.0 * s2 * (t - t**2), (1.0 - t) ** 2 + t**2]
+    np.testing.assert_allclose(found, fading[:, None] * np.transpose(expected), rtol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("components", "nu", "expected"),
+    [
+        (("p_n",), 0.5, math.sqrt(1 / 2)),
+        (("p_n",), -0.4, math.sqrt(1 / 2)),
+        (("zz",), 0.5, 1.0),
+        (("xz",), 0.3, math.sqrt(3 / 4)),
+        (BEST, 0.5, math.sqrt(5 / 8)),
+    ],
+)
+def test_bandwidth_in_closed_form(components: tuple[str, ...], nu: float, expected: float):
+    sensors = sensor_set(*components, nu=nu)
+    assert sensors.bandwidth_rad_per_m * DEPTH_M == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("components", [("zz",), ("xx",), ("xy",), ("sigma_yy", "xz"), CANDIDATES["e"]])
+def test_bandwidth_and_integral_against_a_sum_over_the_plane(components: tuple[str, ...]):
+    sensors = sensor_set(*components, nu=0.3)
+    wx, wy, area = plane()
+    power = sensors.power(wx, wy).sum(axis=-1)
+    assert sensors.power_integral_per_m2 == pytest.approx(
+        power.sum() * area, rel=1e-3
+    )  # falls with the square of the step
+    t, angle = np.geomspace(1e-6, 10.0, 700), np.radians(np.linspace(0.0, 90.0, 61))[:, None]
+    highest = sensors.power(t / DEPTH_M * np.cos(angle), t / DEPTH_M * np.sin(angle)).sum(axis=-1).max()
+    assert sensors.highest_power == pytest.approx(highest, rel=1e-4)
+    disc = math.pi * sensors.bandwidth_rad_per_m**2 * sensors.highest_power
+    assert disc == pytest.approx(power.sum() * area, rel=1e-3)  # falls with the square of the step
+
+
+@pytest.mark.parametrize("nu", POISSON)
+def test_p_n_is_narrower_than_zz_as_published(nu: float):
+    assert sensor_set("p_n", nu=nu).bandwidth_rad_per_m < sensor_set("zz", nu=nu).bandwidth_rad_per_m
+
+
+def test_symmetry_as_published():
+    for symmetric in (("p_n",), ("zz",), BEST, CANDIDATES["c"], ("sigma_zz", "sigma_xz", "sigma_yz")):
+        assert sensor_set(*symmetric, nu=0.3).asymmetry < 1e-12
+    for name in ("b", "d", "e", "f"):
+        assert sensor_set(*CANDIDATES[name], nu=0.3).asymmetry > 0.05
+    for single in ("xx", "yy", "xy"):
+        assert sensor_set(single, nu=0.3).asymmetry > 0.3
+    assert sensor_set("xz").asymmetry == pytest.approx(1 / math.sqrt(18))  # by hand from its power, above
+
+
+def test_symmetry_is_that_of_the_singular_values():
+    for components, symmetric in ((("p_n", "xz", "sigma_yz"), True), (("p_n", "xz"), False)):  # sigma_yz / (2 mu) = yz
+        sensors = sensor_set(*components, nu=0.3)
+        along, across = sensors.singular_values(500.0, 0.0), sensors.singular_values(0.0, 500.0)
+        assert np.allclose(along, across) == symmetric
+        assert (sensors.asymmetry < 1e-12) == symmetric
+
+
+def test_xy_is_weak_on_the_diagonals_at_long_waves_and_on_the_axes_at_short_ones():
+    """The paper says the first; a normal load causes no xy at all on the axes, so that short waves are lost there."""
+    sensors = sensor_set("xy")
+    for t, axis_is_stronger in ((0.3, True), (1.7, True), (1.9, False), (4.0, False)):
+        on_axis = sensors.power(t / DEPTH_M, 0.0)[0]
+        on_diagonal = sensors.power(*(t / DEPTH_M * np.array([1.0, 1.0]) / math.sqrt(2.0)))[0]
+        assert (on_axis > on_diagonal) == axis_is_stronger  # they cross at (1 + sqrt(7)) / 2 = 1.82
+    np.testing.assert_allclose(sensors.matrix([0.0, 500.0], [700.0, 0.0])[..., 2], 0.0, atol=1e-15)
+
+
+def test_depth_is_a_scale_and_stiffness_none():
+    shallow, deep = sensor_set(*CANDIDATES["e"], nu=0.3), sensor_set(*CANDIDATES["e"], nu=0.3, depth_m=3 * DEPTH_M)
+    stiff = SensorSet(HalfSpace(50 * E, 0.3), CANDIDATES["e"], DEPTH_M)
+    assert shallow.bandwidth_rad_per_m == pytest.approx(3 * deep.bandwidth_rad_per_m)
+    assert shallow.asymmetry == pytest.approx(deep.asymmetry)
+    np.testing.assert_allclose(shallow.matrix(300.0, 900.0), deep.matrix(100.0, 300.0), rtol=1e-12)
+    np.testing.assert_allclose(shallow.matrix(300.0, 900.0), stiff.matrix(300.0, 900.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("components", "depth_m", "complaint"),
+    [
+        ((), 1e-3, "components is empty"),
+        (("p_n", "xzz"), 1e-3, "'xzz' is unknown; did you mean zz.*p_n, xx, yy"),
+        (("q",), 1e-3, "'q' is unknown; must be one of"),
+        (("xz", "p_n", "xz"), 1e-3, "'xz' is named 2 times"),
+        (("p_n",), 0.0, "depth_m is 0.0, must be finite and above 0"),
+        (("p_n",), math.nan, "depth_m is nan"),
+    ],
+)
+def test_what_is_no_set_is_refused(components: tuple[str, ...], depth_m: float, complaint: str):
+    with pytest.raises(ValueError, match=complaint):
+        SensorSet(HalfSpace(E, 0.5), components, depth_m)
+
+
+def test_what_has_no_answer_is_refused():
+    with pytest.raises(ValueError, match="has 2 components, must have 3"):
+        sensor_set("p_n", "xz").determinant(1.0, 1.0)
+    with pytest.raises(ValueError, match="omega reaches 1e\\+06 rad/m, must be at most"):
+        sensor_set("p_n").matrix(1e6, 0.0)
+    with pytest.raises(ValueError, match="not finite"):
+        sensor_set("p_n").rank(np.nan, 0.0)

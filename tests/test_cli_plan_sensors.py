@@ -1,0 +1,78 @@
+"""`resonatord plan sensors` as a user meets it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.cli import main
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "plan", "sensors")
+
+
+def plan_sensors(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_text_says_what_is_felt() -> None:
+    run = plan_sensors("--set", "p_n,xz,yz", "--depth-mm", "1", "--pitch-mm", "0.4", "--snr-db", "30")
+    assert run.returncode == 0
+    assert run.stderr == ""
+    assert "resolves normal load down to" in run.stdout
+    assert "Power density" in run.stdout
+    assert plan_sensors().stdout == run.stdout  # these are the defaults
+
+
+def test_json_is_one_object_and_nothing_else() -> None:
+    run = plan_sensors("--json", "--set", "xx,yy,zz", "--depth-mm", "2", "--pitch-mm", "1", "--poisson-ratio", "0.3")
+    assert run.returncode == 0
+    assert run.stderr == ""
+    found = json.loads(run.stdout)
+    assert found["components"] == ["xx", "yy", "zz"]
+    assert (found["depth_m"], found["pitch_m"], found["poisson_ratio"]) == (0.002, 0.001, 0.3)
+    assert found["youngs_modulus_pascal"] == 2e5
+    assert found["rank"] == 3
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("--set", "p_n,xzz"), "'xzz' is unknown; did you mean zz? must be one of: p_n, xx"),
+        (("--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
+        (("--set", ""), "'' is unknown"),
+        (("--pitch-mm", "30"), "at most ten depths, 0.01: a sparser array"),
+        (("--depth-mm", "0"), "'0' is not a number above 0"),
+        (("--poisson-ratio", "0.7"), "poisson_ratio is 0.7, must be in (-1, 0.5]"),
+        (("--youngs-modulus-pascal", "-3"), "'-3' is not a number above 0"),
+        (("--snr-db", "400"), "snr_db is 400, must be from -40 to 100"),
+        (("--snr-db", "loud"), "invalid float value: 'loud'"),
+        (("--picture", "set.gif"), "'set.gif' must end in .svg, .png or .pdf"),
+    ],
+)
+def test_bad_values_are_usage_errors_of_one_sentence(
+    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["plan", "sensors", *arguments])
+    assert stopped.value.code == 2
+    assert complaint in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_the_picture_is_written_beside_the_text(tmp_path: Path) -> None:
+    path = tmp_path / "set.svg"
+    run = plan_sensors("--picture", str(path), "--json")
+    assert run.returncode == 0
+    assert run.stderr == ""
+    assert path.read_text().startswith("<?xml")
+    gone = plan_sensors("--picture", str(tmp_path / "none" / "set.svg"))
+    assert gone.returncode == 1
+    assert len(gone.stderr.splitlines()) == 1
+
+
+def test_help_teaches() -> None:
+    run = plan_sensors("--help")
+    assert run.returncode == 0
+    for word in ("sigma_xx", "half-space", "1 mm stripes", "resonatord plan sensors --set", "ten depths"):
+        assert word in " ".join(run.stdout.split())

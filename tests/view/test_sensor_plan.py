@@ -1,0 +1,144 @@
+"""The plan of a skin's sensors: its sentences, its object and its pictures, against what the elastic room says."""
+
+import io
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.sensor_resolution import SensorArray
+from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.view.sensor_plan import FEATURES_M, SensorPlan
+
+
+def plan(*components: str, nu: float = 0.5, depth_m: float = 1e-3, pitch_m: float = 0.4e-3, snr_db: float = 30.0):
+    return SensorPlan(SensorArray(SensorSet(HalfSpace(2e5, nu), components, depth_m), pitch_m, snr_db))
+
+
+def rendered(shown: SensorPlan, width: int = 80, **options: object) -> list[str]:
+    stream = io.StringIO()
+    Console(file=stream, width=width, highlight=False, **options).print(shown)
+    return stream.getvalue().splitlines()
+
+
+def panel(lines: list[str], title_line: int, column: int) -> np.ndarray:
+    """Density of a picture's characters, rows from the top."""
+    rows = [line.ljust(80)[24 * column : 24 * column + 22] for line in lines[title_line + 1 : title_line + 12]]
+    return np.array([[" .:-=+*#%@".index(letter) for letter in row] for row in rows])
+
+
+def test_the_best_set_resolves_normal_load_and_shear() -> None:
+    shown = plan("p_n", "xz", "yz")
+    assert shown.sentence() == (
+        "p_n, xz, yz, 1 mm deep and 0.4 mm apart at 30 dB: resolves normal load down to 0.706 mm, whatever the shear; "
+        "shear down to 0.739 mm, whatever the normal load; "
+        "the normal load of a touch without friction down to 0.415 mm."
+    )
+    resolved = shown.as_json()["resolved"]
+    array = SensorArray(SensorSet(HalfSpace(2e5, 0.5), ("p_n", "xz", "yz"), 1e-3), 0.4e-3, 30.0)
+    for load, found in resolved.items():
+        omega = np.pi / found["finest_m"]
+        assert float(array.load_to_error(load, omega, 0.0)) >= 1.0
+        assert found["even_loads"] is True
+        assert found["coarsest_m"] is None
+        assert found["finest_in_best_direction_m"] <= found["finest_m"] * 1.0001
+
+
+@pytest.mark.parametrize(
+    ("components", "array", "words"),
+    [
+        ("xx,yy,zz", {}, ["incompressible", "give rank 2; add p_n", "only along 0° and 90°"]),
+        ("zz,xz,yz", {}, ["incompressible", "without friction from ", " mm down to 0.4 mm"]),
+        ("xy,xx,yy", {"nu": 0.3}, ["compatibility"]),
+        ("xz,sigma_xz", {"nu": 0.3}, ["follow from each other and give rank 1"]),
+        ("p_n,zz,xy", {}, ["resolves normal load down to", "only along 45° and 135°, where the rank drops"]),
+        ("p_n", {}, ["resolves the normal load of a touch without friction", "one signal gives rank 1"]),
+        ("p_n,xz", {}, ["2 signals give rank 2"]),
+        ("p_n,xz,yz", {"snr_db": -20.0}, ["resolves no load of any kind", "hide normal and shear of every width"]),
+        ("xz,yz", {"pitch_m": 2e-3, "snr_db": 10.0}, ["touch without friction from ", " mm down to "]),
+    ],
+)
+def test_what_a_skin_cannot_feel_is_said_with_its_reason(
+    components: str, array: dict[str, float], words: list[str]
+) -> None:
+    sentence = plan(*components.split(","), **array).sentence()
+    assert [word for word in words if word not in sentence] == []
+    assert "nan" not in sentence
+
+
+def test_the_object_is_strict_json_in_si_units() -> None:
+    for shown in (plan("p_n", "xz", "yz"), plan("xx", snr_db=-40.0)):
+        found = json.loads(json.dumps(shown.as_json(), allow_nan=False))
+        assert [row["feature_m"] for row in found["features"]] == list(FEATURES_M)
+    found = plan("p_n", "xz", "yz").as_json()
+    assert found["signals"][0]["bandwidth_rad_per_m"] == pytest.approx(1e3 / math.sqrt(2.0))
+    assert found["signals"][1]["strongest_per_pascal"] == pytest.approx(1.5 / 2e5)  # shear over 2 mu
+    assert found["condition_at_inverse_depth"] == pytest.approx([2.618034] * 2)
+    assert found["features"][1]["deepest_m"]["shear"] == pytest.approx(1.45e-3, rel=0.01)
+    assert found["features"][0]["deepest_m"]["shear"] is None
+    assert plan("p_n").as_json()["condition_at_inverse_depth"] == [None, None]
+
+
+def test_tables_and_pictures_fit_the_width() -> None:
+    lines = rendered(plan("p_n", "xz", "yz"))
+    assert max(map(len, lines)) <= 80
+    assert any(line.split() == ["2", "3.47", "3.35", "1.35", "1.25"] for line in lines)
+    assert any(line.split() == ["xz", "0.866", "0.236", "7500", "-"] for line in lines)
+    first = next(n for n, line in enumerate(lines) if line.split() == ["p_n", "xz", "yz"])
+    assert lines[first + 12].split() == ["set"]
+    p_n, xz, yz = (panel(lines, first, column) for column in range(3))
+    together = panel(lines, first + 12, 0)
+    for symmetric in (p_n, together):
+        np.testing.assert_array_equal(symmetric, symmetric[::-1, ::-1])
+        assert symmetric[5, 10] >= 8  # dense in the middle, where the signal is strong
+        assert symmetric[0, 0] == 0
+    assert together.sum() > p_n.sum()  # shear strains reach further out
+    assert (xz[5, :6] > 0).all()  # short waves along x, not along y
+    assert (xz[0] == 0).all()
+    assert (yz[5, :2] == 0).all()
+    assert (yz[0] > 0).any()
+
+
+def test_the_page_has_the_numbers_of_the_sets_of_the_paper() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "sensors.md").read_text()
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines()]
+    rows = [row for row in rows if row[0] in CANDIDATES]
+    assert len(rows) == 7
+    for name, signals, _, rank, blind, bandwidth, asymmetry, normal, shear in rows:
+        assert tuple(signals.split(", ")) == CANDIDATES[name]
+        found = plan(*CANDIDATES[name]).as_json()
+        degrees = ", ".join(f"{math.degrees(angle):.0f}°" for angle in found["set"]["blind_directions_rad"])
+        assert (int(rank), blind) == (found["rank"], degrees or "-")
+        assert float(bandwidth) == pytest.approx(1e-3 * found["set"]["bandwidth_rad_per_m"], abs=5e-4)
+        assert float(asymmetry) == pytest.approx(found["set"]["asymmetry"], abs=5e-4)
+        for shown, load in ((normal, "normal"), (shear, "shear")):
+            finest_m = found["resolved"][load]["finest_m"]
+            assert shown == ("-" if finest_m is None else f"{1e3 * finest_m:.3f}")
+
+
+def test_pictures_have_colours_where_the_terminal_has() -> None:
+    coloured = "\n".join(rendered(plan("p_n"), force_terminal=True, color_system="truecolor"))
+    assert "\x1b[38;2;" in coloured
+    assert "bright is strong" in coloured
+    assert "\x1b" not in "\n".join(rendered(plan("p_n")))
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
+def test_the_picture_is_written(tmp_path: Path, suffix: str, start: bytes) -> None:
+    path = tmp_path / f"set{suffix}"
+    plan("p_n", "xz", "yz", "zz", "xy").write_picture(path)
+    assert path.read_bytes().startswith(start)
+
+
+def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
+    monkeypatch.delitem(sys.modules, "resonator_daemon.view.density_figure", raising=False)
+    with pytest.raises(OperatorError, match=r"matplotlib.*pip install 'resonatord\[figures\]'"):
+        plan("p_n").write_picture(tmp_path / "set.png")
