@@ -44,14 +44,14 @@ class Face:
 
     def means(self, vectors: Floats, balanced: Bools) -> Floats:
         """Constant vector, (components, 1, 1), nearest to `vectors` in these directions; 0 where not `balanced`."""
-        components = len(vectors)
-        counts = np.diag(np.broadcast_to(self.free, vectors.shape).sum(axis=(1, 2), dtype=np.float64))
-        if self.barred is not None:
-            counts -= np.einsum("iyx,jyx->ij", self.barred, self.barred)
-        means = np.linalg.pinv(counts * np.outer(balanced, balanced), hermitian=True) @ self.restrict(vectors).sum(
-            axis=(1, 2)
-        )
-        return np.asarray(means, np.float64).reshape(components, 1, 1)
+        sums = self.restrict(vectors).sum(axis=(1, 2))
+        counts = np.broadcast_to(self.free, vectors.shape).sum(axis=(1, 2))
+        if self.barred is None:
+            means = np.where(balanced, sums / np.maximum(counts, 1), 0.0)
+        else:
+            open_ = np.diag(counts.astype(np.float64)) - np.einsum("iyx,jyx->ij", self.barred, self.barred)
+            means = np.linalg.lstsq(open_ * np.outer(balanced, balanced), sums * balanced)[0]
+        return np.asarray(means, np.float64).reshape(-1, 1, 1)
 
     def bend(self, direction: Floats) -> float:
         """Share of the bounds' bend in the second derivative of the energy along `direction`."""
@@ -263,7 +263,7 @@ def _nearest_of_sum(bounds: Bounds, tractions: Floats, sums: Floats) -> Floats:
     """Project onto the tractions within the bounds that have this sum: Newton's method on their common offset.
 
     Where most pixels are at their bounds the sum hardly yields, and Newton's steps would go astray: none is longer than
-    what is there already, and one that overshoots is halved. The sum is the gradient of a convex function of the offset.
+    what is there already, and one that overshoots is halved. The sum is a convex function's gradient.
     """
     offset = np.zeros((len(sums), 1, 1))
     balanced = np.isfinite(sums)

@@ -62,21 +62,22 @@ class SurfaceCompliance:
         ny, nx = shape
         lags_y = _lags(ny, self.shape[0] if self.periodic else 2 * ny - 1)
         lags_x = _lags(nx, self.shape[1] if self.periodic else 2 * nx - 1)
-        kernel = np.array([[self._coefficients(row, column, lags_y, lags_x) for column in columns] for row in rows])
-        return Convolution(kernel, shape)
+        squares = _Squares(shape, self.pitch_m)
+        kernel = [[self._coefficients(row, column, squares, lags_y, lags_x) for column in columns] for row in rows]
+        return Convolution(np.array(kernel), shape)
 
     @property
     def of_own_load(self) -> float:
         """Normal displacement of a pixel's centre by its own normal traction, in metres per pascal."""
         at_zero = np.zeros(1, np.intp)
-        return float(self._coefficients(Z, Z, at_zero, at_zero)[0, 0])
+        return float(self._coefficients(Z, Z, _Squares((1, 1), self.pitch_m), at_zero, at_zero)[0, 0])
 
-    def _coefficients(self, row: int, column: int, lags_y: Lags, lags_x: Lags) -> Floats:
+    def _coefficients(self, row: int, column: int, squares: "_Squares", lags_y: Lags, lags_x: Lags) -> Floats:
         """Displacement in metres per pascal at each lag (y, x) from the loaded pixel."""
         if self.periodic:
             ny, nx = self.shape
             return np.asarray(self._periodic_coefficients[row, column][np.ix_(lags_y % ny, lags_x % nx)], np.float64)
-        values: Floats = self._quadrant(row, column)[np.ix_(np.abs(lags_y), np.abs(lags_x))]
+        values: Floats = self._quadrant(row, column, squares)[np.ix_(np.abs(lags_y), np.abs(lags_x))]
         # Odd in each tangential direction that names just one of load and displacement.
         if (row == X) != (column == X):
             values *= np.sign(lags_x)
@@ -84,25 +85,21 @@ class SurfaceCompliance:
             values *= np.sign(lags_y)[:, None]
         return values
 
-    def _quadrant(self, row: int, column: int) -> Floats:
+    def _quadrant(self, row: int, column: int, squares: "_Squares") -> Floats:
         """Coefficients at lags 0 .. n - 1, shape (ny, nx)."""
         mu, nu = self.half_space.shear_modulus_pascal, self.half_space.poisson_ratio
         if row == column == Z:
-            return (1.0 - nu) / (2.0 * np.pi * mu) * (self._squares.xx + self._squares.yy)
+            return (1.0 - nu) / (2.0 * np.pi * mu) * (squares.xx + squares.yy)
         if row == column:
-            along, across = self._squares.xx, self._squares.yy
+            along, across = squares.xx, squares.yy
             if row == Y:
                 along, across = across, along
             return (along + (1.0 - nu) * across) / (2.0 * np.pi * mu)
         if Z not in (row, column):
-            return nu / (2.0 * np.pi * mu) * self._squares.xy
+            return nu / (2.0 * np.pi * mu) * squares.xy
         sign = -1.0 if column == Z else 1.0  # a normal load draws the surface in, a tangential one lowers it ahead
-        slope = self._squares.x if X in (row, column) else self._squares.y
+        slope = squares.x if X in (row, column) else squares.y
         return sign * (1.0 - 2.0 * nu) / (4.0 * np.pi * mu) * slope
-
-    @cached_property
-    def _squares(self) -> "_Squares":
-        return _Squares.of(self.shape, self.pitch_m)
 
     @cached_property
     def _periodic_coefficients(self) -> Floats:
@@ -113,37 +110,44 @@ class SurfaceCompliance:
         return np.asarray(fft.irfft2(np.moveaxis(matrix, (2, 3), (0, 1)), s=self.shape), np.float64)
 
 
-@dataclass(frozen=True)
 class _Squares:
     """Integrals over a square pixel, at lags 0 .. n - 1 from its centre, shape (ny, nx), in metres.
 
     Of x^2/r^3, y^2/r^3, x y/r^3, x/r^2 and y/r^2, each the difference over the corners of its primitive.
     """
 
-    xx: Floats
-    yy: Floats
-    xy: Floats
-    x: Floats
-    y: Floats
-
-    @classmethod
-    def of(cls, shape: tuple[int, int], pitch_m: float) -> "_Squares":
+    def __init__(self, shape: tuple[int, int], pitch_m: float) -> None:
         # In half pitches every corner is an odd number: none lies on an axis, where the primitives have no value.
-        y, x = (2.0 * np.arange(n + 1) - 1.0 for n in shape)
-        y = y[:, None]
-        r = np.hypot(x, y)
-        log_r = np.log(r)
+        y, self._x = (2.0 * np.arange(n + 1) - 1.0 for n in shape)
+        self._y = y[:, None]
+        self._half_pitch_m = pitch_m / 2.0
 
-        def over_pixel(primitive: Floats) -> Floats:
-            return np.diff(np.diff(primitive, axis=0), axis=1) * (pitch_m / 2.0)
+    @cached_property
+    def xx(self) -> Floats:
+        return self._over_pixel(self._y * np.arcsinh(self._x / np.abs(self._y)))
 
-        return cls(
-            xx=over_pixel(y * np.arcsinh(x / np.abs(y))),
-            yy=over_pixel(x * np.arcsinh(y / np.abs(x))),
-            xy=over_pixel(-r),
-            x=over_pixel(y * log_r + x * np.arctan(y / x)),
-            y=over_pixel(x * log_r + y * np.arctan(x / y)),
-        )
+    @cached_property
+    def yy(self) -> Floats:
+        return self._over_pixel(self._x * np.arcsinh(self._y / np.abs(self._x)))
+
+    @cached_property
+    def xy(self) -> Floats:
+        return self._over_pixel(-np.hypot(self._x, self._y))
+
+    @cached_property
+    def x(self) -> Floats:
+        return self._over_pixel(self._y * self._log_r + self._x * np.arctan(self._y / self._x))
+
+    @cached_property
+    def y(self) -> Floats:
+        return self._over_pixel(self._x * self._log_r + self._y * np.arctan(self._x / self._y))
+
+    @cached_property
+    def _log_r(self) -> Floats:
+        return np.asarray(np.log(np.hypot(self._x, self._y)), np.float64)
+
+    def _over_pixel(self, primitive: Floats) -> Floats:
+        return np.diff(np.diff(primitive, axis=0), axis=1) * self._half_pitch_m
 
 
 class Convolution:

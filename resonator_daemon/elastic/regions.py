@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.elastic.constrained import Prescribed, minimise
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
+from resonator_daemon.elastic.windows import window_around
 
 Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def solve_regions(
 
     values = np.where(free, 0.0, known_traction)
     loaded = (free | (values != 0.0)).any(axis=0)
-    window = (slice(None), _span(loaded.any(axis=1)), _span(loaded.any(axis=0)))
+    window = (slice(None), *window_around(loaded))
     start = values[window]
     shape = (start.shape[1], start.shape[2])
     minimum = minimise(
@@ -104,9 +104,3 @@ def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
     if np.isinf(array).any():
         raise ValueError(f"{name} holds an infinite value; must be finite, or NaN where it is not known")
     return array
-
-
-def _span(hit: Bools) -> slice:
-    """From the first to the last pixel hit; one pixel where none is."""
-    where = np.flatnonzero(hit)
-    return slice(int(where[0]), int(where[-1]) + 1) if where.size else slice(0, 1)

@@ -1,0 +1,205 @@
+"""Contact with a rigid object of any shape, without friction: who touches, and with what pressure."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from resonator_daemon.elastic.constrained import NotConvergedError, Pushing, minimise
+from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, Z
+from resonator_daemon.elastic.windows import window_around
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_COARSEST = 12  # pixels a side that a coarser grid must have to pay
+_COARSE_TOLERANCE = 3e-2  # about as far as the coarser grid is from the finer one
+_MARGIN = 2  # pixels around a first guess of the contact that may come to touch
+
+
+@dataclass(frozen=True)
+class NormalContact:
+    """Pressure under a rigid object pressed into the surface."""
+
+    compliance: SurfaceCompliance
+    profile_m: Floats  # (ny, nx)
+    pressure_pascal: Floats  # (ny, nx), at least 0
+    approach_m: float  # of the object, from where height 0 of its profile is level with the unloaded surface
+    residuals: tuple[float, ...]  # one an iteration on this grid; the last is certified
+
+    @property
+    def load_newton(self) -> float:
+        return float(self.pressure_pascal.sum()) * self.compliance.pitch_m**2
+
+    @property
+    def touches(self) -> Bools:
+        """Pixels under pressure, (ny, nx)."""
+        return self.pressure_pascal > 0.0
+
+    @property
+    def area_m2(self) -> float:
+        return int(np.count_nonzero(self.touches)) * self.compliance.pitch_m**2
+
+    @cached_property
+    def gap_m(self) -> Floats:
+        """Gap between surface and object, (ny, nx): 0 within the residual where they touch, inf below no object."""
+        depth_by_pressure = self.compliance.convolution((Z,), (Z,), self.compliance.shape)
+        depth_m = depth_by_pressure(self.pressure_pascal[None])[0]
+        return np.asarray(depth_m + self.profile_m - self.approach_m, np.float64)
+
+
+def press(
+    compliance: SurfaceCompliance,
+    profile_m: ArrayLike,
+    *,
+    load_newton: float | None = None,
+    approach_m: float | None = None,
+    tolerance: float = 1e-8,
+    start_pascal: ArrayLike | None = None,
+) -> NormalContact:
+    """Press a rigid object into the surface, without friction, until it carries a load or has come a given way.
+
+    The pressure p >= 0 leaves a gap u_z(p) + profile - approach >= 0 that is 0 wherever p > 0 (Signorini), which makes
+    p the minimum of the complementary energy (Kalker, Three-Dimensional Elastic Bodies in Rolling Contact, 1990).
+    `minimise` finds it on grids of ever halved pitch, each from the contact of the last and among the pixels near it.
+
+    The last residual is |p - max(p - gap / c, 0)| / |p| over the whole grid, c being the compliance of a pixel to its
+    own load. On an infinite plane it is taken where the profile lies below the approach alone: there pressure raises
+    the surface nowhere, so that elsewhere the gap is open.
+
+    Parameters
+    ----------
+    compliance
+        The surface; of its coefficients those of normal displacement by pressure count.
+    profile_m
+        Height of the object above each pixel, shape (ny, nx); inf where there is no object.
+    load_newton, approach_m
+        One of the two. Load: above 0; that of one period where the surface is periodic. Approach: how far the object
+        comes from where height 0 is level with the unloaded surface, or with a periodic one's mean; where it then
+        touches nothing, the answer is a pressure of 0.
+    tolerance
+        Residual to reach, above 0.
+    start_pascal
+        Pressure to begin with instead of that of a coarser grid, such as that of a load before; at least 0, shape
+        (ny, nx). It is scaled to a given load.
+
+    Raises
+    ------
+    ValueError
+        What differs from the above; contact at the border of a surface that is not periodic, as the height map does
+        not tell what touches beyond; on a periodic one, an approach that leaves no gap on average.
+    NotConvergedError
+        A tolerance out of reach.
+    """
+    profile = np.asarray(profile_m, np.float64)
+    start = None if start_pascal is None else np.asarray(start_pascal, np.float64)
+    _check_object(compliance, profile)
+    _check_request(load_newton, approach_m, tolerance, float(profile.mean()) if compliance.periodic else np.inf)
+    if start is not None and (start.shape != profile.shape or not (np.isfinite(start) & (start >= 0.0)).all()):
+        raise ValueError(
+            f"start_pascal has shape {start.shape} and minimum {start.min(initial=np.inf):.4g}, must have shape "
+            f"{profile.shape} and be finite and at least 0"
+        )
+    try:
+        contact = _press(compliance, profile, load_newton, approach_m, tolerance, start)
+    except NotConvergedError as error:
+        raise NotConvergedError(f"contact: {error}; a greater tolerance helps", error.residuals) from error
+    touches = contact.touches
+    if not compliance.periodic and (touches[[0, -1]].any() or touches[:, [0, -1]].any()):
+        raise ValueError(
+            f"load_newton is {contact.load_newton:.6g} at approach_m {contact.approach_m:.6g}, where contact touches "
+            f"the border of the height map, shape {profile.shape}, which must enclose it: press less, or give a larger "
+            "map, or one with a rim of inf, no object"
+        )
+    return contact
+
+
+def _check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
+    if profile.shape != compliance.shape:
+        raise ValueError(f"profile_m has shape {profile.shape}, must be {compliance.shape}")
+    if np.isnan(profile).any() or (profile == -np.inf).any():
+        raise ValueError("profile_m holds nan or -inf, must be finite, or inf where there is no object")
+    if not np.isfinite(profile).any():
+        raise ValueError("profile_m is inf everywhere, must be finite where there is an object")
+
+
+def _check_request(load: float | None, approach: float | None, tolerance: float, mean_height: float) -> None:
+    if (load is None) == (approach is None):
+        raise ValueError(f"load_newton is {load} and approach_m is {approach}, must be just one of the two")
+    if load is not None and not 0.0 < load < np.inf:
+        raise ValueError(f"load_newton is {load}, must be finite and above 0")
+    if approach is not None and not -np.inf < approach < np.inf:
+        raise ValueError(f"approach_m is {approach}, must be finite")
+    if approach is not None and approach >= mean_height:
+        raise ValueError(
+            f"approach_m is {approach}, must be below the profile's mean, {mean_height:.6g}, on a periodic surface, "
+            "whose own mean stays at 0; for contact everywhere give a load"
+        )
+    if not tolerance > 0.0:
+        raise ValueError(f"tolerance is {tolerance}, must be above 0")
+
+
+def _press(
+    compliance: SurfaceCompliance,
+    profile: Floats,
+    load: float | None,
+    approach: float | None,
+    tolerance: float,
+    start: Floats | None,
+) -> NormalContact:
+    pressure = np.zeros(profile.shape)
+    if approach is not None and approach <= profile.min():
+        return NormalContact(compliance, profile, pressure, approach, (0.0,))
+    there = np.isfinite(profile)
+    if start is None:
+        start = _of_coarser_grid(compliance, profile, load, approach)
+    start = np.where(there, start, 0.0)
+    if not start.any():
+        start = np.where(there if approach is None else profile < approach, 1.0, 0.0)
+    sums = None
+    if load is not None:
+        sums = np.array([load / compliance.pitch_m**2])
+        start = start * (sums / start.sum())
+    target = np.where(there, -profile, 0.0) + (0.0 if approach is None else approach)
+    everywhere = slice(0, profile.shape[0]), slice(0, profile.shape[1])
+    window = everywhere if compliance.periodic else window_around(start > 0.0, _MARGIN)
+    residuals: tuple[float, ...] = ()
+    while True:
+        shape = target[window].shape
+        found = minimise(
+            compliance.convolution((Z,), (Z,), shape),
+            target[None, *window],
+            Pushing(there[window]),
+            start[None, *window],
+            self_compliance=compliance.of_own_load,
+            precondition=RoughStiffness(shape),
+            sums=sums,
+            tolerance=tolerance,
+        )
+        pressure[window] = found.tractions[0]
+        residuals += found.residuals
+        came = float(found.shift[0, 0, 0]) if approach is None else approach
+        may_touch = profile < came
+        may_touch[window] = True
+        wider = window_around(may_touch)
+        if wider == window:
+            return NormalContact(compliance, profile, pressure, came, residuals)
+        start, window = pressure, wider
+
+
+def _of_coarser_grid(
+    compliance: SurfaceCompliance, profile: Floats, load: float | None, approach: float | None
+) -> Floats:
+    """Pressure found on a grid of twice the pitch; 0 where that would not pay."""
+    if min(profile.shape) < 2 * _COARSEST:
+        return np.zeros(profile.shape)
+    padded = np.pad(profile, [(0, count % 2) for count in profile.shape], constant_values=np.inf)
+    blocks = padded.reshape(padded.shape[0] // 2, 2, padded.shape[1] // 2, 2)
+    there = np.isfinite(blocks)
+    count = there.sum(axis=(1, 3))
+    heights = np.where(there, blocks, 0.0).sum(axis=(1, 3)) / np.maximum(count, 1)
+    heights[count == 0] = np.inf
+    coarse = SurfaceCompliance(compliance.half_space, heights.shape, 2.0 * compliance.pitch_m, compliance.periodic)
+    contact = _press(coarse, heights, load, approach, _COARSE_TOLERANCE, None)
+    return contact.pressure_pascal.repeat(2, 0).repeat(2, 1)[: profile.shape[0], : profile.shape[1]]

@@ -1,0 +1,413 @@
+"""Frictionless contact against closed forms, an active-set solver on dense matrices, and tamaas."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.special import ellipe, ellipk, gamma
+
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.elastic.constrained import NotConvergedError
+from resonator_daemon.elastic.contact import NormalContact, press
+from resonator_daemon.elastic.influence import SurfaceCompliance
+from resonator_daemon.elastic.profiles import flat_punch, paraboloid, relief, sphere
+from simulators.contact import pixel_tractions
+
+Floats = NDArray[np.float64]
+
+SIDE_M = 12.8e-3
+YOUNGS_PASCAL = 2e5
+
+
+def plane_strain_pascal(poisson_ratio: float) -> float:
+    return YOUNGS_PASCAL / (1.0 - poisson_ratio**2)
+
+
+def surface(shape: tuple[int, int], poisson_ratio: float = 0.3, *, periodic: bool = False) -> SurfaceCompliance:
+    return SurfaceCompliance(HalfSpace(YOUNGS_PASCAL, poisson_ratio), shape, SIDE_M / shape[1], periodic)
+
+
+def distance_m(shape: tuple[int, int]) -> Floats:
+    y, x = ((np.arange(count) - (count - 1) / 2) * SIDE_M / shape[1] for count in shape)
+    return np.hypot(x, y[:, None])
+
+
+def rough(shape: tuple[int, int], seed: int, rms_m: float = 1e-4) -> Floats:
+    """White noise, the hardest of maps."""
+    return np.random.default_rng(seed).normal(scale=rms_m, size=shape)
+
+
+def with_rim(profile: Floats) -> Floats:
+    profile = profile.copy()
+    profile[[0, -1]] = profile[:, [0, -1]] = np.inf
+    return profile
+
+
+def residual(found: NormalContact) -> float:
+    """Natural map over the whole grid, from the map of all three components."""
+    p = found.pressure_pascal
+    traction = np.stack([0.0 * p, 0.0 * p, p])
+    gap = found.compliance.displacement_m(traction)[2] + found.profile_m - found.approach_m
+    return float(np.linalg.norm(p - np.maximum(p - gap / found.compliance.of_own_load, 0.0)) / np.linalg.norm(p))
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize(
+    ("count", "peak_error_max", "field_error_max"), [(32, 4e-3, 5e-2), (128, 2e-4, 1.2e-2), (512, 1e-5, 2.7e-3)]
+)
+def test_hertz(count: int, peak_error_max: float, field_error_max: float):
+    radius, curvature = 2e-3, 20e-3
+    load = 4.0 * plane_strain_pascal(0.5) * radius**3 / (3.0 * curvature)
+    shape, pitch = (count, count), SIDE_M / count
+    found = press(surface(shape, 0.5), paraboloid(shape, pitch, curvature), load_newton=load)
+    from_axis = pitch / np.sqrt(2.0)
+    peak = found.pressure_pascal.max() / np.sqrt(1.0 - (from_axis / radius) ** 2)
+    assert peak == pytest.approx(1.5 * load / (np.pi * radius**2), rel=peak_error_max)
+    expected = pixel_tractions((0.0, 0.0, load), (0.0, 0.0), radius / np.cbrt(load), 0.5, shape, pitch)[2]
+    off = np.linalg.norm(found.pressure_pascal - expected) / np.linalg.norm(expected)
+    assert off <= field_error_max
+    assert found.approach_m == pytest.approx(radius**2 / curvature, rel=peak_error_max)
+    assert found.load_newton == pytest.approx(load, rel=1e-12)
+    assert found.area_m2 == pytest.approx(np.pi * radius**2, rel=0.6 / np.sqrt(count))
+    assert found.residuals[-1] <= 1e-8
+    assert len(found.residuals) <= 16
+    assert found.residuals[0] > 1e-3
+
+
+def test_load_and_approach_give_each_other():
+    shape = (40, 48)
+    profile = paraboloid(shape, SIDE_M / 48, 0.02, (1e-3, 5e-4))
+    by_approach = press(surface(shape), profile, approach_m=1.5e-4)
+    by_load = press(surface(shape), profile, load_newton=by_approach.load_newton)
+    assert by_load.approach_m == pytest.approx(1.5e-4, rel=1e-7)
+    np.testing.assert_allclose(by_load.pressure_pascal, by_approach.pressure_pascal, atol=1e-6 * 5e4)
+
+
+def test_hertz_of_unequal_curvatures():
+    """Johnson, section 4.2(c): the ratio of the axes, the area and the approach by complete elliptic integrals."""
+    shape, load, stiffness = (120, 160), 0.05, plane_strain_pascal(0.3)
+    a, b = 2.5e-3, 1.5e-3  # half axes along x and y
+    m = 1.0 - (b / a) ** 2
+    peak = 1.5 * load / (np.pi * a * b)
+    of_x2 = peak * b / (stiffness * m * a**2) * (ellipk(m) - ellipe(m))  # eq (4.26a, b)
+    of_y2 = peak * b / (stiffness * m * a**2) * ((a / b) ** 2 * ellipe(m) - ellipk(m))
+    pitch = SIDE_M / shape[1]
+    y, x = ((np.arange(count) - (count - 1) / 2) * pitch for count in shape)
+    found = press(surface(shape), of_x2 * x**2 + of_y2 * y[:, None] ** 2, load_newton=load)
+    assert found.approach_m == pytest.approx(peak * b / stiffness * ellipk(m), rel=1e-3)  # eq (4.26c)
+    assert found.pressure_pascal.max() == pytest.approx(peak, rel=2e-3)
+    assert found.touches.any(axis=0).sum() * pitch == pytest.approx(2 * a, abs=1.1 * pitch)
+    assert found.touches.any(axis=1).sum() * pitch == pytest.approx(2 * b, abs=1.1 * pitch)
+
+
+def test_where_heights_are_counted_from_does_not_matter():
+    shape = (64, 64)
+    lens = relief(shape, -paraboloid((40, 40), SIDE_M / 64, 0.1))
+    at_zero, above = (press(surface(shape), lens + height, load_newton=0.01) for height in (0.0, 1e-3))
+    np.testing.assert_allclose(above.pressure_pascal, at_zero.pressure_pascal, rtol=1e-8)
+    assert above.approach_m == pytest.approx(at_zero.approach_m + 1e-3, rel=1e-12)
+    assert len(above.residuals) == len(at_zero.residuals)
+
+
+@pytest.mark.parametrize("exponent", [1, 2, 4])
+def test_power_law_profiles(exponent: int):
+    """Galin; Sneddon 1965: a cone, a paraboloid and a blunter body."""
+    shape, radius, height = (128, 128), 2e-3, 2e-4
+    approach = height * np.sqrt(np.pi) * gamma(exponent / 2 + 1) / gamma(exponent / 2 + 0.5)
+    load = 2.0 * plane_strain_pascal(0.3) * radius * approach * exponent / (exponent + 1)
+    found = press(surface(shape), height * (distance_m(shape) / radius) ** exponent, load_newton=load)
+    assert found.approach_m == pytest.approx(approach, rel=4e-4)
+    assert found.area_m2 == pytest.approx(np.pi * radius**2, rel=2e-2)
+
+
+def test_sphere_is_softer_than_its_paraboloid():
+    """Sneddon 1965, section 5, for a contact half as wide as the sphere."""
+    shape, radius, contact_radius = (96, 96), 8e-3, 4e-3
+    log = np.log((radius + contact_radius) / (radius - contact_radius))
+    load = plane_strain_pascal(0.3) * ((radius**2 + contact_radius**2) / 2 * log - contact_radius * radius)
+    pitch = SIDE_M / shape[1]
+    found = press(surface(shape), sphere(shape, pitch, radius), load_newton=load)
+    assert found.approach_m == pytest.approx(contact_radius / 2 * log, rel=2e-4)
+    other = press(surface(shape), paraboloid(shape, pitch, radius), load_newton=load)
+    assert other.approach_m < 0.99 * found.approach_m
+
+
+@pytest.mark.parametrize(("count", "error_max"), [(32, 2e-2), (128, 5e-3)])
+def test_flat_punch(count: int, error_max: float):
+    """Boussinesq: P = 2 E* a delta, and p = P / (2 pi a sqrt(a^2 - r^2))."""
+    shape, radius, approach = (count, count), 4e-3, 1e-4
+    load = 2.0 * plane_strain_pascal(0.3) * radius * approach
+    punch = flat_punch(shape, SIDE_M / count, radius)
+    found = press(surface(shape), punch, approach_m=approach)
+    assert found.load_newton == pytest.approx(load, rel=error_max)
+    r = distance_m(shape)
+    inner = r < 0.7 * radius
+    expected = load / (2 * np.pi * radius * np.sqrt(radius**2 - r[inner] ** 2))
+    np.testing.assert_allclose(found.pressure_pascal[inner], expected, rtol=1.5 * error_max)
+    np.testing.assert_array_equal(found.touches, punch == 0.0)
+    assert len(found.residuals) <= 11
+    outside = r > 1.3 * radius
+    sunk = 2 * approach / np.pi * np.arcsin(radius / r[outside])
+    np.testing.assert_array_equal(found.gap_m[outside], np.inf)
+    u_z = found.compliance.displacement_m(np.stack([0 * r, 0 * r, found.pressure_pascal]))[2]
+    np.testing.assert_allclose(u_z[outside], sunk, rtol=error_max)
+
+
+def test_gap_around_a_hertz_contact():
+    """Johnson, eq (3.42a): displacement outside the loaded circle."""
+    shape, radius, curvature = (128, 128), 2e-3, 20e-3
+    load = 4.0 * plane_strain_pascal(0.3) * radius**3 / (3.0 * curvature)
+    found = press(surface(shape), paraboloid(shape, SIDE_M / 128, curvature), load_newton=load)
+    ratio = np.maximum(distance_m(shape) / radius, 1.0)
+    sunk = ((2 - ratio**2) * np.arcsin(1 / ratio) + np.sqrt(ratio**2 - 1)) * radius**2 / (np.pi * curvature)
+    outside = ratio > 1.2
+    expected = sunk + (ratio * radius) ** 2 / (2 * curvature) - radius**2 / curvature
+    np.testing.assert_allclose(found.gap_m[outside], expected[outside], atol=4e-4 * radius**2 / curvature)
+    assert np.abs(found.gap_m[found.touches]).max() < 1e-7 * found.approach_m
+
+
+def test_two_objects_far_apart_superpose():
+    shape, apart, load = (64, 192), 9e-3, 0.1
+    pitch, curvature = SIDE_M / 192, 5e-3
+    profiles = [paraboloid(shape, pitch, curvature, (side * apart / 2, 0.0)) for side in (-1, 1)]
+    both = press(surface(shape), np.minimum(*profiles), load_newton=2 * load)
+    alone = press(surface(shape), profiles[0], load_newton=load)
+    np.testing.assert_allclose(
+        both.pressure_pascal, both.pressure_pascal[:, ::-1], atol=1e-6 * both.pressure_pascal.max()
+    )
+    by_the_other = load / (np.pi * plane_strain_pascal(0.3) * apart)
+    assert both.approach_m == pytest.approx(alone.approach_m + by_the_other, rel=1e-3)
+    assert by_the_other > 0.05 * alone.approach_m
+
+
+@pytest.mark.parametrize("shape", [(4, 256), (256, 4)])
+def test_wavy_surface_in_full_and_partial_contact(shape: tuple[int, int]):
+    """Westergaard 1939; Johnson, section 13.2, of a wave of amplitude `height` along either axis."""
+    height, count = 1e-4, 256
+    pitch = SIDE_M / count
+    body = SurfaceCompliance(HalfSpace(YOUNGS_PASCAL, 0.3), shape, pitch, periodic=True)
+    phase = np.pi * (np.arange(count) + 0.5 - count / 2) / count
+    wave = np.tile(height * (1 - np.cos(2 * phase)), (4, 1))
+    profile = wave if shape[1] == count else wave.T
+    closing = np.pi * plane_strain_pascal(0.3) * height / SIDE_M
+    area = 4 * count * pitch**2
+
+    full = press(body, profile, load_newton=1.5 * closing * area, tolerance=1e-12)
+    lines = full.pressure_pascal if shape[1] == count else full.pressure_pascal.T
+    np.testing.assert_allclose(lines, np.tile(closing * (1.5 + np.cos(2 * phase)), (4, 1)), rtol=1e-9)
+    assert full.approach_m == pytest.approx(height, rel=1e-9)
+
+    partial = press(body, profile, load_newton=0.4 * closing * area)
+    lines = partial.pressure_pascal if shape[1] == count else partial.pressure_pascal.T
+    inside = np.maximum(0.4 - np.sin(phase) ** 2, 0.0)
+    expected = np.tile(2 * closing * np.cos(phase) * np.sqrt(inside), (4, 1))
+    np.testing.assert_allclose(lines, expected, atol=3e-2 * closing)
+    np.testing.assert_allclose(lines[:, inside > 0.1], expected[:, inside > 0.1], rtol=1e-3)
+    assert abs(np.count_nonzero(lines[0] > 0) - np.count_nonzero(inside)) <= 2
+    again = press(body, profile, approach_m=partial.approach_m)
+    assert again.load_newton == pytest.approx(0.4 * closing * area, rel=1e-6)
+
+
+# Other software
+
+
+def test_periodic_rough_contact_is_that_of_tamaas():
+    """Frozen by references/make_tamaas_rough_contact.py."""
+    with np.load(Path(__file__).with_name("references") / "tamaas_rough_contact.npz") as reference:
+        profile = reference["profile"]
+        body = SurfaceCompliance(HalfSpace(0.91, 0.3), profile.shape, 1.0 / len(profile), periodic=True)
+        for mean, expected in zip(reference["mean_pressure"], reference["pressure"], strict=True):
+            found = press(body, profile, load_newton=float(mean), tolerance=1e-11)
+            np.testing.assert_allclose(found.pressure_pascal, expected, atol=1e-9 * expected.max())
+            np.testing.assert_array_equal(found.touches, expected > 0.0)
+
+
+def dense_matrix(compliance: SurfaceCompliance) -> Floats:
+    """Normal displacement of all pixels by 1 Pa on each, a column each."""
+    count = compliance.shape[0] * compliance.shape[1]
+    units = np.eye(count).reshape(count, *compliance.shape)
+    return np.array([compliance.displacement_m(np.stack([0 * unit, 0 * unit, unit]))[2].ravel() for unit in units]).T
+
+
+@pytest.mark.parametrize(("shape", "periodic"), [((9, 7), False), ((24, 26), False), ((9, 7), True), ((12, 10), True)])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_agrees_with_a_dense_active_set(shape: tuple[int, int], periodic: bool, seed: int):
+    """Non-negative least squares of the Cholesky factor, at the approach that the load came to."""
+    profile = with_rim(rough(shape, seed))
+    profile[2:4, 3] = np.inf
+    compliance = surface(shape, periodic=periodic)
+    matrix = dense_matrix(compliance)
+    load = 0.2 * 10.0**seed
+    found = press(compliance, profile, load_newton=load, tolerance=1e-10)
+    there = np.isfinite(profile).ravel()
+    factor = np.linalg.cholesky(matrix[np.ix_(there, there)]).T
+    wanted = found.approach_m - profile.ravel()[there]
+    expected = np.zeros(there.size)
+    expected[there], _ = nnls(factor, np.linalg.solve(factor.T, wanted), maxiter=10 * there.size)
+    np.testing.assert_allclose(found.pressure_pascal.ravel(), expected, atol=1e-7 * expected.max())
+    np.testing.assert_array_equal(found.touches.ravel(), expected > 0.0)
+    assert expected.sum() * compliance.pitch_m**2 == pytest.approx(load, rel=1e-7)
+    by_approach = press(compliance, profile, approach_m=found.approach_m, tolerance=1e-10)
+    np.testing.assert_allclose(by_approach.pressure_pascal.ravel(), expected, atol=1e-7 * expected.max())
+
+
+# The method
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+@pytest.mark.parametrize("load", [0.02, 0.5, 20.0])
+@pytest.mark.parametrize("shape", [(64, 64), (75, 52)])
+def test_rough_surfaces_reach_the_residual_that_they_report(shape: tuple[int, int], load: float, periodic: bool):
+    y, x = np.indices(shape)
+    profile = 1e-4 * (np.sin(0.7 * x + 0.2 * y) + np.cos(0.4 * x - 0.9 * y)) + rough(shape, 3, 3e-5)
+    found = press(surface(shape, periodic=periodic), with_rim(profile), load_newton=load)
+    assert residual(found) == pytest.approx(found.residuals[-1], rel=1e-3, abs=1e-11)
+    assert found.residuals[-1] <= 1e-8
+    assert found.load_newton == pytest.approx(load, rel=1e-12)
+    assert (found.pressure_pascal >= 0.0).all()
+    assert found.gap_m.min() >= -1e-6 * np.ptp(profile)
+
+
+@pytest.mark.parametrize("count", [32, 128])
+def test_start_from_a_slightly_smaller_load(count: int):
+    """Where Polonsky and Keer's method as published goes round in circles."""
+    shape = (count, count)
+    load = 4.0 * plane_strain_pascal(0.5) * 2e-3**3 / (3.0 * 20e-3)
+    profile = paraboloid(shape, SIDE_M / count, 20e-3)
+    before = press(surface(shape, 0.5), profile, load_newton=0.99 * load)
+    warm = press(surface(shape, 0.5), profile, load_newton=load, start_pascal=before.pressure_pascal)
+    cold = press(surface(shape, 0.5), profile, load_newton=load)
+    np.testing.assert_allclose(warm.pressure_pascal, cold.pressure_pascal, atol=1e-7 * cold.pressure_pascal.max())
+    assert len(warm.residuals) <= 12
+    solved = press(surface(shape, 0.5), profile, load_newton=load, start_pascal=1e-3 * warm.pressure_pascal)
+    assert len(solved.residuals) <= 2
+
+
+@pytest.mark.parametrize("how", [{"load_newton": 0.02}, {"approach_m": 2e-4}])
+def test_a_start_far_from_the_truth_does_not_bind(how: dict[str, float]):
+    """It narrows where contact is first looked for, no more: an object that it misses is found."""
+    shape = (48, 64)
+    pitch = SIDE_M / 64
+    profile = np.minimum(paraboloid(shape, pitch, 2e-2, (-3e-3, 0.0)), paraboloid(shape, pitch, 2e-2, (3e-3, 1e-3)))
+    cold = press(surface(shape), profile, **how)
+    assert cold.touches[:, :32].any()
+    assert cold.touches[:, 32:].any()
+    start = np.zeros(shape)
+    start[30, 8] = 1e3
+    for guess in (start, np.zeros(shape), np.ones(shape)):
+        found = press(surface(shape), profile, start_pascal=guess, **how)
+        np.testing.assert_allclose(found.pressure_pascal, cold.pressure_pascal, atol=2e-7 * cold.pressure_pascal.max())
+        assert residual(found) <= 1.01e-8
+
+
+@pytest.mark.parametrize("how", [{"load_newton": 0.02}, {"approach_m": 2e-4}])
+def test_a_start_where_there_is_no_object(how: dict[str, float]):
+    profile = relief((20, 20), -paraboloid((12, 12), SIDE_M / 20, 2e-2))
+    expected = press(surface((20, 20)), profile, **how).pressure_pascal
+    start = np.zeros((20, 20))
+    start[0, 0] = 1e4
+    found = press(surface((20, 20)), profile, start_pascal=start, **how)
+    np.testing.assert_allclose(found.pressure_pascal, expected, atol=1e-7 * expected.max())
+
+
+def test_periodic_surface_rises_between_objects_to_touch():
+    """Beside a bump that it carries, the surface comes up to a ceiling above the approach, far from the start."""
+    profile = np.full((24, 24), 1e-4)
+    profile[4:7, 4:7] = 0.0
+    compliance = surface((24, 24), periodic=True)
+    found = press(compliance, profile, load_newton=0.043, start_pascal=np.where(profile == 0.0, 1.0, 0.0))
+    assert found.approach_m < 1e-4
+    assert found.touches[profile > 0.0].any()
+    assert residual(found) <= 1.01e-8
+
+
+def test_a_needle_that_coarser_grids_miss():
+    """One pixel that stands out of a body; on the means of four pixels nothing touches."""
+    profile = np.full((48, 48), 1e-3)
+    profile[17, 30] = 0.0
+    compliance = surface((48, 48))
+    found = press(compliance, profile, approach_m=1e-5)
+    expected = np.zeros((48, 48))
+    expected[17, 30] = 1e-5 / compliance.of_own_load
+    np.testing.assert_allclose(found.pressure_pascal, expected, rtol=1e-7)
+
+
+def test_approach_that_touches_nothing():
+    profile = paraboloid((30, 30), 1e-4, 0.01) + 1e-5
+    found = press(SurfaceCompliance(HalfSpace(1e5, 0.5), (30, 30), 1e-4), profile, approach_m=1e-5)
+    assert not found.pressure_pascal.any()
+    assert (found.load_newton, found.area_m2, found.residuals) == (0.0, 0.0, (0.0,))
+    np.testing.assert_allclose(found.gap_m, profile - 1e-5, atol=1e-20)
+
+
+# Bad input
+
+SHAPE = (30, 32)
+BOWL = paraboloid(SHAPE, SIDE_M / 32, 0.02)
+
+
+@pytest.mark.parametrize(
+    ("profile", "arguments", "message"),
+    [
+        (BOWL.T, {"load_newton": 1.0}, r"profile_m has shape \(32, 30\), must be \(30, 32\)"),
+        (np.where(BOWL < 1e-5, np.nan, BOWL), {"load_newton": 1.0}, "profile_m holds nan"),
+        (np.where(BOWL < 1e-5, -np.inf, BOWL), {"load_newton": 1.0}, "profile_m holds nan or -inf"),
+        (np.full(SHAPE, np.inf), {"load_newton": 1.0}, "profile_m is inf everywhere"),
+        (BOWL, {}, "load_newton is None and approach_m is None"),
+        (BOWL, {"load_newton": 1.0, "approach_m": 1e-4}, "just one of the two"),
+        (BOWL, {"load_newton": 0.0}, r"load_newton is 0.0, must be finite and above 0"),
+        (BOWL, {"load_newton": -1.0}, "load_newton is -1.0"),
+        (BOWL, {"load_newton": np.nan}, "load_newton is nan"),
+        (BOWL, {"load_newton": np.inf}, "load_newton is inf"),
+        (BOWL, {"approach_m": np.nan}, "approach_m is nan, must be finite"),
+        (BOWL, {"approach_m": np.inf}, "approach_m is inf, must be finite"),
+        (BOWL, {"load_newton": 1e-2, "tolerance": 0.0}, "tolerance is 0.0, must be above 0"),
+        (BOWL, {"load_newton": 1e-2, "tolerance": np.nan}, "tolerance is nan"),
+        (BOWL, {"load_newton": 1e-2, "start_pascal": np.ones((3, 3))}, r"start_pascal has shape \(3, 3\)"),
+        (BOWL, {"load_newton": 1e-2, "start_pascal": np.full(SHAPE, -1.0)}, "start_pascal .* at least 0"),
+        (BOWL, {"load_newton": 1e-2, "start_pascal": np.full(SHAPE, np.nan)}, "start_pascal .* be finite"),
+        (BOWL, {"load_newton": 10.0}, r"load_newton is 10 at .* touches the border of the height map, .* larger"),
+        (BOWL, {"approach_m": 5e-3}, r"approach_m 0.005, where contact touches the border"),
+        (BOWL[0].max() + 0 * BOWL, {"load_newton": 1e-3}, "with a rim of inf"),
+    ],
+)
+def test_bad_input_is_refused(profile: Floats, arguments: dict, message: str):
+    with pytest.raises(ValueError, match=message):
+        press(surface(SHAPE), profile, **arguments)
+
+
+@pytest.mark.parametrize("side", range(4))
+def test_contact_at_any_border_is_refused_until_there_is_a_rim(side: int):
+    corner = np.array([(0.0, -6e-3), (0.0, 6e-3), (-6.4e-3, 0.0), (6.4e-3, 0.0)][side])
+    profile = paraboloid(SHAPE, SIDE_M / 32, 0.02, tuple(corner))
+    with pytest.raises(ValueError, match="touches the border"):
+        press(surface(SHAPE), profile, load_newton=1e-2)
+    assert press(surface(SHAPE), with_rim(profile), load_newton=1e-2).load_newton == pytest.approx(1e-2)
+    assert press(surface(SHAPE, periodic=True), profile, load_newton=1e-2).load_newton == pytest.approx(1e-2)
+
+
+def test_relief_may_touch_to_its_edge():
+    found = press(surface((20, 26)), relief((20, 26), np.zeros((6, 8))), load_newton=0.1)
+    assert found.touches.sum() == 48
+
+
+def test_periodic_approach_beyond_the_mean_is_refused():
+    profile = np.array([[0.0, 2e-6], [1e-6, 1e-6]])
+    body = SurfaceCompliance(HalfSpace(1e5, 0.3), (2, 2), 1e-3, periodic=True)
+    with pytest.raises(ValueError, match=r"approach_m is 1e-06, must be below the profile's mean, 1e-06"):
+        press(body, profile, approach_m=1e-6)
+    assert residual(press(body, profile, approach_m=0.9e-6)) <= 1e-8
+    for noise in (rough((25, 25), 0), -rough((25, 25), 0)):
+        nearly = press(surface((25, 25), periodic=True), noise, approach_m=noise.mean() - 1e-9)
+        assert residual(nearly) <= 1.01e-8
+        assert nearly.touches.sum() > 600
+
+
+def test_out_of_reach_says_what_helps():
+    with pytest.raises(NotConvergedError, match=r"contact: residual stays at .*a greater tolerance helps") as caught:
+        press(surface(SHAPE), BOWL, load_newton=1e-2, tolerance=1e-30)
+    assert min(caught.value.residuals) < 1e-12
