@@ -1,0 +1,384 @@
+"""Frictional contact against closed forms of partial slip and its history, dense algebra, and balances."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from dense_surface import dense_compliance
+from numpy.typing import NDArray
+from paraboloid_contact import A_M, G_PASCAL, R_M, SIDE_M, body, hertz_load, paraboloid, squared_radius
+from scipy.optimize import brentq
+from scipy.special import ellipk
+
+from resonator_daemon.elastic.contact import press
+from resonator_daemon.elastic.friction import FrictionalContact, FrictionState
+from resonator_daemon.elastic.influence import SurfaceCompliance
+from simulators.contact import pixel_tractions
+
+Floats = NDArray[np.float64]
+
+NAN = np.nan
+
+
+def punch(pixels: int, radius_pixels: float, mu: float, nu: float, tolerance: float = 1e-8) -> FrictionalContact:
+    pitch_m = 1e-4
+    compliance = SurfaceCompliance(body(nu), (pixels, pixels), pitch_m)
+    flat = np.where(squared_radius(pixels, 1.0) <= radius_pixels**2, 0.0, np.inf)
+    return FrictionalContact(compliance, flat, mu, tolerance)
+
+
+def stick_ratio(state: FrictionState) -> float:
+    return float(np.sqrt(state.sticks.sum() / (state.sticks | state.slips).sum()))
+
+
+def friction_work_joule(contact: FrictionalContact, before: FrictionState, after: FrictionState) -> float:
+    shear_pascal = (before.traction_pascal + after.traction_pascal)[:2] / 2
+    return float(np.vdot(shear_pascal, after.slip_m - before.slip_m)) * contact.compliance.pitch_m**2
+
+
+def energy_joule(contact: FrictionalContact, state: FrictionState) -> float:
+    return float(np.vdot(state.traction_pascal, state.displacement_m)) / 2 * contact.compliance.pitch_m**2
+
+
+def spin(vectors: Floats, quarters: int) -> Floats:
+    """Turn images of vectors (x, y, and z if there is one) about z."""
+    for _ in range(quarters):
+        turned = np.rot90(vectors, -1, axes=(1, 2))  # rows are y: this takes x to y
+        vectors = np.concatenate([-turned[1:2], turned[:1], turned[2:]])
+    return vectors
+
+
+# Partial slip of Cattaneo and Mindlin, nu = 1/2
+
+
+@pytest.mark.parametrize(("pixels", "error_max", "ratio_max"), [(32, 0.06, 0.02), (64, 0.03, 0.01)])
+def test_partial_slip_is_that_of_cattaneo_and_mindlin(pixels: int, error_max: float, ratio_max: float):
+    mu, load = 0.5, hertz_load(0.5)
+    along, across = np.array([[np.cos(np.pi / 6), np.sin(np.pi / 6)], [-np.sin(np.pi / 6), np.cos(np.pi / 6)]])
+    contact = paraboloid(pixels, mu, 0.5)
+    applied = np.array([*(0.875 * mu * load * along), load])
+    state = contact.step(contact.apart, load_newton=applied)
+    true = pixel_tractions(applied, (0, 0), A_M / np.cbrt(load), mu, (pixels, pixels), SIDE_M / pixels)
+    shear, true_shear = (np.einsum("i,iyx->yx", along, f[:2]) for f in (state.traction_pascal, true))
+    assert np.linalg.norm(shear - true_shear) <= error_max * np.linalg.norm(true_shear)
+    assert abs(stick_ratio(state) - 0.5) <= ratio_max
+    # The closed form neglects that the surface spreads across the load.
+    transverse = np.abs(np.einsum("i,iyx->yx", across, state.traction_pascal[:2])).max() / true[2].max()
+    assert 0.03 < transverse < 0.045
+    np.testing.assert_allclose(state.load_newton, applied, rtol=1e-12)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_shift_is_that_of_mindlin(share: float):
+    mu, load = 0.4, hertz_load(0.5)
+    contact = paraboloid(32, mu, 0.5)
+    state = contact.step(contact.apart, load_newton=[0, -share * mu * load, load])
+    shift_m = 3 * mu * load * 1.5 / (16 * G_PASCAL * A_M) * (1 - (1 - share) ** (2 / 3))
+    np.testing.assert_allclose(state.shift_m, [0, -shift_m, A_M**2 / R_M], rtol=0.015, atol=1e-4 * shift_m)
+
+
+def loop_shift_m(share: Floats, greatest: float, mu_load: float) -> Floats:
+    """Shift while the load, in units of mu P, falls from `greatest`: Mindlin and Deresiewicz 1953."""
+    scale_m = 3 * mu_load * 1.5 / (16 * G_PASCAL * A_M)
+    return np.asarray(scale_m * (2 * (1 - (greatest - share) / 2) ** (2 / 3) - (1 - greatest) ** (2 / 3) - 1))
+
+
+def test_reversed_load_leaves_the_loop_of_mindlin_and_deresiewicz():
+    mu, load, greatest = 0.4, hertz_load(0.5), 0.8
+    contact = paraboloid(32, mu, 0.5, tolerance=1e-6)
+    states = [contact.step(contact.apart, load_newton=[0.0, 0.0, load])]
+    for share in [*np.linspace(0.1, 0.8, 8), *np.linspace(0.7, -0.8, 16), *np.linspace(-0.7, 0.8, 16)]:
+        states.append(contact.step(states[-1], load_newton=[share * mu * load, 0.0, load]))
+    down, up = states[8:25], states[24:]
+    shares = np.linspace(0.8, -0.8, 17)
+    expected_m = loop_shift_m(shares, greatest, mu * load)
+    np.testing.assert_allclose([s.shift_m[0] for s in down], expected_m, atol=0.02 * expected_m[0])
+    np.testing.assert_allclose([s.shift_m[0] for s in up], -expected_m, atol=0.02 * expected_m[0])
+    # No load, yet the shear that slip has locked in: full sliding backwards, twice what sticks on the way, forward.
+    radius_m = np.sqrt(squared_radius(32, SIDE_M / 32))
+    left = sum(
+        weight * np.sqrt(np.maximum(A_M**2 * ratio ** (2 / 3) - radius_m**2, 0.0))
+        for weight, ratio in [(-1.0, 1.0), (2.0, 1 - greatest / 2), (-1.0, 1 - greatest)]
+    ) * (mu * 3 * load / (2 * np.pi * A_M**3))
+    locked = down[8].traction_pascal[0]
+    assert np.linalg.norm(locked - left) < 0.15 * np.linalg.norm(left)
+    # What friction takes in a cycle is the area of the loop, twice the work on the way down.
+    loop_joule = 2 * np.trapezoid(shares * mu * load, expected_m)
+    taken_joule = sum(friction_work_joule(contact, *pair) for pair in pairwise(states[8:]))
+    assert taken_joule == pytest.approx(loop_joule, rel=0.04)
+
+
+def test_oblique_load_that_grows_in_proportion_hardly_slips():
+    # Mindlin and Deresiewicz: at Q / P < mu shear stays in proportion to pressure; applied at once, it would slip.
+    mu, load, ratio = 0.5, hertz_load(0.5), 0.3
+    contact = paraboloid(32, mu, 0.5, tolerance=1e-6)
+    state = contact.apart
+    for radius_m in np.linspace(0.2, 1.0, 16) * A_M:
+        normal = hertz_load(0.5, radius_m)
+        state = contact.step(state, load_newton=[0.0, ratio * normal, normal])
+    at_once = contact.step(contact.apart, load_newton=[0.0, ratio * load, load])
+    proportional = ratio * state.traction_pascal[2]
+    size = np.linalg.norm(proportional)
+    assert np.linalg.norm(state.traction_pascal[1] - proportional) < 0.08 * size
+    assert np.linalg.norm(at_once.traction_pascal[1] - proportional) > 0.15 * size
+    assert stick_ratio(state) > stick_ratio(at_once) + 0.1
+
+
+# Coupling of pressure and shear, nu < 1/2
+
+
+def spence_stick_ratio(mu: float, nu: float) -> float:
+    """Spence 1975, for a coupling so weak that shear leaves the pressure as it is."""
+    beta = (1 - 2 * nu) / (2 * (1 - nu))
+    return float(brentq(lambda k: np.log((1 + k) / (1 - k)) / (2 * k) - mu / beta * ellipk(1 - k * k), 1e-9, 1 - 1e-12))
+
+
+@pytest.mark.parametrize("ratio", [0.35, 0.5, 0.7, 1.0])
+def test_pressed_punch_slips_outside_the_radius_of_spence(ratio: float):
+    nu = 0.48
+    mu = ratio * (1 - 2 * nu) / (2 * (1 - nu))
+    contact = punch(64, 28.0, mu, nu, tolerance=1e-6)
+    state = contact.step(contact.apart, load_newton=[0.0, 0.0, 1.0])
+    assert stick_ratio(state) == pytest.approx(spence_stick_ratio(mu, nu), abs=0.015)
+
+
+def test_growing_contact_tends_to_the_radius_of_spence_with_shorter_steps():
+    nu = 0.48
+    mu = 0.7 * (1 - 2 * nu) / (2 * (1 - nu))
+    contact = paraboloid(64, mu, nu, tolerance=1e-6)
+    ratios = []
+    for steps in (1, 4, 16):
+        state = contact.apart
+        for radius_m in np.linspace(0.1 if steps > 1 else 2.0, 2.0, steps) * A_M:
+            state = contact.step(state, load_newton=[0.0, 0.0, hertz_load(nu, radius_m)])
+        ratios.append(stick_ratio(state))
+    assert ratios[0] < ratios[1] < ratios[2]
+    assert ratios[2] == pytest.approx(spence_stick_ratio(mu, nu), abs=0.03)
+
+
+def test_punch_that_cannot_slip_is_stiffer_as_of_mossakovskii():
+    nu, approach_m = 0.0, 1e-5
+    contact = punch(64, 28.0, 20.0, nu, tolerance=1e-6)
+    state = contact.step(contact.apart, shift_m=[0.0, 0.0, approach_m])
+    radius_m = 28e-4
+    sticking = 4 * G_PASCAL * radius_m * approach_m * np.log(3 - 4 * nu) / (1 - 2 * nu)  # 1.099 of the frictionless one
+    assert not state.slips.any()
+    assert state.load_newton[2] == pytest.approx(sticking, rel=0.01)
+
+
+def test_at_vanishing_coupling_it_is_the_uncoupled_contact():
+    load = [0.02, 0.01, hertz_load(0.5)]
+    states = [
+        contact.step(contact.apart, load_newton=load)
+        for contact in (paraboloid(32, 0.3, nu) for nu in (0.5, 0.5 - 1e-7))
+    ]
+    size = np.abs(states[0].traction_pascal).max()
+    np.testing.assert_allclose(states[1].traction_pascal, states[0].traction_pascal, atol=1e-5 * size)
+    pressure = press(
+        paraboloid(32, 0.3, 0.5).compliance, squared_radius(32, SIDE_M / 32) / (2 * R_M), load_newton=load[2]
+    ).pressure_pascal
+    np.testing.assert_allclose(states[0].traction_pascal[2], pressure, atol=1e-7 * size)
+
+
+# Any shape, any history
+
+
+def rough(rng: np.random.Generator, shape: tuple[int, int], pitch_m: float) -> Floats:
+    y, x = ((np.arange(n) - (n - 1) / 2) * pitch_m for n in shape)
+    heights = (x**2 + y[:, None] ** 2) / (2 * R_M) + 4e-6 * rng.standard_normal(shape)
+    heights[1, 2] = np.inf
+    return np.asarray(heights)
+
+
+def relax(
+    matrix: Floats, profile: Floats, mu: float, f: Floats, before: tuple[Floats, Floats], shift_m: Floats
+) -> Floats:
+    """Push against every violation of the law, pixel by pixel, until none is left."""
+    shift_before, u_before = before
+    rate = 0.8 / np.linalg.eigvalsh(matrix)[-1]
+    for _ in range(60_000):
+        u = (matrix @ f.ravel()).reshape(f.shape)
+        pressure = np.where(np.isfinite(profile), np.maximum(f[2] + rate * (shift_m[2] - profile - u[2]), 0.0), 0.0)
+        shear = f[:2] + rate * ((shift_m - shift_before)[:2, None, None] - u[:2] + u_before[:2])
+        shear *= np.minimum(1.0, mu * pressure / np.maximum(np.hypot(*shear), 1e-30))
+        moved, f = f, np.concatenate([shear, pressure[None]])
+        if np.abs(f - moved).max() < 1e-13 * np.abs(f).max():
+            break
+    return f
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_history_of_a_rough_object_is_that_of_a_dense_relaxation(periodic: bool):
+    shape, pitch_m, nu, mu = (9, 10), 4e-4, 0.2, 0.4
+    profile = rough(np.random.default_rng(5), shape, pitch_m)
+    contact = FrictionalContact(SurfaceCompliance(body(nu), shape, pitch_m, periodic), profile, mu, tolerance=1e-10)
+    matrix = dense_compliance(shape, nu, G_PASCAL, pitch_m, periodic=periodic)
+    state, f = contact.apart, np.zeros((3, *shape))
+    shift_m, u = np.zeros(3), np.zeros_like(f)
+    slips = 0
+    for next_m in np.array([[0, 0, 2.0], [0.3, 0.1, 2.6], [0.6, 0.7, 2.2], [0.5, 0.4, 1.6], [0.5, 0.4, 2.4]]) * 1e-5:
+        state = contact.step(state, shift_m=next_m)
+        f = relax(matrix, profile, mu, f, (shift_m, u), next_m)
+        shift_m, u = next_m, (matrix @ f.ravel()).reshape(f.shape)
+        np.testing.assert_allclose(state.traction_pascal, f, atol=1e-7 * np.abs(f).max())
+        np.testing.assert_allclose(state.displacement_m, u, atol=1e-7 * np.abs(u).max())
+        slips += int(state.slips.sum())
+    assert slips > 20
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_law_holds_in_every_step_of_random_histories(periodic: bool):
+    rng = np.random.default_rng(8)
+    shape, pitch_m, mu = (36, 40), 4e-4, 0.6
+    contact = FrictionalContact(
+        SurfaceCompliance(body(0.25), shape, pitch_m, periodic), rough(rng, shape, pitch_m), mu, tolerance=1e-9
+    )
+    before = contact.apart
+    for _ in range(6):
+        normal = hertz_load(0.25) * rng.uniform(0.3, 1.5)
+        angle, share = rng.uniform(0, 2 * np.pi), rng.choice([0.3, 0.9, 0.999])
+        applied = np.array([np.cos(angle), np.sin(angle), 1.0]) * normal * [mu * share, mu * share, 1.0]
+        state = contact.step(before, load_newton=applied)
+        np.testing.assert_allclose(state.load_newton, applied, rtol=1e-9)
+        f, u = state.traction_pascal, contact.compliance.displacement_m(state.traction_pascal)
+        shear, pressure = np.hypot(*f[:2]), f[2]
+        length_m, size = np.abs(u).max(), np.abs(f).max()
+        gap = u[2] + np.asarray(contact.profile_m) - state.shift_m[2]
+        slip = (state.shift_m - before.shift_m)[:2, None, None] - u[:2] + before.displacement_m[:2]
+        assert pressure.min() >= 0
+        assert gap.min() >= -1e-7 * length_m
+        assert np.abs(gap[pressure > 0]).max() <= 1e-7 * length_m
+        assert (shear - mu * pressure).max() <= 1e-7 * size
+        assert np.abs(slip[:, state.sticks]).max(initial=0.0) <= 1e-7 * length_m
+        assert np.abs(slip[0] * f[1] - slip[1] * f[0])[state.slips].max() <= 1e-7 * length_m * size
+        assert (slip * f[:2]).sum(axis=0)[state.slips].min() >= -1e-7 * length_m * size
+        np.testing.assert_array_equal(state.sticks | state.slips, pressure > 0)
+        before = state
+
+
+def test_shear_brings_down_what_pressure_left_open():
+    # At nu < 1/2 shear along x raises the surface behind: there stands a lone pixel that was just clear of it.
+    nu, mu, behind = 0.0, 0.8, (16, 6)
+    contact = paraboloid(32, mu, nu)
+    load = np.array([0.9 * mu, 0.0, 1.0]) * hertz_load(nu)
+    pressed = contact.step(contact.apart, load_newton=[NAN, NAN, load[2]], shift_m=[0, 0, NAN])
+    sheared = contact.step(contact.apart, load_newton=load)
+    clear_m, left_m = (s.shift_m[2] - s.displacement_m[2][behind] for s in (pressed, sheared))
+    assert left_m > clear_m
+    profile = np.array(contact.profile_m)
+    profile[behind] = (clear_m + left_m) / 2
+    contact = replace(contact, profile_m=profile)
+    assert not contact.step(contact.apart, load_newton=[NAN, NAN, load[2]], shift_m=[0, 0, NAN]).traction_pascal[2][
+        behind
+    ]
+    state = contact.step(contact.apart, load_newton=load)
+    gap_m = state.displacement_m[2] + profile - state.shift_m[2]
+    assert state.traction_pascal[2][behind] > 0
+    assert gap_m.min() > -1e-7 * state.shift_m[2]
+
+
+def test_strong_coupling_takes_few_passes():
+    contact = paraboloid(32, 2.0, 0.0)
+    state = contact.step(contact.apart, load_newton=np.array([1.75, 0.0, 1.0]) * hertz_load(0.0))
+    assert len(state.residuals) < 40  # plain passes win a tenth each: more than a hundred
+
+
+def test_energy_is_stored_or_taken_by_friction():
+    # Under a punch the contact never changes, so that work is exact by the trapezoidal rule.
+    mu = 0.3
+    contact = punch(24, 10.0, mu, 0.1, tolerance=1e-10)
+    states = [contact.apart]
+    for load in np.array([[0, 0, 1.0], [0.2, 0, 1.0], [0.1, 0.15, 0.8], [-0.2, 0.1, 1.2], [0.0, 0.0, 0.6]]):
+        states.append(contact.step(states[-1], load_newton=load))
+    for a, b in pairwise(states):
+        work = (a.load_newton + b.load_newton) @ (b.shift_m - a.shift_m) / 2
+        spent = energy_joule(contact, b) - energy_joule(contact, a) + friction_work_joule(contact, a, b)
+        assert work == pytest.approx(spent, abs=1e-8 * states[1].load_newton[2] * states[1].shift_m[2])
+    assert states[1].slips.any()
+    assert states[1].sticks.any()
+
+
+def test_lifted_off_it_forgets():
+    contact = paraboloid(32, 0.4, 0.2)
+    dragged = contact.step(contact.apart, shift_m=[0, 0, 2e-4])
+    dragged = contact.step(dragged, shift_m=[5e-5, -2e-5, 2e-4])
+    lifted = contact.step(dragged, shift_m=[5e-5, -2e-5, -1e-5])
+    assert not lifted.traction_pascal.any()
+    assert not lifted.slip_m.any()
+    again = contact.step(lifted, shift_m=[5e-5, -2e-5, 2e-4])
+    first = contact.step(contact.apart, shift_m=[0, 0, 2e-4])
+    size = first.traction_pascal.max()
+    np.testing.assert_allclose(again.traction_pascal, first.traction_pascal, atol=1e-6 * size)
+    assert np.abs(dragged.traction_pascal - first.traction_pascal).max() > 0.1 * size
+
+
+def test_dragged_far_it_slides_and_drags_the_surface_along():
+    mu = 0.3
+    contact = paraboloid(32, mu, 0.3)
+    pressed = contact.step(contact.apart, shift_m=[0, 0, 3e-4])
+    state = contact.step(pressed, shift_m=[-0.6, 0.8, 3e-4])
+    size = state.traction_pascal.max()
+    along = np.array([-0.6, 0.8])[:, None, None]
+    np.testing.assert_allclose(state.traction_pascal[:2], mu * along * state.traction_pascal[2], atol=1e-3 * mu * size)
+    assert not state.sticks.any()
+    assert state.load_newton[2] > 0
+    assert np.vdot(state.displacement_m[:2], along * np.ones_like(state.displacement_m[:2])) > 0
+
+
+def test_load_and_shift_ask_the_same():
+    contact = paraboloid(32, 0.5, 0.1)
+    load = np.array([0.05, -0.02, hertz_load(0.1)])
+    by_load = contact.step(contact.apart, load_newton=load)
+    size = by_load.traction_pascal.max()
+    for loaded in ([False] * 3, [True, False, True], [False, True, False], [True, True, False], [False, False, True]):
+        other = contact.step(
+            contact.apart,
+            load_newton=np.where(loaded, load, NAN),
+            shift_m=np.where(loaded, NAN, by_load.shift_m),
+        )
+        np.testing.assert_allclose(other.traction_pascal, by_load.traction_pascal, atol=1e-6 * size)
+        np.testing.assert_allclose(other.shift_m, by_load.shift_m, rtol=1e-5)
+
+
+def test_step_without_change_changes_nothing():
+    contact = paraboloid(32, 0.3, 0.0)
+    load = [0.03, 0.02, hertz_load(0.0)]
+    state = contact.step(contact.apart, load_newton=load)
+    same = contact.step(state, load_newton=load)
+    size = state.traction_pascal.max()
+    np.testing.assert_allclose(same.traction_pascal, state.traction_pascal, atol=1e-6 * size)
+    np.testing.assert_allclose(same.slip_m, state.slip_m, atol=1e-6 * np.abs(state.slip_m).max())
+
+
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_turned_object_gives_turned_tractions(quarters: int):
+    rng = np.random.default_rng(2)
+    shape, pitch_m = (28, 28), 4e-4
+    profile = rough(rng, shape, pitch_m)
+    compliance = SurfaceCompliance(body(0.0), shape, pitch_m)
+    load = np.array([0.03, -0.01, hertz_load(0.0)])
+    turned_load = spin(load[:, None, None], quarters)[:, 0, 0]
+    contact = FrictionalContact(compliance, profile, 0.4)
+    turned = FrictionalContact(compliance, np.rot90(profile, -quarters), 0.4)
+    expected = spin(contact.step(contact.apart, load_newton=load).traction_pascal, quarters)
+    found = turned.step(turned.apart, load_newton=turned_load).traction_pascal
+    np.testing.assert_allclose(found, expected, atol=1e-6 * expected.max())
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.5])
+def test_without_friction_nothing_holds_sideways(nu: float):
+    contact = paraboloid(32, 0.0, nu)
+    state = contact.step(contact.apart, load_newton=[0, 0, hertz_load(nu)])
+    pressure = press(contact.compliance, contact.profile_m, load_newton=hertz_load(nu)).pressure_pascal
+    np.testing.assert_allclose(state.traction_pascal[2], pressure, atol=1e-7 * pressure.max())
+    assert not state.traction_pascal[:2].any()
+    assert not state.sticks.any()
+    np.testing.assert_array_equal(state.shift_m[:2], 0.0)
+
+
+def test_incompressible_body_pressed_straight_sticks_everywhere():
+    contact = paraboloid(32, 0.2, 0.5)
+    state = contact.step(contact.apart, load_newton=[0, 0, hertz_load(0.5)])
+    assert not state.traction_pascal[:2].any()
+    assert not state.slips.any()
