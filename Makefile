@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench soak pins clean
+.PHONY: help setup demo test bench figures soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -61,9 +61,15 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	step lint-imports --no-logo
 	step pytest --cov
 
-bench: .venv/run-stamp  ## what the demo costs, and what a damaged wire loses
-	@.venv/bin/python benchmarks/demo_cost.py
-	.venv/bin/python benchmarks/wire_faults.py
+bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fields and contact beside their peers
+	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
+	for benchmark in demo_cost wire_faults; do run $$benchmark; done
+	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
+	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
+
+figures: .venv/figures-stamp  ## draw the pictures of docs/reproduction.md and docs/elastic.md anew
+	@.venv/bin/python docs/figures/draw.py
+	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 soak: .venv/run-stamp  ## 90 s against a broker that is killed for 30 s
 	$(debian-packages)
@@ -78,7 +84,9 @@ pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	build_requires='import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["build-system"]["requires"], sep="\n")'
 	.venv/bin/python -c "$$build_requires" | compile - --output-file .ci/requirements/build.txt
 	compile pyproject.toml --extra demo --output-file .ci/requirements/run.txt
-	compile pyproject.toml --extra demo --extra test --output-file .ci/requirements/test.txt
+	compile pyproject.toml --extra demo --extra figures --output-file .ci/requirements/figures.txt
+	compile pyproject.toml --extra demo --extra figures --extra test --output-file .ci/requirements/test.txt
+	compile pyproject.toml --extra demo --extra figures --group peers --output-file .ci/requirements/peers.txt
 	compile --group pins --output-file .ci/requirements/pins.txt
 
 clean:  ## remove everything that the other targets made
@@ -109,6 +117,24 @@ clean:  ## remove everything that the other targets made
 	pip-install "resonatord itself" --no-deps --no-build-isolation --editable .
 	echo 'setup: done, see .venv/bin/resonatord --help'
 	touch $@
+
+.venv/figures-stamp: .venv/run-stamp .ci/requirements/figures.txt
+	$(pip-install)
+	pip-install "packages for pictures" --require-hashes -r .ci/requirements/figures.txt
+	touch $@
+
+# Peers are compared with where they install; one is built from source.
+.venv/peers-stamp: .venv/figures-stamp .ci/requirements/peers.txt
+	$(pip-install)
+	if [ "$$(id -u)" -eq 0 ] && command -v apt-get >/dev/null && [ ! -d /usr/include/eigen3 ]; then
+	  echo "setup: Debian packages g++ libeigen3-dev"
+	  { apt-get update -qq || true; apt-get install -qq -y --no-install-recommends g++ libeigen3-dev; } >.venv/apt.log 2>&1 || true
+	fi
+	if (pip-install "peers to compare with" --require-hashes -r .ci/requirements/peers.txt); then
+	  touch $@
+	else
+	  echo "setup: goes on without peers; on Debian, as root: apt-get install g++ libeigen3-dev" >&2
+	fi
 
 .venv/test-stamp: .venv/run-stamp .ci/requirements/test.txt
 	$(pip-install)

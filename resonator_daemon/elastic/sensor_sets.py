@@ -7,7 +7,6 @@ from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
 from scipy.special import roots_laguerre
 
 from resonator_daemon.elastic.half_space import HalfSpace, Output
@@ -201,6 +200,7 @@ class SensorSet:
 
         A load that varies only along such a direction is missed in part.
         """
+        from scipy.optimize import minimize_scalar  # here: as slow to import as all the rest, and a daemon needs it not
 
         def left(direction: float | Floats) -> Floats:
             omega = self._rings(_SAMPLES, np.atleast_1d(direction))

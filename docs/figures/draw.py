@@ -1,0 +1,145 @@
+"""Draw the figures of docs/reproduction.md: the paper's Figs 2-7, 8 and 13, with the corrected matrices.
+
+Run it with `make figures`. It prints the figures that the page states.
+"""
+
+import argparse
+import os
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from scipy import fft
+
+from resonator_daemon.elastic import FrictionalContact, HalfSpace, SurfaceCompliance, SurfaceFields
+from resonator_daemon.elastic.profiles import paraboloid
+from resonator_daemon.view.density_figure import write_density_figure
+from simulators.half_space_fields import hertz_fields
+
+Floats = NDArray[np.float64]
+
+BODY = HalfSpace(2e5, 0.5)
+DEPTH_M, PITCH_M, COUNT = 1e-3, 0.4e-3, 32
+CURVATURE_RADIUS_M, RADIUS_M, FRICTION = 20e-3, 3e-3, 0.5
+NOISE_DB = 11.0
+FINER = 3  # pixels of the contact for each sensor, odd: one of them lies above it
+
+PANELS = {
+    "Fig. 2: p_n": ("p_n", [0]),
+    "Fig. 3: eps_xx": ("strain", [0]),
+    "Fig. 4: eps_zz": ("strain", [2]),
+    "Fig. 5: eps_xy": ("strain", [3]),
+    "Fig. 6: eps_xz": ("strain", [4]),
+    "Fig. 7: p_n, eps_xz, eps_yz": ("sensor", [0, 1, 2]),
+}
+
+
+def power_spectra(folder: Path) -> None:
+    """Figs 2-7: squared norm of each row, over a square of frequencies."""
+    omega = np.linspace(-4.0, 4.0, 121) / DEPTH_M
+    wx, wy = np.meshgrid(omega, omega)
+    spectra = []
+    for output, rows in PANELS.values():
+        matrix = BODY.transfer_matrix(output, "traction", wx, wy, DEPTH_M)
+        spectra.append((np.abs(matrix[..., rows, :]) ** 2).sum(axis=(-2, -1)))
+        spectra[-1][60, 60] = np.nan  # every direction has a limit of its own there
+    title = f"Power spectra per traction, depth {DEPTH_M * 1e3:g} mm, Poisson's ratio {BODY.poisson_ratio:g}"
+    write_density_figure(folder / "power-spectra.svg", list(PANELS), np.array(spectra), omega, title)
+
+
+def hertz_load_newton() -> float:
+    return 4.0 * BODY.youngs_modulus_pascal * RADIUS_M**3 / (3.0 * CURVATURE_RADIUS_M * (1 - BODY.poisson_ratio**2))
+
+
+def contact(count: int, pitch_m: float) -> FrictionalContact:
+    compliance = SurfaceCompliance(BODY, (count, count), pitch_m)
+    return FrictionalContact(compliance, paraboloid((count, count), pitch_m, CURVATURE_RADIUS_M), FRICTION)
+
+
+def partial_slip(folder: Path) -> None:
+    """Fig. 13: stick radius against tangential load, solved as a contact with unknown stick zone, beside eq. (7)."""
+    load = hertz_load_newton()
+    object_ = contact(64, 10e-3 / 64)
+    ratios, found = np.array([0.1, 0.3, 0.5, 0.7, 0.875, 0.95]), []
+    for ratio in ratios:
+        pressed = object_.step(object_.apart, load_newton=(0.0, 0.0, load))
+        state = object_.step(pressed, load_newton=(ratio * FRICTION * load, 0.0, load))
+        found.append(np.sqrt(state.sticks.sum() / (state.sticks | state.slips).sum()))
+    expected = np.cbrt(1.0 - ratios)
+    print(f"Fig. 13: stick radius solved and by eq. (7) differ by {np.abs(found - expected).max():.3f} at most")
+
+    figure = Figure(figsize=(4.5, 3.5), layout="constrained")
+    axes = figure.subplots()
+    stick = np.linspace(0.0, 1.0, 200)
+    axes.plot(1.0 - stick**3, stick, label="eq. (7)")
+    axes.plot(np.linspace(0, 1, 200), 1.0 - np.linspace(0, 1, 200) ** 3, "--", label="caption as printed")
+    axes.plot(ratios, found, "o", label="solved, stick zone unknown")
+    axes.set_xlabel("tangential load / (friction x normal load)")
+    axes.set_ylabel("stick radius / contact radius")
+    axes.legend(fontsize="small")
+    figure.savefig(folder / "fig13-partial-slip.svg")
+
+
+def encoding(folder: Path) -> None:
+    """Fig. 8: signals of a partial slip contact at 32 x 32 sensors, without and with noise."""
+    load = hertz_load_newton()
+    shear = (1.0 - 0.6**3) * FRICTION * load
+    object_ = contact(FINER * COUNT, PITCH_M / FINER)
+    pressed = object_.step(object_.apart, load_newton=(0.0, 0.0, load))
+    traction = object_.step(pressed, load_newton=(shear, 0.0, load)).traction_pascal
+    fields = SurfaceFields(BODY, (FINER * COUNT, FINER * COUNT), PITCH_M / FINER, "sensor", DEPTH_M)
+    at_sensors = slice(FINER // 2, None, FINER)
+    signals = fields(traction)[:, at_sensors, at_sensors]
+    along_load = fields(traction * np.array([1.0, 0.0, 1.0])[:, None, None])[:, at_sensors, at_sensors]
+
+    axis = (np.arange(COUNT) - (COUNT - 1) / 2.0) * PITCH_M
+    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    radii = RADIUS_M * np.array([1.0, 0.6])
+    exact_fields = hertz_fields(places, DEPTH_M, radii, BODY.youngs_modulus_pascal, BODY.poisson_ratio)
+    forces = np.array([[FRICTION * load, 0.0, load], [-FRICTION * load * 0.6**3, 0.0, 0.0]])
+    exact = np.einsum("kf,kfsn->sn", forces, exact_fields).reshape(3, COUNT, COUNT)
+    exact[0] *= 1.5 / BODY.youngs_modulus_pascal
+    for name, whole, part, other in zip(("p_n", "eps_xz", "eps_yz"), signals, along_load, exact, strict=True):
+        error, rest = (np.linalg.norm(found - other) / np.linalg.norm(other) for found in (whole, part))
+        print(f"Fig. 8: {name} differs from closed forms by {error:.4f}, without f_y by {rest:.4f} (relative L2)")
+
+    noise = high_passed_noise(np.random.default_rng(1), signals.shape)
+    noise *= np.linalg.norm(signals) / np.linalg.norm(noise) * 10.0 ** (-NOISE_DB / 20.0)
+    figure = Figure(figsize=(9, 6), layout="constrained")
+    for row, (images, what) in enumerate([(signals, ""), (signals + noise, f", {NOISE_DB:g} dB")]):
+        for column, (image, name) in enumerate(zip(images, ("3 p_n / (2 E)", "eps_xz", "eps_yz"), strict=True)):
+            axes = figure.add_subplot(2, 3, 3 * row + column + 1)
+            limit = np.abs(signals[column]).max()
+            edge = COUNT * PITCH_M * 500.0
+            shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=(-edge, edge) * 2)
+            axes.set_title(f"{'abcdef'[3 * row + column]}) {name}{what}", fontsize="small")
+            axes.set_xlabel("x, mm", fontsize="small")
+            figure.colorbar(shown, ax=axes, shrink=0.8)
+    figure.savefig(folder / "fig8-encoding.svg")
+
+
+def high_passed_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
+    """White noise through 1 - exp(-w^2 / (2 w_c^2)), w_c a quarter of the Nyquist frequency."""
+    wy, wx = 2 * np.pi * fft.fftfreq(shape[-2])[:, None], 2 * np.pi * fft.rfftfreq(shape[-1])
+    passed = 1.0 - np.exp(-(wx**2 + wy**2) / (2.0 * (np.pi / 4.0) ** 2))
+    return np.asarray(fft.irfft2(fft.rfft2(rng.standard_normal(shape)) * passed, s=shape[-2:]), np.float64)
+
+
+def main() -> None:
+    matplotlib.rcParams["svg.hashsalt"] = "resonatord"  # the same drawing is the same file
+    os.environ.setdefault("SOURCE_DATE_EPOCH", "0")
+    parser = argparse.ArgumentParser(description="Draw the figures of docs/reproduction.md.")
+    parser.add_argument(
+        "--folder", type=Path, default=Path(__file__).parent, help="where to (default: beside this file)"
+    )
+    folder = parser.parse_args().folder
+    power_spectra(folder)
+    partial_slip(folder)
+    encoding(folder)
+    print(f"figures: written to {folder}")
+
+
+if __name__ == "__main__":
+    main()

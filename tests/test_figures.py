@@ -1,0 +1,36 @@
+"""`make figures` draws what docs/reproduction.md shows, and the page states what it prints."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -> None:
+    run = subprocess.run(
+        [sys.executable, ROOT / "docs" / "figures" / "draw.py", "--folder", tmp_path],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    page = " ".join((ROOT / "docs" / "reproduction.md").read_text().split())
+    shown = set(re.findall(r"figures/([\w-]+\.svg)", page))
+    assert {path.name for path in tmp_path.iterdir()} == shown
+    assert {path.name for path in (ROOT / "docs" / "figures").glob("*.svg")} >= shown
+    stick = re.search(r"differ by ([\d.]+) at most", run.stdout)
+    assert stick
+    assert f"within {stick[1]} of the contact radius" in page
+    for name, error, rest in re.findall(
+        r"(\w+) differs from closed forms by ([\d.]+), without f_y by ([\d.]+)", run.stdout
+    ):
+        assert f"{error} for {name}" in page
+        assert rest in page
+
+
+def test_the_example_of_the_elastic_page_runs() -> None:
+    block = re.search(r"```python\n(.*?)```", (ROOT / "docs" / "elastic.md").read_text(), re.DOTALL)
+    assert block
+    run = subprocess.run([sys.executable, "-c", block[1]], capture_output=True, text=True, check=True)
+    assert re.search(r"\d+ pixels stick, \d+ slip", run.stdout)
