@@ -69,7 +69,7 @@ bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fiel
 
 figures: .venv/figures-stamp  ## draw the pictures of docs/reproduction.md and docs/elastic.md anew
 	@.venv/bin/python docs/figures/draw.py
-	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
+	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 soak: .venv/run-stamp  ## 90 s against a broker that is killed for 30 s
 	$(debian-packages)

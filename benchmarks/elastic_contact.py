@@ -5,7 +5,7 @@ each program stops at 1e-8 by its own measure of error. Where others use the mac
 other cost the peers dearly: OMP_NUM_THREADS=1 makes it fair.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -171,7 +171,9 @@ def show_residuals(count: int) -> None:
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 30
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("rounds", type=int, nargs="?", default=30, help="times each is timed (default: 30)")
+    rounds: int = parser.parse_args().rounds
     candidates = programs()
     for count in (32, 128, 512):
         compare(candidates, count, rounds if count <= 128 else max(rounds // 6, 1))

@@ -159,7 +159,8 @@ def draw(found: list[Curve], path: Path) -> None:
                 if curve.problem == problem:
                     iterations = range(1, len(curve.residuals) + 1)
                     colour = COLOURS.get(curve.method, "C0")
-                    axes.semilogy(iterations, curve.residuals, color=colour, label=curve.method)
+                    residuals = 10.0 ** np.round(np.log10(curve.residuals), 2)  # the same drawing on any machine
+                    axes.semilogy(iterations, residuals, color=colour, label=curve.method)
             axes.set(
                 title=problem, xlabel="iteration", xscale="log", xlim=(1, ITERATIONS), ylim=(TOLERANCE / 10, 100.0)
             )

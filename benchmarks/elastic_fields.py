@@ -3,7 +3,7 @@
 Run it with `make bench`, or `python benchmarks/elastic_fields.py [ROUNDS]`. Times are medians over interleaved rounds.
 """
 
-import sys
+import argparse
 import time
 
 import numpy as np
@@ -61,7 +61,9 @@ def measure(count: int, poisson_ratio: float, depth_m: float, rounds: int) -> No
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 40
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("rounds", type=int, nargs="?", default=40, help="times each is timed (default: 40)")
+    rounds: int = parser.parse_args().rounds
     print(f"{'nu':>4} {'z mm':>5} {'n':>4}  {'method':9} {'p_n':>9} {'eps_xz':>9} {'eps_yz':>9}", end=" ")
     print(f"{'apply us':>9} {'ratio':>7} {'set-up ms':>9}")
     for poisson_ratio in (0.3, 0.5):

@@ -14,7 +14,7 @@ nu = 0.3 is solved on a periodic body by both. They differ in the odd terms at N
 That is to be judged against what discretisation does: how far the answer moves on a grid twice as fine.
 """
 
-import sys
+import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -172,7 +172,9 @@ def coupled(counts: Sequence[int], rounds: int) -> None:
 
 
 def main() -> None:
-    rounds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("rounds", type=int, nargs="?", default=5, help="times each is timed (default: 5)")
+    rounds: int = parser.parse_args().rounds
     if tamaas is None:
         print("tamaas: not installed")
     else:

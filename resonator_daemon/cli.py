@@ -2,6 +2,7 @@
 
 import argparse
 import asyncio
+import io
 import json
 import logging
 import os
@@ -126,7 +127,7 @@ def _plan_sensors(options: argparse.Namespace) -> None:
     logging.getLogger().setLevel(logging.WARNING)  # matplotlib tells of its fonts
     try:
         skin = HalfSpace(options.youngs_modulus_pascal, options.poisson_ratio)
-        sensors = SensorSet(skin, tuple(options.set.split(",")), 1e-3 * options.depth_mm)
+        sensors = SensorSet(skin, tuple(name.strip() for name in options.set.split(",")), 1e-3 * options.depth_mm)
         plan = SensorPlan(SensorArray(sensors, 1e-3 * options.pitch_mm, options.snr_db))
     except ValueError as error:
         options.refuse(str(error))
@@ -135,6 +136,8 @@ def _plan_sensors(options: argparse.Namespace) -> None:
     if options.json:
         _print_json(plan.as_json())
     else:
+        if isinstance(sys.stdout, io.TextIOWrapper):
+            sys.stdout.reconfigure(errors="replace")  # where the terminal has no sign for a degree
         Console(highlight=False).print(plan)
 
 
@@ -249,12 +252,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     for option, default, meaning in (
         ("--depth-mm", 1.0, "of the sensors under the surface"),
-        ("--pitch-mm", 0.4, "from sensor to sensor, at most ten depths"),
+        ("--pitch-mm", 0.4, "from sensor to sensor, at most four depths"),
         ("--youngs-modulus-pascal", 2e5, "of the skin"),
     ):
-        sensors.add_argument(
-            option, type=_positive, default=default, metavar="X", help=f"{meaning} (default: %(default)g)"
-        )
+        sensors.add_argument(option, type=float, default=default, metavar="X", help=f"{meaning} (default: %(default)g)")
     sensors.add_argument(
         "--poisson-ratio", type=float, default=0.5, metavar="X", help="of the skin, 0.5 for rubber (default: 0.5)"
     )

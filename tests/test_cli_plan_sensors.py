@@ -1,6 +1,7 @@
 """`resonatord plan sensors` as a user meets it."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -42,10 +43,11 @@ def test_json_is_one_object_and_nothing_else() -> None:
         (("--set", "p_n,xzz"), "'xzz' is unknown; did you mean zz? must be one of: p_n, xx"),
         (("--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
         (("--set", ""), "'' is unknown"),
-        (("--pitch-mm", "30"), "at most ten depths, 0.01: a sparser array"),
-        (("--depth-mm", "0"), "'0' is not a number above 0"),
+        (("--pitch-mm", "30"), "at most four depths, 0.004: a sparser array"),
+        (("--depth-mm", "0"), "depth_m is 0, must be from 1e-09 to 1000"),
+        (("--depth-mm", "deep"), "invalid float value: 'deep'"),
         (("--poisson-ratio", "0.7"), "poisson_ratio is 0.7, must be in (-1, 0.5]"),
-        (("--youngs-modulus-pascal", "-3"), "'-3' is not a number above 0"),
+        (("--youngs-modulus-pascal", "-3"), "youngs_modulus_pascal is -3.0, must be finite and above 0"),
         (("--snr-db", "400"), "snr_db is 400, must be from -40 to 100"),
         (("--snr-db", "loud"), "invalid float value: 'loud'"),
         (("--picture", "set.gif"), "'set.gif' must end in .svg, .png or .pdf"),
@@ -71,8 +73,21 @@ def test_the_picture_is_written_beside_the_text(tmp_path: Path) -> None:
     assert len(gone.stderr.splitlines()) == 1
 
 
+def test_a_terminal_without_a_sign_for_degrees_is_no_error() -> None:
+    run = subprocess.run(
+        [*COMMAND, "--set", "xx, yy"],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONIOENCODING": "ascii"},
+    )
+    assert run.returncode == 0
+    assert run.stderr == ""
+    assert "only along 0? and 90?" in " ".join(run.stdout.split())
+
+
 def test_help_teaches() -> None:
     run = plan_sensors("--help")
     assert run.returncode == 0
-    for word in ("sigma_xx", "half-space", "1 mm stripes", "resonatord plan sensors --set", "ten depths"):
+    for word in ("sigma_xx", "half-space", "1 mm stripes", "resonatord plan sensors --set", "four depths"):
         assert word in " ".join(run.stdout.split())

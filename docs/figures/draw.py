@@ -107,16 +107,18 @@ def encoding(folder: Path) -> None:
 
     noise = high_passed_noise(np.random.default_rng(1), signals.shape)
     noise *= np.linalg.norm(signals) / np.linalg.norm(noise) * 10.0 ** (-NOISE_DB / 20.0)
-    figure = Figure(figsize=(9, 6), layout="constrained")
+    figure = Figure(figsize=(10, 6), layout="constrained")
+    edge = COUNT * PITCH_M * 500.0
+    all_axes = figure.subplots(2, 3, sharex=True, sharey=True)
     for row, (images, what) in enumerate([(signals, ""), (signals + noise, f", {NOISE_DB:g} dB")]):
         for column, (image, name) in enumerate(zip(images, ("3 p_n / (2 E)", "eps_xz", "eps_yz"), strict=True)):
-            axes = figure.add_subplot(2, 3, 3 * row + column + 1)
+            axes = all_axes[row, column]
             limit = np.abs(signals[column]).max()
-            edge = COUNT * PITCH_M * 500.0
             shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=(-edge, edge) * 2)
             axes.set_title(f"{'abcdef'[3 * row + column]}) {name}{what}", fontsize="small")
-            axes.set_xlabel("x, mm", fontsize="small")
             figure.colorbar(shown, ax=axes, shrink=0.8)
+    figure.supxlabel("x, mm", fontsize="small")
+    figure.supylabel("y, mm", fontsize="small")
     figure.savefig(folder / "fig8-encoding.svg")
 
 

@@ -12,10 +12,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.elastic.checks import check_tolerance
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 LinearMap = Callable[[Floats], Floats]
 
+_BEYOND_NUMBERS = "tractions or displacements are too large or too small to square; choose other units"
 _STALL_ITERATIONS = 100  # without a better residual: it goes round in circles, or rounding is reached
 
 
@@ -162,19 +165,22 @@ def minimise(
     """Minimise f.A f / 2 - f.target over the bounds, and over those of sum `sums` (components,), NaN where none is.
 
     The residual that is compared with `tolerance` is |f - nearest(f + slack / self_compliance)| / |f|: it is 0 at the
-    solution and nowhere else, whatever the bounds (the natural map of Karush, Kuhn and Tucker's conditions).
+    solution and nowhere else, whatever the bounds (the natural map of Karush, Kuhn and Tucker's conditions). What the
+    sum misses counts likewise, relative to the sum of moduli.
 
     Steps are preconditioned conjugate gradients within the current face of the bounds, then the nearest allowed
     tractions (Polonsky and Keer 1999, with Polak and Ribiere's update). Where such a step lowers the energy too
     little, a projected gradient step, which always lowers it enough, takes its place: so the energy falls in each
     iteration and no state comes twice, where the method as published can go round in circles.
 
-    Raises NotConvergedError after `iterations_max`, or where the residual no longer falls.
+    Raises NotConvergedError after `iterations_max`, where the residual no longer falls, and where numbers are so large
+    or small that their squares have no value; ValueError for a tolerance that is not above 0 and below 1.
     """
 
     def nearest(tractions: Floats) -> Floats:
         return bounds.nearest(tractions) if sums is None else _nearest_of_sum(bounds, tractions, sums)
 
+    check_tolerance(tolerance)
     balanced = np.zeros(len(target), np.bool_) if sums is None else np.isfinite(sums)
     directions = _ConjugateDirections(precondition, self_compliance, balanced)
     step_length = 1.0 / self_compliance  # of the projected gradient, halved until it is safe
@@ -188,9 +194,13 @@ def minimise(
         if sums is not None:
             shift = -bounds.face(f, None).means(slack, balanced)
             slack = slack + shift
-        natural = float(np.linalg.norm(bounds.nearest(f + slack / self_compliance) - f))
-        size = float(np.linalg.norm(f))
-        residual = natural / size if size else float(natural > 0.0)
+        gap = bounds.nearest(f + slack / self_compliance) - f
+        natural, size = float(np.linalg.norm(gap)), float(np.linalg.norm(f))
+        residual = natural / size if size else float(gap.any())
+        if sums is not None:
+            residual = max(residual, _missing(f, sums))
+        if not np.isfinite(residual):
+            raise NotConvergedError(_BEYOND_NUMBERS, tuple(residuals))
         if residual <= tolerance and not fresh:
             response, fresh = compliance(f), True
             directions.forget()
@@ -200,16 +210,17 @@ def minimise(
             return Minimum(f, shift, tuple(residuals))
         if residual < 0.9 * best:
             best, best_at = residual, len(residuals)
-        if len(residuals) - best_at >= _STALL_ITERATIONS or len(residuals) > iterations_max:
+        face = bounds.face(f, slack)
+        direction, slope = directions.next(face, slack)
+        moved = compliance(direction)
+        stiffness = float(np.vdot(direction, moved)) + face.bend(direction)
+        stalls = len(residuals) - best_at >= _STALL_ITERATIONS or not (slope > 0.0 and stiffness > 0.0)
+        if stalls or len(residuals) > iterations_max:
             raise NotConvergedError(
                 f"residual stays at {best:.2g} after {len(residuals)} iterations, must reach {tolerance:.2g}",
                 tuple(residuals),
             )
-
-        face = bounds.face(f, slack)
-        direction, slope = directions.next(face, slack)
-        moved = compliance(direction)
-        length = slope / (float(np.vdot(direction, moved)) + face.bend(direction))
+        length = slope / stiffness
         aim = f + length * direction
         allowed = nearest(aim)
         if np.array_equal(allowed, aim):
@@ -222,7 +233,7 @@ def minimise(
             while True:
                 change = nearest(f + step_length * slack) - f
                 moved = compliance(change)
-                if np.vdot(change, moved) <= np.vdot(change, change) / step_length:
+                if not np.vdot(change, moved) > np.vdot(change, change) / step_length:
                     break
                 step_length /= 2.0
         f, response, fresh = f + change, response + moved, False
@@ -248,7 +259,7 @@ class _ConjugateDirections:
         direction = eased
         if self._last is not None:
             last_direction, last_push, last_eased = self._last
-            gain = float(np.vdot(eased, push - last_push)) / float(np.vdot(last_eased, last_push))
+            gain = float(np.vdot(eased, push - last_push) / np.vdot(last_eased, last_push))
             direction = eased + max(0.0, gain) * self._within(face, last_direction)
             if np.vdot(direction, push) <= 0.0:
                 direction = eased
@@ -257,6 +268,13 @@ class _ConjugateDirections:
 
     def _within(self, face: Face, vectors: Floats) -> Floats:
         return face.restrict(vectors - face.means(vectors, self._balanced) if self._balanced.any() else vectors)
+
+
+def _missing(tractions: Floats, sums: Floats) -> float:
+    """How far tractions are from their sum, relative to the sum of their moduli or to the sum wanted."""
+    short = np.where(np.isfinite(sums), sums - tractions.sum(axis=(1, 2)), 0.0)
+    scale = max(float(np.abs(tractions).sum()), float(np.nansum(np.abs(sums))))
+    return float(np.abs(short).max()) / scale if scale else 0.0
 
 
 def _nearest_of_sum(bounds: Bounds, tractions: Floats, sums: Floats) -> Floats:
@@ -283,7 +301,7 @@ def _nearest_of_sum(bounds: Bounds, tractions: Floats, sums: Floats) -> Floats:
         before = float(step @ missing)
         while True:
             allowed, missing = pull(offset + step.reshape(offset.shape))
-            if step @ missing >= -0.5 * before:
+            if not step @ missing < -0.5 * before:
                 break
             step, before = step / 2.0, before / 2.0
         offset += step.reshape(offset.shape)

@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.elastic.checks import check_tolerance, real_array
 from resonator_daemon.elastic.constrained import NotConvergedError, Pushing, minimise
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, Z
 from resonator_daemon.elastic.windows import window_around
@@ -79,7 +80,7 @@ def press(
         comes from where height 0 is level with the unloaded surface, or with a periodic one's mean; where it then
         touches nothing, the answer is a pressure of 0.
     tolerance
-        Residual to reach, above 0.
+        Residual to reach, above 0 and below 1.
     start_pascal
         Pressure to begin with instead of that of a coarser grid, such as that of a load before; at least 0, shape
         (ny, nx). It is scaled to a given load.
@@ -92,9 +93,9 @@ def press(
     NotConvergedError
         A tolerance out of reach.
     """
-    profile = np.asarray(profile_m, np.float64)
-    start = None if start_pascal is None else np.asarray(start_pascal, np.float64)
-    _check_object(compliance, profile)
+    profile = real_array("profile_m", profile_m)
+    start = None if start_pascal is None else real_array("start_pascal", start_pascal)
+    check_object(compliance, profile)
     _check_request(load_newton, approach_m, tolerance, float(profile.mean()) if compliance.periodic else np.inf)
     if start is not None and (start.shape != profile.shape or not (np.isfinite(start) & (start >= 0.0)).all()):
         raise ValueError(
@@ -115,7 +116,7 @@ def press(
     return contact
 
 
-def _check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
+def check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
     if profile.shape != compliance.shape:
         raise ValueError(f"profile_m has shape {profile.shape}, must be {compliance.shape}")
     if np.isnan(profile).any() or (profile == -np.inf).any():
@@ -125,6 +126,9 @@ def _check_object(compliance: SurfaceCompliance, profile: Floats) -> None:
 
 
 def _check_request(load: float | None, approach: float | None, tolerance: float, mean_height: float) -> None:
+    for name, value in (("load_newton", load), ("approach_m", approach)):
+        if value is not None and np.ndim(value):
+            raise ValueError(f"{name} has shape {np.shape(value)}, must be one number")
     if (load is None) == (approach is None):
         raise ValueError(f"load_newton is {load} and approach_m is {approach}, must be just one of the two")
     if load is not None and not 0.0 < load < np.inf:
@@ -136,8 +140,7 @@ def _check_request(load: float | None, approach: float | None, tolerance: float,
             f"approach_m is {approach}, must be below the profile's mean, {mean_height:.6g}, on a periodic surface, "
             "whose own mean stays at 0; for contact everywhere give a load"
         )
-    if not tolerance > 0.0:
-        raise ValueError(f"tolerance is {tolerance}, must be above 0")
+    check_tolerance(tolerance)
 
 
 def _press(

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 from scipy.special import roots_legendre
 
+from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule
 
@@ -92,7 +93,9 @@ class SurfaceFields:
         zero: ZeroRule = "isolated",
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
-        depths = np.asarray(depths_m, np.float64)
+        depths = finite_array("depths_m", depths_m)
+        if not depths.size:
+            raise ValueError(f"depths_m has shape {depths.shape}, must hold at least one depth")
         half_space.transfer_matrix(output, input, np.pi / pitch_m, 0.0, depths, zero=zero)  # refuses what is no field
         if method not in ("periodic", "padded", "wrap-free"):
             raise ValueError(f"method is {method!r}, must be 'periodic', 'padded' or 'wrap-free'")
@@ -130,19 +133,18 @@ class SurfaceFields:
         ValueError
             Loads of another shape, not numbers, or not finite.
         """
-        frames = np.asarray(loads, np.float64)
+        frames = finite_array("loads", loads)
         wanted = (3, *self._shape)
         if frames.shape[-3:] != wanted:
             raise ValueError(f"loads have shape {frames.shape}, must be (..., {', '.join(map(str, wanted))})")
-        if not np.isfinite(frames).all():
-            count = frames.size - np.count_nonzero(np.isfinite(frames))
-            raise ValueError(f"loads hold {count} values that are not finite; all must be")
         leading = frames.shape[:-3]
         frames = frames.reshape(-1, *wanted)
         depths, rows = self._response.shape[:2]
         fields = np.empty((len(frames), depths, rows, *self._shape))
         for frame, field in zip(frames, fields, strict=True):
             self._apply(frame, field)
+        if not np.isfinite(fields).all():
+            raise ValueError(f"loads reach {np.abs(frames).max():.3g}, where fields are beyond any number")
         return fields.reshape(*leading, *self._depths_shape, rows, *self._shape)
 
     def _apply(self, load: Floats, field: Floats) -> None:

@@ -7,8 +7,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.elastic.checks import check_tolerance, real_array
 from resonator_daemon.elastic.constrained import Face, Friction, NotConvergedError, Pushing, minimise
-from resonator_daemon.elastic.contact import press
+from resonator_daemon.elastic.contact import check_object, press
 from resonator_daemon.elastic.influence import Convolution, RoughStiffness, SurfaceCompliance, X, Y, Z
 from resonator_daemon.elastic.windows import Window, window_around
 
@@ -17,6 +18,7 @@ Bools = NDArray[np.bool_]
 
 _MARGIN = 2  # pixels around the contact in which it is free to grow between two looks at the whole grid
 _REMEMBERED = 5  # passes from which the next limit of friction is extrapolated
+_LEAST_FRICTION = 1e-6
 _STALL_PASSES = 20  # without a better residual: the passes go round in circles, or away
 
 
@@ -61,7 +63,7 @@ class FrictionalContact:
     profile_m
         Height of the object's lower side, (ny, nx), as in `press`; inf where there is no object.
     friction_coefficient
-        mu, at least 0.
+        mu, 0 or at least 1e-6: less drowns in the rounding of the pressure.
     tolerance
         Of the residual: |f - nearest(f + slack / self-compliance)| / |f| over all pixels, where `slack` is -gap and w,
         and `nearest` projects onto p >= 0 and |q| <= mu f_z. It is 0 at the solution and nowhere else.
@@ -69,7 +71,8 @@ class FrictionalContact:
     Raises
     ------
     ValueError
-        A profile of another shape than the compliance has; a coefficient below 0 or not finite.
+        A profile of another shape than the compliance has, or one that `press` refuses; a coefficient that is negative,
+        between 0 and 1e-6 or not finite; a tolerance that is not above 0 and below 1.
     """
 
     compliance: SurfaceCompliance
@@ -78,10 +81,11 @@ class FrictionalContact:
     tolerance: float = 1e-8
 
     def __post_init__(self) -> None:
-        if self._profile.shape != self.compliance.shape:
-            raise ValueError(f"profile_m has shape {self._profile.shape}, must be {self.compliance.shape}")
-        if not 0.0 <= self.friction_coefficient < np.inf:
-            raise ValueError(f"friction_coefficient is {self.friction_coefficient}, must be finite and at least 0")
+        check_object(self.compliance, self._profile)
+        mu = self.friction_coefficient
+        if np.ndim(mu) or not (mu == 0.0 or _LEAST_FRICTION <= mu < np.inf):
+            raise ValueError(f"friction_coefficient is {mu}, must be finite, and 0 or at least {_LEAST_FRICTION:g}")
+        check_tolerance(self.tolerance)
 
     @property
     def apart(self) -> FrictionState:
@@ -111,6 +115,9 @@ class FrictionalContact:
         NotConvergedError
             Where the residual stays above the tolerance.
         """
+        if before.traction_pascal.shape != (3, *self.compliance.shape):
+            shape = before.traction_pascal.shape[1:]
+            raise ValueError(f"before is a state of {shape} pixels, must be of {self.compliance.shape}")
         load, shift = _one_of_two(load_newton, shift_m)
         free = np.isfinite(load)
         origin = np.array([*before.shift_m[:Z], 0.0])  # slip counts from the step before, the gap from the profile
@@ -188,7 +195,7 @@ class FrictionalContact:
 
     @cached_property
     def _profile(self) -> Floats:
-        return np.asarray(self.profile_m, np.float64)
+        return real_array("profile_m", self.profile_m)
 
     @cached_property
     def _under_object(self) -> Bools:
@@ -266,10 +273,9 @@ class _Extrapolation:
 
 
 def _one_of_two(load_newton: ArrayLike, shift_m: ArrayLike) -> tuple[Floats, Floats]:
-    load = np.asarray(load_newton, np.float64)
-    shift = np.asarray(shift_m, np.float64)
+    load, shift = real_array("load_newton", load_newton), real_array("shift_m", shift_m)
     for name, given in (("load_newton", load), ("shift_m", shift)):
-        if given.shape not in ((), (3,)):
+        if given.shape != (3,) and not (given.shape == () and np.isnan(given)):
             raise ValueError(f"{name} has shape {given.shape}, must be (3,)")
         if np.isinf(given).any():
             raise ValueError(f"{name} is {given}, must be finite, or NaN where the other one is given")

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from itertools import product
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +21,12 @@ class SpectralGrid:
     pitch_m: float
 
     def __post_init__(self) -> None:
-        if len(self.shape) != 2 or min(self.shape) < 1:
-            raise ValueError(f"shape is {self.shape}, must be (ny, nx), each at least 1")
+        if (
+            not isinstance(self.shape, tuple)
+            or len(self.shape) != 2
+            or not all(isinstance(count, Integral) and count >= 1 for count in self.shape)
+        ):
+            raise ValueError(f"shape is {self.shape}, must be a tuple (ny, nx) of whole numbers, each at least 1")
         if not 0.0 < self.pitch_m < np.inf:
             raise ValueError(f"pitch_m is {self.pitch_m}, must be finite and above 0")
 

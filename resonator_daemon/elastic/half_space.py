@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.elastic import transfer_matrices
+from resonator_daemon.elastic.checks import finite_array
 
 Output = Literal["displacement", "strain", "stress", "p_n", "sensor", "traction"]
 Input = Literal["traction", "displacement"]
@@ -59,6 +60,12 @@ class HalfSpace:
     poisson_ratio: float
 
     def __post_init__(self) -> None:
+        for name, value in (
+            ("youngs_modulus_pascal", self.youngs_modulus_pascal),
+            ("poisson_ratio", self.poisson_ratio),
+        ):
+            if np.ndim(value):
+                raise ValueError(f"{name} has shape {np.shape(value)}, must be one number")
         if not 0.0 < self.youngs_modulus_pascal < np.inf:
             raise ValueError(f"youngs_modulus_pascal is {self.youngs_modulus_pascal}, must be finite and above 0")
         if not -1.0 < self.poisson_ratio <= 0.5:
@@ -120,13 +127,14 @@ class HalfSpace:
             raise ValueError(f"output {output!r} of input {input!r} has no matrix, must be one of: {pairs}")
         if zero not in ("isolated", "periodic", "raise"):
             raise ValueError(f"zero is {zero!r}, must be 'isolated', 'periodic' or 'raise'")
-        wx, wy, depth = np.broadcast_arrays(
-            np.asarray(omega_x, np.float64), np.asarray(omega_y, np.float64), np.asarray(depth_m, np.float64)
-        )
-        if not (np.isfinite(wx).all() and np.isfinite(wy).all()):
-            raise ValueError("omega_x or omega_y holds a value that is not finite; all must be finite, in rad/m")
-        if not (np.isfinite(depth) & (depth >= 0.0)).all():
-            raise ValueError(f"depth_m spans {depth.min()} .. {depth.max()}, must be finite and at least 0")
+        given = finite_array("omega_x", omega_x), finite_array("omega_y", omega_y), finite_array("depth_m", depth_m)
+        try:
+            wx, wy, depth = np.broadcast_arrays(*given)
+        except ValueError:
+            shapes = ", ".join(str(array.shape) for array in given)
+            raise ValueError(f"omega_x, omega_y, depth_m have shapes {shapes}, which must broadcast") from None
+        if depth.size and depth.min() < 0.0:
+            raise ValueError(f"depth_m reaches {depth.min()}, must be at least 0")
         if output == "traction" and depth.any():
             raise ValueError(
                 f"depth_m reaches {depth.max()}, must be 0 for output 'traction', which acts on the surface"
@@ -135,20 +143,25 @@ class HalfSpace:
         w = np.hypot(wx, wy)
         at_zero = w == 0.0
         w_safe = np.where(at_zero, 1.0, w)
-        matrix = transfer_matrices.MATRICES[output, input](
-            transfer_matrices.Symbols(
-                w=w_safe,
-                c=wx / w_safe,
-                s=wy / w_safe,
-                t=w_safe * depth,
-                mu=self.shear_modulus_pascal,
-                nu=self.poisson_ratio,
+        with np.errstate(over="ignore", invalid="ignore"):  # what comes of it is looked at below
+            matrix = transfer_matrices.MATRICES[output, input](
+                transfer_matrices.Symbols(
+                    w=w_safe,
+                    c=wx / w_safe,
+                    s=wy / w_safe,
+                    t=np.minimum(w_safe * depth, 1e3),  # where exp(-t) is 0
+                    mu=self.shear_modulus_pascal,
+                    nu=self.poisson_ratio,
+                )
             )
-        )
         if at_zero.any():
             if zero == "raise":
                 raise ValueError("omega is 0 under zero='raise', must be above 0")
             matrix[at_zero] = self._at_zero(output, input, depth[at_zero], zero, period_m)
+        if not np.isfinite(matrix).all():
+            raise ValueError(
+                f"omega spans {w.min()} .. {w.max()} rad/m, where {output} of {input} is beyond any number"
+            )
         if convention.traction_is_stress and "traction" in (output, input):
             matrix *= -1.0
         if convention.p_n_is_pressure and output in ("p_n", "sensor"):

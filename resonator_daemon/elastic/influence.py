@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace
 
@@ -34,7 +35,8 @@ class SurfaceCompliance:
         True: the grid repeats in both directions for ever; samples of band-limited tractions, by eq. (18), and
         displacements counted from their mean, which a periodic load leaves undefined.
 
-    Raises ValueError for a shape or pitch that `SpectralGrid` refuses.
+    Raises ValueError for a shape or pitch that `SpectralGrid` refuses, and for a single pixel that repeats: it has no
+    traction but a mean one.
     """
 
     half_space: HalfSpace
@@ -44,17 +46,17 @@ class SurfaceCompliance:
 
     def __post_init__(self) -> None:
         SpectralGrid(self.shape, self.pitch_m)
+        if self.periodic and self.shape == (1, 1):
+            raise ValueError(f"shape is {self.shape}, must be more than one pixel where the surface is periodic")
 
     def displacement_m(self, traction_pascal: ArrayLike) -> Floats:
         """Displacement of the centres, shape (3, ny, nx), under tractions of that shape, x, y, z.
 
         ValueError for another shape or a value that is not finite.
         """
-        traction = np.asarray(traction_pascal, np.float64)
+        traction = finite_array("traction_pascal", traction_pascal)
         if traction.shape != (3, *self.shape):
             raise ValueError(f"traction_pascal has shape {traction.shape}, must be {(3, *self.shape)}")
-        if not np.isfinite(traction).all():
-            raise ValueError("traction_pascal holds a value that is not finite; all must be finite")
         return self.convolution((X, Y, Z), (X, Y, Z), self.shape)(traction)
 
     def convolution(self, rows: tuple[int, ...], columns: tuple[int, ...], shape: tuple[int, int]) -> "Convolution":
@@ -175,7 +177,7 @@ class RoughStiffness:
     """
 
     def __init__(self, shape: tuple[int, int]) -> None:
-        ky, kx = (fft.next_fast_len(n + n // 4, real=True) for n in shape)
+        ky, kx = (fft.next_fast_len(n + n // 4 + 1, real=True) for n in shape)
         frequency = np.hypot(fft.rfftfreq(kx), fft.fftfreq(ky)[:, None])
         self._shape, self._lengths, self._frequency = shape, (ky, kx), frequency
 

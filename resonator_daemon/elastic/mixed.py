@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule
 
@@ -91,12 +92,10 @@ class MixedBoundary:
 
         ValueError also for values of another shape or not finite.
         """
-        values = np.asarray(known_values, np.float64)
+        values = finite_array("known_values", known_values)
         wanted = (3, *self.grid.shape)
         if values.shape != wanted:
             raise ValueError(f"known_values have shape {values.shape}, must be {wanted}")
-        if not np.isfinite(values).all():
-            raise ValueError("known_values hold a value that is not finite; all must be finite")
         spectrum = np.einsum("yxij,jyx->iyx", self.transfer_matrix(output, depth_m), fft.rfft2(values))
         return np.asarray(fft.irfft2(spectrum, s=self.grid.shape), np.float64)
 

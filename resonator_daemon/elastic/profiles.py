@@ -7,6 +7,7 @@ and is 0 where the object is lowest.
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 
 Floats = NDArray[np.float64]
@@ -40,11 +41,9 @@ def relief(shape: tuple[int, int], elevation_m: ArrayLike) -> Floats:
     Nothing surrounds it, so that contact may reach the edge of the face. ValueError for an elevation that is not an
     image within `shape` or not finite.
     """
-    elevation = np.asarray(elevation_m, np.float64)
+    elevation = finite_array("elevation_m", elevation_m)
     if elevation.ndim != 2 or elevation.size == 0 or elevation.shape[0] > shape[0] or elevation.shape[1] > shape[1]:
         raise ValueError(f"elevation_m has shape {elevation.shape}, must be (rows, columns) of at most {shape}")
-    if not np.isfinite(elevation).all():
-        raise ValueError("elevation_m holds a value that is not finite; all must be finite")
     profile = np.full(shape, np.inf)
     top, left = ((whole - part) // 2 for whole, part in zip(shape, elevation.shape, strict=True))
     profile[top : top + elevation.shape[0], left : left + elevation.shape[1]] = elevation.max() - elevation

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.elastic.checks import real_array
 from resonator_daemon.elastic.constrained import Prescribed, minimise
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
 from resonator_daemon.elastic.windows import window_around
@@ -98,7 +99,7 @@ def solve_regions(
 
 
 def _checked(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
-    array = np.asarray(values, np.float64)
+    array = real_array(name, values)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, must be {shape}")
     if np.isinf(array).any():

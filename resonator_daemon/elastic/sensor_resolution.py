@@ -16,6 +16,7 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.sensor_sets import SensorSet
 
 Floats = NDArray[np.float64]
@@ -25,7 +26,7 @@ LOADS: Final[tuple[Load, ...]] = ("normal", "shear", "normal_alone")
 
 _RESOLVED: Final = 1.0
 _SNR_DB: Final = (-40.0, 100.0)
-_PITCH_IN_DEPTHS_MAX: Final = 10.0
+_PITCH_IN_DEPTHS_MAX: Final = 4.0
 _LOWEST_IN_DEPTHS: Final = 1e-7  # of omega times depth: a load that is even, for all that sensors can tell
 _DIRECTIONS: Final = np.radians(np.linspace(0.0, 90.0, 13))
 _DEPTH_IN_FEATURES_MAX: Final = 10.0  # 100 dB end near a fourth of it
@@ -42,7 +43,7 @@ class SensorArray:
     ----------
     sensors
     pitch_m
-        Spacing of the lattice along x and y; above 0, at most ten times the depth, beyond which nearly all of the
+        Spacing of the lattice along x and y; above 0, at most four times the depth, beyond which nearly all of the
         signal lies between the sensors.
     snr_db
         20 log10 of the rms of the signals under a white load over the rms of the noise, from -40 to 100.
@@ -61,7 +62,7 @@ class SensorArray:
         pitch_max_m = _PITCH_IN_DEPTHS_MAX * self.sensors.depth_m
         if not 0.0 < self.pitch_m <= pitch_max_m:
             raise ValueError(
-                f"pitch_m is {self.pitch_m:g}, must be above 0 and at most ten depths, {pitch_max_m:g}: "
+                f"pitch_m is {self.pitch_m:g}, must be above 0 and at most four depths, {pitch_max_m:g}: "
                 "a sparser array misses what lies between its sensors; choose a smaller pitch or a larger depth"
             )
         low, high = _SNR_DB
@@ -89,7 +90,7 @@ class SensorArray:
         """
         if load not in LOADS:
             raise ValueError(f"load is {load!r}, must be one of: {', '.join(LOADS)}")
-        wx, wy = np.broadcast_arrays(np.asarray(omega_x, np.float64), np.asarray(omega_y, np.float64))
+        wx, wy = np.broadcast_arrays(finite_array("omega_x", omega_x), finite_array("omega_y", omega_y))
         nyquist = np.pi / self.pitch_m * (1.0 + 1e-12)
         inside = (np.abs(wx) <= nyquist) & (np.abs(wy) <= nyquist) & (np.hypot(wx, wy) <= self._omega_seen)
         ratio = np.zeros(wx.shape)
@@ -128,14 +129,17 @@ class SensorArray:
         The coarsest is infinite where even loads are resolved. Both are NaN where nothing is. Where the resolved
         frequencies of a direction fall apart, the highest stretch counts.
         """
-        directions = self._directions if directions_rad is None else np.atleast_1d(np.asarray(directions_rad, float))
+        directions = self._directions if directions_rad is None else finite_array("directions_rad", directions_rad)
+        directions = np.atleast_1d(directions)
+        if not directions.size:
+            raise ValueError("directions_rad is empty, must hold at least one direction")
         low, high = np.max([self._band(load, d) for d in directions] * np.array([1.0, -1.0]), axis=0) * [1.0, -1.0]
         if not low < high:
             return np.nan, np.nan
         return float(np.pi / high), float(np.pi / low) if low > 0.0 else np.inf
 
     def deepest_m(self, load: Load, feature_m: float) -> float:
-        """Largest depth at which this set, pitch and ratio resolve a feature in all directions; NaN where none does.
+        """Largest depth, of up to ten features, at which this set, pitch and ratio resolve one; NaN where none does.
 
         A ValueError refuses a feature that is not finite and above 0.
         """

@@ -35,6 +35,7 @@ CANDIDATES: Final[dict[str, tuple[str, ...]]] = {
 }
 """The sets that Karason, Srinivasan and Annaswamy compare in their section 3.1."""
 
+_DEPTHS_M: Final = (1e-9, 1e3)
 _DEPTHS_MAX: Final = 600.0  # of omega times depth: signals fade as its exponential, which ends at 745
 _ZERO: Final = 1e-12  # a singular value below this times exp(-omega depth) is rounding
 _NEARLY_ZERO: Final = 1e-6  # the same at a direction found by search
@@ -57,12 +58,12 @@ class SensorSet:
     components
         One or more of `COMPONENTS`, each once.
     depth_m
-        Above 0.
+        From a nanometre to a kilometre.
 
     Raises
     ------
     ValueError
-        No component, one that is unknown or named twice, or a depth that is not finite and above 0.
+        No component, one that is unknown or named twice, or a depth out of its range.
     """
 
     half_space: HalfSpace
@@ -74,13 +75,17 @@ class SensorSet:
             raise ValueError(f"components is empty, must name at least one of: {', '.join(COMPONENTS)}")
         for name in self.components:
             if name not in _ROWS:
-                near = get_close_matches(name, COMPONENTS, 1, cutoff=0.4)
+                plain = name.lower().removeprefix("eps_")
+                swapped = plain[:-2] + plain[:-3:-1]  # zx for xz
+                meant = [other for other in (plain, swapped) if other in COMPONENTS]
+                near = meant or get_close_matches(plain, COMPONENTS, 1, cutoff=0.4)
                 hint = f"did you mean {near[0]}? " if near else ""
                 raise ValueError(f"component {name!r} is unknown; {hint}must be one of: {', '.join(COMPONENTS)}")
             if self.components.count(name) > 1:
                 raise ValueError(f"component {name!r} is named {self.components.count(name)} times, must be once")
-        if not 0.0 < self.depth_m < np.inf:
-            raise ValueError(f"depth_m is {self.depth_m}, must be finite and above 0")
+        low, high = _DEPTHS_M
+        if not low <= self.depth_m <= high:
+            raise ValueError(f"depth_m is {self.depth_m:g}, must be from {low:g} to {high:g}")
 
     def matrix(self, omega_x: ArrayLike, omega_y: ArrayLike) -> NDArray[np.complex128]:
         """Signals per traction over 2 mu, rows as `components`, columns x, y, z.
@@ -210,8 +215,9 @@ class SensorSet:
         on_grid = left(_DEGREES)
         lowest = (on_grid <= np.roll(on_grid, 1)) & (on_grid <= np.roll(on_grid, -1))
         found = []
-        for direction in _DEGREES[lowest & (on_grid < _STEEPEST)]:
-            if left(direction)[0] < _ZERO:
+        scale = float(on_grid.max())  # small in all directions near poisson_ratio 1/2
+        for direction in _DEGREES[lowest & (on_grid < _STEEPEST * scale)]:
+            if left(direction)[0] < _ZERO * scale:
                 found.append(float(direction))
                 continue
             step = _DEGREES[1]
@@ -221,7 +227,7 @@ class SensorSet:
                 method="bounded",
                 options={"xatol": 1e-10},
             )
-            if best.fun < _NEARLY_ZERO:
+            if best.fun < _NEARLY_ZERO * scale:
                 found.append(float(best.x % np.pi))
         return tuple(found)
 
@@ -235,6 +241,8 @@ class SensorSet:
         """
         if self.best_rank == 3:
             return "none"
+        if self.half_space.poisson_ratio < 0.5:
+            return "too_few" if self.best_rank == len(self.components) else "dependent"
         compressible = replace(self, half_space=HalfSpace(self.half_space.youngs_modulus_pascal, 0.3))
         if compressible.best_rank > self.best_rank:
             return "incompressible"

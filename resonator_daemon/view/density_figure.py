@@ -37,15 +37,16 @@ def write_density_figure(
     width, height = _PANEL_INCHES
     figure = Figure(figsize=(width * columns, height * bands + 0.5), layout="constrained")
     figure.suptitle(title, fontsize="medium")
-    axes = figure.subplots(2 * bands, columns, squeeze=False, height_ratios=[3, 1] * bands, sharex=True)
+    axes = figure.subplots(2 * bands, columns, squeeze=False, height_ratios=[3, 1] * bands)
     omega = omega_rad_per_m * 1e-3
     scaled = power / np.nanmax(power, axis=(1, 2), keepdims=True)
     middle, edges = len(omega) // 2, (omega[0], omega[-1], omega[0], omega[-1])
     for index, (name, spectrum) in enumerate(zip(titles, scaled, strict=True)):
         band, column = divmod(index, columns)
         density, profile = axes[2 * band, column], axes[2 * band + 1, column]
-        density.imshow(spectrum, cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=edges)
+        density.imshow(_filled(spectrum), cmap="Greys", vmin=0.0, vmax=1.0, origin="lower", extent=edges)
         density.set_title(name, fontsize="small")
+        density.tick_params(labelbottom=False)
         for angle, along, values in (
             ("0", omega, spectrum[middle]),
             ("45", omega * math.sqrt(2.0), np.diagonal(spectrum)),
@@ -62,3 +63,11 @@ def write_density_figure(
         axes[2 * band, column].set_axis_off()
         axes[2 * band + 1, column].set_axis_off()
     figure.savefig(path)
+
+
+def _filled(spectrum: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Put the mean of its neighbours where a pixel has no value, which would be drawn as none at all."""
+    filled = spectrum.copy()
+    for row, column in np.argwhere(np.isnan(spectrum)):
+        filled[row, column] = np.nanmean(spectrum[row - 1 : row + 2, column - 1 : column + 2])
+    return filled

@@ -123,7 +123,7 @@ class SensorPlan:
         place = (
             f"{_mm(self._sensors.depth_m)} mm deep and {_mm(self._array.pitch_m)} mm apart at {self._array.snr_db:g} dB"
         )
-        start = f"{', '.join(self._names)}, {place}: resolves {'; '.join(felt) or 'no load of any kind'}."
+        start = f"{', '.join(self._names)}, {place}: resolves {'; '.join(felt) or 'no load in all directions'}."
         return " ".join([start, *self._limits()])
 
     def _resolves(self, load: Load) -> bool:
@@ -169,7 +169,7 @@ class SensorPlan:
         yield ""
         yield self._resolution_table()
         yield ""
-        yield "Deepest skin and widest pitch that resolve a feature, all else as given:"
+        yield "Deepest skin and widest pitch that resolve a feature, all else as given (no shear: normal load alone):"
         yield self._feature_table()
         yield ""
         edge = _EDGE_IN_DEPTHS / self._sensors.depth_m
@@ -180,7 +180,7 @@ class SensorPlan:
         yield from self._pictures(options.max_width, colours=colours)
 
     def _signal_table(self) -> Table:
-        table = _table("signal", "bandwidth rad/mm", "asymmetry", "1e-6 per kPa", "blind at")
+        table = _table("signal", "bandwidth rad/mm", "asymmetry", "strongest 1e-6/kPa", "blind at")
         for name, sensors in [*zip(self._names, self._rows, strict=True), ("set", self._sensors)]:
             table.add_row(
                 name,
@@ -192,16 +192,18 @@ class SensorPlan:
         return table
 
     def _resolution_table(self) -> Table:
-        table = _table("load", "finest mm", "in best direction", "coarsest mm")
+        table = _table("load", "finest mm", "best direction mm", "coarsest mm")
         for load, (finest, coarsest) in self._features.items():
             widest = "even" if coarsest == math.inf else _mm(coarsest)
             table.add_row(_LOAD_NAMES[load], _mm(finest), _mm(self._best[load]), widest)
         return table
 
     def _feature_table(self) -> Table:
-        table = _table("feature mm", "deepest mm: normal", "shear", "widest pitch mm: normal", "shear")
+        table = _table(
+            "feature mm", "deepest mm: normal", "shear", "no shear", "widest pitch mm: normal", "shear", "no shear"
+        )
         for n, feature_m in enumerate(FEATURES_M):
-            values = [found[load][n] for found in (self._deepest, self._widest) for load in _BOTH]
+            values = [found[load][n] for found in (self._deepest, self._widest) for load in LOADS]
             table.add_row(_mm(feature_m), *map(_mm, values))
         return table
 
@@ -227,7 +229,7 @@ class SensorPlan:
             from resonator_daemon.view.density_figure import write_density_figure
         except ModuleNotFoundError as error:
             raise OperatorError(
-                f"--picture needs {error.name}, which is not installed: pip install 'resonatord[figures]'"
+                f"--picture needs {error.name}, which is not installed: pip install matplotlib"
             ) from error
         omega = np.linspace(-1.0, 1.0, _FIGURE_PIXELS) * _EDGE_IN_DEPTHS / self._sensors.depth_m
         title = f"Power density {_mm(self._sensors.depth_m)} mm deep, dark is strong"
@@ -246,9 +248,9 @@ def _strongest_per_pascal(sensors: SensorSet) -> float:
 
 def _table(first: str, *others: str) -> Table:
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(first)
+    table.add_column(first, overflow="fold")
     for name in others:
-        table.add_column(name, justify="right")
+        table.add_column(name, justify="right", overflow="fold")
     return table
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from paraboloid_contact import SIDE_M, hertz_load, paraboloid
 
-from resonator_daemon.elastic.constrained import NotConvergedError
+from resonator_daemon.elastic import FrictionalContact, HalfSpace, NotConvergedError, SurfaceCompliance
 
 NAN = np.nan
 
@@ -45,12 +45,28 @@ def test_contact_of_the_wrong_kind_is_refused():
     with pytest.raises(ValueError, match=r"profile_m has shape \(8, 7\), must be \(8, 8\)"):
         replace(contact, profile_m=np.zeros((8, 7)))
     for height_m in (np.nan, np.inf, -np.inf):
-        unknown = replace(contact, profile_m=np.full((8, 8), height_m))
         with pytest.raises(ValueError, match="profile_m"):
-            unknown.step(unknown.apart, load_newton=[0, 0, 1.0])
-    for mu in (-0.1, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"friction_coefficient is .*at least 0"):
+            replace(contact, profile_m=np.full((8, 8), height_m))
+    for mu in (-0.1, 1e-7, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"friction_coefficient is .*at least 1e-06"):
             replace(contact, friction_coefficient=mu)
+    for tolerance in (0.0, -1.0, 1.0, np.nan):
+        with pytest.raises(ValueError, match="tolerance is"):
+            replace(contact, tolerance=tolerance)
+    with pytest.raises(ValueError, match=r"load_newton has shape \(\), must be \(3,\)"):
+        contact.step(contact.apart, load_newton=0.1)
+    with pytest.raises(ValueError, match=r"before is a state of \(16, 16\) pixels, must be of \(8, 8\)"):
+        contact.step(paraboloid(16, 0.5, 0.5).apart, load_newton=[0, 0, 1.0])
+
+
+def test_the_object_stays_what_it_was():
+    profile = np.add.outer(np.linspace(-1, 1, 12) ** 2, np.linspace(-1, 1, 12) ** 2) * 1e-3
+    contact = FrictionalContact(SurfaceCompliance(HalfSpace(2e5, 0.3), (12, 12), 1e-3), profile, 0.5)
+    before = contact.step(contact.apart, load_newton=[0, 0, 1e-2])
+    profile *= 3.0
+    np.testing.assert_array_equal(
+        contact.step(contact.apart, load_newton=[0, 0, 1e-2]).traction_pascal, before.traction_pascal
+    )
 
 
 def test_contact_that_shear_spreads_to_the_border_is_refused():

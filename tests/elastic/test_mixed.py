@@ -169,5 +169,5 @@ def test_refuses_bad_input():
         boundary.field(np.full((3, 6, 8), np.nan), "strain", 1e-3)
     with pytest.raises(ValueError, match="must be 0 for output 'traction'"):
         boundary.field(np.zeros((3, 6, 8)), "traction", 1e-3)
-    with pytest.raises(ValueError, match="depth_m spans"):
+    with pytest.raises(ValueError, match="depth_m reaches"):
         boundary.field(np.zeros((3, 6, 8)), "strain", -1e-3)

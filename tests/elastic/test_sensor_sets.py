@@ -257,7 +257,7 @@ def test_depth_is_a_scale_and_stiffness_none():
         (("p_n", "xzz"), 1e-3, "'xzz' is unknown; did you mean zz.*p_n, xx, yy"),
         (("q",), 1e-3, "'q' is unknown; must be one of"),
         (("xz", "p_n", "xz"), 1e-3, "'xz' is named 2 times"),
-        (("p_n",), 0.0, "depth_m is 0.0, must be finite and above 0"),
+        (("p_n",), 0.0, "depth_m is 0, must be from 1e-09 to 1000"),
         (("p_n",), math.nan, "depth_m is nan"),
     ],
 )
@@ -273,3 +273,19 @@ def test_what_has_no_answer_is_refused():
         sensor_set("p_n").matrix(1e6, 0.0)
     with pytest.raises(ValueError, match="not finite"):
         sensor_set("p_n").rank(np.nan, 0.0)
+
+
+def test_why_a_set_is_deficient_is_told_for_its_own_skin():
+    """At nu = 0 sigma_xx is 2 mu eps_xx: dependent, though the set has a higher rank at other ratios."""
+    assert SensorSet(HalfSpace(2e5, 0.0), ("xx", "sigma_xx"), 1e-3).loss == "dependent"
+
+
+@pytest.mark.parametrize("short_of_half", [1e-6, 1e-8, 1e-10])
+def test_a_nearly_incompressible_skin_has_no_blind_directions_of_rounding(short_of_half: float):
+    assert SensorSet(HalfSpace(2e5, 0.5 - short_of_half), ("zz", "xz", "yz"), 1e-3).blind_directions_rad == ()
+
+
+@pytest.mark.parametrize(("name", "meant"), [("eps_xz", "xz"), ("zx", "xz"), ("XX", "xx"), ("sigma_zy", "sigma_yz")])
+def test_other_names_of_a_component_lead_to_it(name: str, meant: str):
+    with pytest.raises(ValueError, match=rf"did you mean {meant}\?"):
+        SensorSet(HalfSpace(2e5, 0.5), (name,), 1e-3)

@@ -1,0 +1,142 @@
+"""What the doors of the elastic room do with input that is no array of real numbers, and with absurd ones."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from resonator_daemon.elastic import (
+    FrictionalContact,
+    HalfSpace,
+    MixedBoundary,
+    NotConvergedError,
+    SensorArray,
+    SensorSet,
+    SpectralGrid,
+    SurfaceCompliance,
+    SurfaceFields,
+    press,
+    solve_regions,
+)
+from resonator_daemon.elastic.profiles import paraboloid
+
+BODY = HalfSpace(2e5, 0.3)
+PITCH = 1e-3
+SURFACE = SurfaceCompliance(BODY, (8, 8), PITCH)
+BOWL = paraboloid((8, 8), PITCH, 1e-2)
+MIXED = MixedBoundary(BODY, SpectralGrid((8, 8), PITCH), ("f_x", "f_y", "u_z"), zero="periodic")
+ARRAY = SensorArray(SensorSet(HalfSpace(2e5, 0.5), ("p_n", "xz", "yz"), 1e-3), 4e-4, 30.0)
+IMAGES = np.zeros((3, 8, 8))
+
+
+@pytest.mark.parametrize(
+    "ask",
+    [
+        lambda bad: BODY.transfer_matrix("stress", "traction", bad(np.ones(2)), 0.0, 1.0),
+        lambda bad: BODY.transfer_matrix("stress", "traction", 1.0, bad(np.ones(2)), 1.0),
+        lambda bad: BODY.transfer_matrix("stress", "traction", 1.0, 0.0, bad(np.ones(2))),
+        lambda bad: SurfaceFields(BODY, (8, 8), PITCH, "p_n", 1e-3)(bad(IMAGES)),
+        lambda bad: SurfaceFields(BODY, (8, 8), PITCH, "p_n", bad(np.ones(1))),
+        lambda bad: SURFACE.displacement_m(bad(IMAGES)),
+        lambda bad: press(SURFACE, bad(BOWL), load_newton=0.1),
+        lambda bad: press(SURFACE, BOWL, load_newton=0.1, start_pascal=bad(BOWL)),
+        lambda bad: FrictionalContact(SURFACE, bad(BOWL), 0.5),
+        lambda bad: FrictionalContact(SURFACE, BOWL, 0.5).step(
+            FrictionalContact(SURFACE, BOWL, 0.5).apart, load_newton=bad(np.ones(3))
+        ),
+        lambda bad: solve_regions(SURFACE, bad(IMAGES), np.full((3, 8, 8), np.nan)),
+        lambda bad: MIXED.field(bad(IMAGES), "p_n"),
+        lambda bad: ARRAY.load_to_error("normal", bad(np.ones(2)), 0.0),
+        lambda bad: ARRAY.features_m("normal", bad(np.ones(2))),
+    ],
+)
+@pytest.mark.parametrize(
+    ("bad", "complaint"),
+    [
+        (lambda array: array + 1j, "holds complex128, must hold real numbers"),
+        (lambda array: array.astype(str), "must hold real numbers"),
+        (lambda array: [[1.0], [1.0, 2.0]], "rows differ in length"),
+    ],
+)
+def test_what_holds_no_real_numbers_is_refused(ask: Callable, bad: Callable, complaint: str):
+    with pytest.raises(ValueError, match=complaint):
+        ask(bad)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_frequencies_and_directions_of_sensors_are_finite(bad: float):
+    with pytest.raises(ValueError, match="omega_x holds 1 values that are not finite"):
+        ARRAY.load_to_error("normal", [bad, 1.0], 0.0)
+    with pytest.raises(ValueError, match="directions_rad holds 1 values"):
+        ARRAY.features_m("normal", bad)
+    with pytest.raises(ValueError, match="directions_rad is empty"):
+        ARRAY.features_m("normal", [])
+
+
+def test_shapes_that_do_not_fit_are_named():
+    with pytest.raises(ValueError, match=r"have shapes \(2,\), \(3,\), \(\), which must broadcast"):
+        BODY.transfer_matrix("p_n", "traction", [1.0, 2.0], [1.0, 2.0, 3.0], 0.0)
+    for shape in ((4.5, 4), (4.0, 4.0), 4, (4,), (np.nan, 4)):
+        with pytest.raises(ValueError, match=r"must be a tuple .* of whole numbers"):
+            SpectralGrid(shape, 1.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="must hold at least one depth"):
+        SurfaceFields(BODY, (8, 8), PITCH, "p_n", [])
+    with pytest.raises(ValueError, match=r"poisson_ratio has shape \(1,\), must be one number"):
+        HalfSpace(2e5, np.array([0.3]))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"load_newton has shape \(1,\), must be one number"):
+        press(SURFACE, BOWL, load_newton=[0.1])  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="must be more than one pixel where the surface is periodic"):
+        SurfaceCompliance(BODY, (1, 1), PITCH, periodic=True)
+
+
+def test_no_field_of_what_is_no_number():
+    far = SurfaceFields(BODY, (4, 6), PITCH, "strain", 1e306)(np.ones((3, 4, 6)))
+    assert np.isfinite(far).all()
+    assert np.isfinite(BODY.transfer_matrix("stress", "traction", 1e300, 0.0, 1e10)).all()
+    with pytest.raises(ValueError, match="displacement of traction is beyond any number"):
+        BODY.transfer_matrix("displacement", "traction", 1e-320, 1e-320, 0.0)
+    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(ValueError, match=r"loads reach 1e\+308"):
+        SurfaceFields(BODY, (8, 8), PITCH, "strain", 1e-4)(IMAGES + 1e308)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 3), (2, 3)])
+@pytest.mark.parametrize("periodic", [False, True])
+def test_small_regions_are_solved(shape: tuple[int, int], periodic: bool):
+    surface = SurfaceCompliance(BODY, (12, 12), PITCH, periodic=periodic)
+    traction, displacement = np.zeros((3, 12, 12)), np.full((3, 12, 12), np.nan)
+    region = (slice(None), slice(4, 4 + shape[0]), slice(5, 5 + shape[1]))
+    traction[region], displacement[region] = np.nan, 1e-5
+    found = solve_regions(surface, traction, displacement)
+    np.testing.assert_allclose(found.displacement_m[region], 1e-5, rtol=1e-6)
+
+
+def test_small_height_maps_are_refused_at_their_border():
+    for shape in ((1, 1), (1, 2), (2, 2), (3, 3)):
+        with pytest.raises(ValueError, match="the border of the height map"):
+            press(SurfaceCompliance(BODY, shape, PITCH), paraboloid(shape, PITCH, 2e-3), approach_m=2e-3)
+
+
+@pytest.mark.parametrize("load", [1e-9, 1e-12, 1e-15, 1e-20, 1e160, 1e300])
+def test_a_load_is_kept_or_said_to_be_out_of_reach(load: float):
+    try:
+        with np.errstate(all="ignore"):
+            found = press(SURFACE, BOWL, load_newton=load)
+    except (NotConvergedError, ValueError) as error:
+        assert str(error)  # noqa: PT017
+    else:
+        assert found.load_newton == pytest.approx(load, rel=1e-7)
+
+
+def test_tolerances_are_checked():
+    for tolerance in (0.0, 1.0, -1.0, np.nan, np.inf):
+        with pytest.raises(ValueError, match=r"tolerance is .* must be above 0 and below 1"):
+            solve_regions(SURFACE, IMAGES, np.full((3, 8, 8), np.nan), tolerance=tolerance)
+        with pytest.raises(ValueError, match=r"tolerance is .* must be above 0 and below 1"):
+            press(SURFACE, BOWL, load_newton=0.1, tolerance=tolerance)
+
+
+def test_a_result_does_not_change_with_the_callers_array():
+    bowl = BOWL.copy()
+    found = press(SURFACE, bowl, load_newton=1e-3)
+    bowl += 1.0
+    assert found.gap_m.min() < 1e-8
