@@ -59,6 +59,7 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	step ruff format --check
 	step mypy
 	step lint-imports --no-logo
+	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
 	step pytest --cov
 
 bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fields and contact beside their peers

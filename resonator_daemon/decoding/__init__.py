@@ -2,5 +2,6 @@
 
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fourier import FourierDecoder
+from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
 
-__all__ = ["Decoded", "FourierDecoder"]
+__all__ = ["Decoded", "FourierDecoder", "OpenPlaneDecoder"]

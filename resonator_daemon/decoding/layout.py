@@ -1,0 +1,52 @@
+"""Where sites lie: whether they form a grid, how far apart they are, and which places are at their border."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from resonator_daemon.decoding.parity import Grid
+
+Floats = NDArray[np.float64]
+
+_TOLERANCE = 1e-6  # of the pitch or spacing
+
+
+def spacing_m(positions_m: Floats) -> float:
+    """Median distance of a site to its nearest neighbour; infinite for a single one."""
+    if len(positions_m) < 2:
+        return np.inf
+    distances, _ = cKDTree(positions_m).query(positions_m, [2])
+    return float(np.median(distances))
+
+
+def refuse_duplicates(positions_m: Floats, depths_m: Floats) -> None:
+    """ValueError for two sites at one place and depth."""
+    places = np.column_stack([positions_m, depths_m])
+    pairs = cKDTree(places).query_pairs(_TOLERANCE * float(depths_m.min()), output_type="ndarray")
+    if len(pairs):
+        a, b = pairs[0]
+        raise ValueError(f"sites {a} and {b} are both at {positions_m[a]} m, must be at different places")
+
+
+def as_grid(positions_m: Floats) -> Grid | None:
+    """Recognise the grid that positions (n, 2) form row by row, x running first; None where they form none."""
+    count = len(positions_m)
+    x, y = positions_m.T
+    columns = int(np.argmax(x[1:] <= x[:-1])) + 1 if count > 1 else 1
+    if columns < 2 or count % columns or count < 2 * columns:
+        return None
+    grid = Grid((count // columns, columns), float(x[1] - x[0]), float(y[columns] - y[0]))
+    rows, places = np.divmod(np.arange(count), columns)
+    off = np.hypot(x - x[0] - places * grid.pitch_x_m, y - y[0] - rows * grid.pitch_y_m)
+    smallest = min(grid.pitch_x_m, grid.pitch_y_m)
+    return grid if smallest > 0.0 and off.max() <= _TOLERANCE * count * smallest else None
+
+
+def at_border(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
+    """Which places lie outside the sites or among the outermost of them: (m,)."""
+    try:
+        hull = ConvexHull(sites_m)
+    except QhullError:  # all on a line, or fewer than three
+        return np.ones(len(places_m), np.bool_)
+    inward_m = -(places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
+    return np.asarray(inward_m < 0.5 * spacing_m(sites_m), np.bool_)

@@ -1,0 +1,180 @@
+"""One frame's linear minimum-mean-square estimate out of its eigenmodes: map, error bars, checks."""
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.lost_signals import LostSignals
+from resonator_daemon.decoding.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.scale_bank import Choice, ScaleBank
+
+SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
+KNOWN_LIMIT = 0.5  # smallest share of known signals
+_CHI2_LIMIT = 100.0  # residual of ten times the noise ...
+_UNEXPLAINED_LIMIT = 0.5  # ... and of half the frame's energy: no load on a half-space makes such signals
+_GAIN_FLOOR = 1.5  # standard deviations of the gain that count as noise of the signals' rms
+_SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or beside it
+_BORDER_RATIO = 1.5  # over that, at the border: the load goes on beyond
+_SIGNIFICANT = 3.0  # standard deviations
+_LOST_SETS = 8  # sets of lost signals of which the solution is kept
+
+
+class Tier(NamedTuple):
+    """Eigenmodes that serve frames up to a mean power of the whitened signals, and the likelihood of scales in them."""
+
+    level: float
+    modes: Modes
+    bank: ScaleBank
+
+
+class LinearMap:
+    """Estimates of the traction at m places from 3 n signals, frame by frame.
+
+    Parameters
+    ----------
+    tiers
+        In the order of their levels; the last one serves whatever is beyond.
+    noise_std
+        Of each signal, (3 n,).
+    gain_std
+        Of the signals' gains, relative.
+    prior_variance
+        Of the traction at scale 1, (3 m,).
+    contact_factor
+        By which the standard deviation under a contact exceeds the one that a stationary prior gives.
+    border
+        Which of the m places lie at the border of the sites.
+    """
+
+    def __init__(
+        self,
+        tiers: Sequence[Tier],
+        noise_std: Floats,
+        gain_std: float,
+        prior_variance: Floats,
+        contact_factor: float,
+        border: NDArray[np.bool_],
+    ) -> None:
+        self._tiers = tiers
+        self._whiten = (1.0 / noise_std).astype(np.float32)
+        self._gain_floor = (_GAIN_FLOOR * gain_std) ** 2 / noise_std.size
+        scales = tiers[-1].bank.scales[:, None]
+        self._variance = np.maximum(scales * prior_variance - tiers[-1].modes.explained_variance, 0.0)
+        self._std = np.sqrt(self._variance).astype(np.float32)
+        self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
+        self._widening = np.array([1.0, contact_factor], np.float32)  # outside and under a contact
+        self._border = np.flatnonzero(border)
+        self._sound_energy = (SIGNAL_LIMIT / noise_std.max()) ** 2  # below it no signal exceeds the limit
+        self._lost: OrderedDict[tuple[float, bytes], LostSignals] = OrderedDict()
+        self._inverse_diagonal: dict[tuple[float, int], Floats] = {}
+
+    def decode(self, signals: Floats, displacement: bool, shape: tuple[int, ...]) -> Decoded:
+        """Decode one frame (3 n,) to surface arrays of `shape`, (3, m) or m split in two."""
+        whitened, known, energy = self._prepare(signals)
+        tier = self._tier(energy)
+        reason, lost_variance = "", None
+        if known is None:
+            choice, modes = self._complete(tier, whitened, energy)
+        else:
+            share = float(known.mean())
+            if share < KNOWN_LIMIT:
+                reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
+                return self._unknown(displacement, shape, np.nan, np.nan, "no_signal", reason)
+            reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
+            lost = self._lost_signals(tier, known)
+            choice, modes, _ = lost.choose(tier.modes.project(whitened), energy, self._floor(energy))
+            lost_variance = self._variance[choice.scale] + lost.added_variance(choice.scale)
+
+        if choice.chi2 > _CHI2_LIMIT:
+            left = choice.chi2 * self._floor(energy) * whitened.size / energy
+            if left > _UNEXPLAINED_LIMIT:
+                reason = (
+                    f"chi2 {choice.chi2:.3g} exceeds {_CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
+                )
+                return self._unknown(displacement, shape, choice.log_evidence, choice.chi2, "rejected", reason)
+
+        modes = tier.bank.gain[choice.scale] * modes
+        traction = tier.modes.traction(modes)
+        pressure = traction[-traction.size // 3 :]
+        excess = choice.excess**0.5
+        threshold = max(_SUPPORT_SHARE * float(pressure.max()), _SIGNIFICANT * excess * self._least_std[choice.scale])
+        at_border = pressure.take(self._border).max(initial=0.0) > _BORDER_RATIO * threshold
+        std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance, dtype=np.float32)
+        widened = self._widening.take(pressure > threshold)
+        widened *= excess
+        std = std.reshape(3, -1) * widened
+        return Decoded(
+            traction_pascal=traction.astype(np.float64).reshape(shape),
+            traction_std_pascal=std.astype(np.float64).reshape(shape),
+            displacement_m=tier.modes.displacement(modes).astype(np.float64).reshape(shape) if displacement else None,
+            border_contact=bool(at_border),
+            log_evidence=choice.log_evidence,
+            chi2=choice.chi2,
+            status="ok",
+            reason=reason,
+        )
+
+    def anomaly_scores(self, signals: Floats) -> Floats:
+        """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""
+        whitened, known, energy = self._prepare(signals)
+        tier = self._tier(energy)
+        everything = np.arange(whitened.size)
+        if known is None:
+            choice, modes = self._complete(tier, whitened, energy)
+        elif known.mean() < KNOWN_LIMIT:
+            return np.full(whitened.size, np.nan)
+        else:
+            choice, modes, predicted = self._lost_signals(tier, known).choose(
+                tier.modes.project(whitened), energy, self._floor(energy)
+            )
+            whitened[~known] = predicted
+        explained = tier.bank.explained[choice.scale]
+        rows = tier.modes.rows(everything)
+        key = tier.level, choice.scale
+        if key not in self._inverse_diagonal:
+            self._inverse_diagonal[key] = 1.0 - (rows**2) @ explained
+        left = whitened - rows @ (explained * modes)
+        scores = left / np.sqrt(self._inverse_diagonal[key] * self._floor(energy))
+        return scores if known is None else np.where(known, scores, np.nan)
+
+    def _prepare(self, signals: Floats) -> tuple[Singles, NDArray[np.bool_] | None, float]:
+        """Whitened signals, lost ones 0; which are known, None where all are; their sum of squares."""
+        whitened = signals.astype(np.float32) * self._whiten
+        energy = float(whitened @ whitened)
+        if energy <= self._sound_energy:
+            return whitened, None, energy
+        known = np.abs(signals) <= SIGNAL_LIMIT  # False for NaN
+        if known.all():
+            return whitened, None, energy
+        whitened[~known] = 0.0
+        return whitened, known, float(whitened @ whitened)
+
+    def _complete(self, tier: Tier, whitened: Singles, energy: float) -> tuple[Choice, Singles]:
+        modes = tier.modes.project(whitened)
+        return tier.bank.choose(modes, energy, self._floor(energy)), modes
+
+    def _tier(self, energy: float) -> Tier:
+        power = energy / self._whiten.size
+        return next((tier for tier in self._tiers if power <= tier.level), self._tiers[-1])
+
+    def _floor(self, energy: float) -> float:
+        return 1.0 + self._gain_floor * energy
+
+    def _lost_signals(self, tier: Tier, known: NDArray[np.bool_]) -> LostSignals:
+        key = tier.level, known.tobytes()
+        if key not in self._lost:
+            self._lost[key] = LostSignals(tier.modes, tier.bank, np.flatnonzero(~known))
+            if len(self._lost) > _LOST_SETS:
+                self._lost.popitem(last=False)
+        self._lost.move_to_end(key)
+        return self._lost[key]
+
+    def _unknown(
+        self, displacement: bool, shape: tuple[int, ...], log_evidence: float, chi2: float, status: str, reason: str
+    ) -> Decoded:
+        traction, std, moved = np.full((3, *shape), np.nan)
+        return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)

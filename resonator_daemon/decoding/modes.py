@@ -1,0 +1,86 @@
+"""Eigenmodes of the signals' prior covariance: what a frame looks like in them, and what each means on the surface."""
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+# A mode is left out where its signal stays a tenth of the noise, in frames up to 50 dB over the noise.
+_FAINTEST = 1e-2
+_POWER_RATIO = 1e5
+
+
+class Modes(ABC):
+    """Whitened signals have the covariance q V diag(L) V' + 1 for a prior of scale q, the surface q F V' with them.
+
+    Built in double precision, applied in single precision.
+    """
+
+    eigenvalues: Floats  # L, (r,)
+    explained_variance: Floats  # of the traction by the signals, for each scale of the bank: (k, 3 m)
+
+    @abstractmethod
+    def project(self, whitened: Singles) -> Singles:
+        """V' times the whitened signals: (3 n,) to the modes (r,)."""
+
+    @abstractmethod
+    def traction(self, modes: Singles) -> Singles:
+        """F times modes: (r,) to (3 m,)."""
+
+    @abstractmethod
+    def displacement(self, modes: Singles) -> Singles:
+        """As `traction`, of the displacement."""
+
+    @abstractmethod
+    def rows(self, signals: NDArray[np.intp]) -> Floats:
+        """Rows of V that belong to some of the signals, (len(signals), r)."""
+
+
+class DenseModes(Modes):
+    """Of any layout.
+
+    Parameters
+    ----------
+    signals
+        Covariance of the signals under the prior at scale 1, (3 n, 3 n).
+    traction, displacement
+        Covariance of the surface with the signals, (3 m, 3 n).
+    noise_std
+        Of each signal, (3 n,).
+    scales
+        Bank of scales, (k,).
+    """
+
+    def __init__(
+        self, signals: Floats, traction: Floats, displacement: Floats, noise_std: Floats, scales: Floats
+    ) -> None:
+        eigenvalues, vectors = np.linalg.eigh(signals / noise_std[:, None] / noise_std)
+        kept = min(scales.max(), _POWER_RATIO / eigenvalues.mean()) * eigenvalues > _FAINTEST
+        self.eigenvalues, self._vectors = eigenvalues[kept], vectors[:, kept]
+        scaled = self._vectors / noise_std[:, None]
+        exact = traction @ scaled
+        self.explained_variance = explained_variance(exact, self.eigenvalues, scales)
+        self._project = np.ascontiguousarray(self._vectors.T, np.float32)
+        self._traction = exact.astype(np.float32)
+        self._displacement = (displacement @ scaled).astype(np.float32)
+
+    def project(self, whitened: Singles) -> Singles:
+        return self._project @ whitened
+
+    def traction(self, modes: Singles) -> Singles:
+        return self._traction @ modes
+
+    def displacement(self, modes: Singles) -> Singles:
+        return self._displacement @ modes
+
+    def rows(self, signals: NDArray[np.intp]) -> Floats:
+        return self._vectors[signals]
+
+
+def explained_variance(surface: Floats, eigenvalues: Floats, scales: Floats) -> Floats:
+    """Diagonal of q^2 F (q L + 1)^-1 F' for each scale q: (3 m, r) to (k, 3 m)."""
+    scales = scales[:, None]
+    return np.asarray((scales**2 / (scales * eigenvalues + 1.0)) @ (surface**2).T, np.float64)

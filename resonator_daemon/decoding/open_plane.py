@@ -1,0 +1,192 @@
+"""Decoder of sites anywhere under an infinite plane, by the covariances of a stationary prior.
+
+Nothing ends at the border of the sites: the prior holds on the whole plane, so that a load beside the array or across
+its border is estimated like any other. For Gaussian fields the estimate, C_fs (C_ss + R)^-1 s, is the Bayes estimate.
+"""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from resonator_daemon.decoding.covariance import SiteCovariance
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.grid_modes import LEVELS, GridModes, WholeGrid
+from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
+from resonator_daemon.decoding.linear_map import LinearMap, Tier
+from resonator_daemon.decoding.modes import DenseModes, Modes
+from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.scale_bank import ScaleBank
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+
+_SCALES = np.logspace(-1.0, 4.0, 126)  # standard deviation of f_z over the traction that makes a signal of the noise
+_CONTACT_FACTOR = 1.4  # of the standard deviation under contacts, for equal power of all components ...
+_CONTACT_EXPONENT = -0.11  # ... and how it goes with the tangential ratio
+
+
+class OpenPlaneDecoder:
+    """Linear minimum-mean-square estimate of tractions and displacements on the infinite plane.
+
+    Sites that form a regular grid at one depth, with equal noise in each channel, decode by the grid's symmetry in a
+    reduced basis: the same answer, more than ten times sooner.
+
+    Parameters
+    ----------
+    half_space
+    site_positions_m
+        (n, 2). A grid counts as one when its rows follow each other, x running first.
+    depth_m
+        Of all sites, or of each (n,); above 0.
+    noise_std
+        Standard deviation of the noise of the dimensionless signals, broadcastable to (3, n), or (3,).
+    gain_std
+        Relative standard deviation of the signals' gains: (1.5 gain_std rms)^2 is added to the noise variance, rms that
+        of the frame's signals; where the noise differs between signals, in proportion to it.
+    query_positions_m
+        Where the traction is asked for, (m, 2); by default at the sites.
+    correlation_length_m
+        l of the prior; between 1 and 2 mm results hardly change for sites 1 mm deep.
+    tangential_ratio
+        r of the prior: power of f_x and of f_y over that of f_z.
+    prior_std_pascal
+        Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame. It
+        holds at the declared noise; noise beyond that raises both in proportion.
+
+    Raises
+    ------
+    ValueError
+        A shape that does not fit, a parameter out of its range, two sites at the same place.
+    """
+
+    def __init__(
+        self,
+        half_space: HalfSpace,
+        site_positions_m: ArrayLike,
+        depth_m: ArrayLike,
+        noise_std: ArrayLike,
+        *,
+        gain_std: float = 0.0,
+        query_positions_m: ArrayLike | None = None,
+        correlation_length_m: float = 1e-3,
+        tangential_ratio: float = 0.3,
+        prior_std_pascal: float | None = None,
+    ) -> None:
+        sites = _positions("site_positions_m", site_positions_m)
+        count = len(sites)
+        depths = _broadcast("depth_m", np.asarray(depth_m, np.float64), (count,))
+        by_channel = np.asarray(noise_std, np.float64)
+        noise = _broadcast("noise_std", by_channel[:, None] if by_channel.shape == (3,) else by_channel, (3, count))
+        places = sites if query_positions_m is None else _positions("query_positions_m", query_positions_m)
+        for name, value in (
+            ("correlation_length_m", correlation_length_m),
+            ("tangential_ratio", tangential_ratio),
+            ("prior_std_pascal", 1.0 if prior_std_pascal is None else prior_std_pascal),
+        ):
+            if not 0.0 < value < np.inf:
+                raise ValueError(f"{name} is {value}, must be finite and above 0")
+        if not 0.0 <= gain_std < 1.0:
+            raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
+        refuse_duplicates(sites, depths)
+
+        unit_pascal = 2.0 * half_space.shear_modulus_pascal * float(np.sqrt(np.mean(noise**2)))
+        scales = _SCALES**2 if prior_std_pascal is None else np.array([(prior_std_pascal / unit_pascal) ** 2])
+        prior = StationaryPrior(half_space, unit_pascal, correlation_length_m, tangential_ratio)
+        grid = as_grid(sites)
+        modes: dict[float, Modes]
+        if grid and query_positions_m is None and np.ptp(depths) == 0.0 and not np.ptp(noise, axis=1).any():
+            whole = WholeGrid(prior, grid, float(depths[0]), noise[:, 0], scales)
+            modes = {level: GridModes(whole, level) for level in LEVELS}
+        else:
+            covariance = SiteCovariance(prior, sites, depths)
+            modes = {
+                np.inf: DenseModes(
+                    covariance.signals(),
+                    covariance.surface("traction", places),
+                    covariance.surface("displacement", places),
+                    noise.ravel(),
+                    scales,
+                )
+            }
+        log_noise = np.log(noise).ravel()
+        self._map = LinearMap(
+            [Tier(level, kept, ScaleBank(kept.eigenvalues, scales, log_noise)) for level, kept in modes.items()],
+            noise.ravel(),
+            gain_std,
+            np.repeat(prior.traction_variance, len(places)),
+            _CONTACT_FACTOR * tangential_ratio**_CONTACT_EXPONENT,
+            at_border(sites, places),
+        )
+        self._count = count
+        self._places = len(places)
+        self._shape = grid.shape if grid else None
+        self._asks_at_sites = query_positions_m is None
+
+    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
+        """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+
+        Parameters
+        ----------
+        signals
+            Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless. A signal that is NaN, infinite or beyond
+            10 counts as lost and drops out of the model, alone; the error bars around it widen.
+        displacement
+            Also the surface displacement that the decoded traction causes, alone on the plane.
+
+        Returns
+        -------
+        Decoded
+            Of shape (..., 3, m), or (..., 3, ny, nx) for signals that came so where no queries were given.
+            `traction_std_pascal`: posterior standard deviation at the frame's scale, larger under a contact, where a
+            stationary prior makes it too small. `chi2`: mean square of the innovation in units of prior and noise.
+            `border_contact`: f_z among the outermost sites or outside reaches 15 % of its peak. `status`: "ok", where
+            `reason` counts lost signals; "no_signal", less than half of the signals known; "rejected", the residual
+            exceeds ten times the noise and half of the energy, so that no load explains the frame.
+
+        Raises
+        ------
+        ValueError
+            Signals of another shape, or not numbers.
+        """
+        frames, leading, on_grid = self._frames(signals)
+        shape = (3, *self._shape) if self._shape and on_grid and self._asks_at_sites else (3, self._places)
+        decoded = [self._map.decode(frame, displacement, shape) for frame in frames]
+        return Decoded.stack(decoded, leading, shape) if leading else decoded[0]
+
+    def anomaly_scores(self, signals: ArrayLike) -> Floats:
+        """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.
+
+        A healthy site stays within 5. A dead one or a wrong gain shows where a load is near; NaN for lost signals.
+        """
+        frames, _, _ = self._frames(signals)
+        return np.array([self._map.anomaly_scores(frame) for frame in frames]).reshape(np.shape(signals))
+
+    def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], bool]:
+        """Frames (k, 3 n), the leading axes, and whether the sites came as a grid."""
+        frames = np.asarray(signals, np.float64)
+        flat = (3, self._count)
+        if self._shape and frames.shape[-3:] == (3, *self._shape):
+            return frames.reshape(-1, 3 * self._count), frames.shape[:-3], True
+        if frames.shape[-2:] != flat:
+            grid = f" or (..., 3, {self._shape[0]}, {self._shape[1]})" if self._shape else ""
+            raise ValueError(f"signals have shape {frames.shape}, must be (..., 3, {self._count}){grid}")
+        return frames.reshape(-1, 3 * self._count), frames.shape[:-2], False
+
+
+def _positions(name: str, positions_m: ArrayLike) -> Floats:
+    positions = np.asarray(positions_m, np.float64)
+    if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
+        raise ValueError(f"{name} has shape {positions.shape}, must be (n, 2), n at least 1")
+    if not np.isfinite(positions).all():
+        raise ValueError(f"{name} holds {np.abs(positions).max()}, must be finite")
+    return positions
+
+
+def _broadcast(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
+    """Of `shape`, every entry finite and above 0."""
+    try:
+        whole = np.broadcast_to(value, shape)
+    except ValueError:
+        raise ValueError(f"{name} has shape {value.shape}, must broadcast to {shape}") from None
+    if not ((whole > 0.0) & (whole < np.inf)).all():
+        raise ValueError(f"{name} spans {whole.min()} .. {whole.max()}, must be finite and above 0")
+    return whole

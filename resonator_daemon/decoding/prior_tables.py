@@ -1,0 +1,137 @@
+"""Covariances between signals at depth and what happens on the surface, under a stationary prior of the traction.
+
+The traction's prior is a Gaussian field on the infinite plane with power spectrum P = 4 pi l^2 q diag(r, r, 1) p,
+p = 1 / (1 + omega^2 l^2)^2: f_z has the covariance q (d / l) K_1(d / l) at a distance d. Two linear images of it, by
+transfer matrices A and B, have the cross-covariance
+
+    k(d) = 1 / (2 pi)^2 integral A P B* exp(j omega . d) d omega,
+
+and because the half-space looks the same in every direction, A P B* at the direction of omega is the one along x,
+turned. Each entry of k along x is then one Hankel integral of order 0, 1 or 2. No grid, no period, no zero bin.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import j0, j1, jv
+
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+Field = Literal["sensor", "traction", "displacement"]
+
+_FADED = 40.0  # omega times depth at which signals have faded to exp(-40)
+_PANEL_NODES = 16
+_PANEL_PHASE = 8.0  # omega times distance that one panel of Gauss-Legendre may span
+_KNOTS_PER_DEPTH = 20.0
+_PHASES = 2_000_000  # arguments of Bessel functions at a time
+_SHALLOWEST = 1.0 / 400.0
+# The scalar component, then the vector's x and y: turning mixes only the latter.
+_SCALAR_FIRST = {"sensor": (0, 1, 2), "traction": (2, 0, 1), "displacement": (2, 0, 1)}
+
+
+@dataclass(frozen=True)
+class StationaryPrior:
+    """Prior of the traction, and covariances under it.
+
+    Parameters
+    ----------
+    half_space
+    std_pascal
+        Standard deviation of f_z, above 0.
+    correlation_length_m
+        l, above 0.
+    tangential_ratio
+        r, power of f_x and of f_y over that of f_z, above 0.
+    """
+
+    half_space: HalfSpace
+    std_pascal: float
+    correlation_length_m: float
+    tangential_ratio: float
+
+    @property
+    def traction_variance(self) -> Floats:
+        """Of f_x, f_y, f_z, shape (3,)."""
+        return self.std_pascal**2 * np.array([self.tangential_ratio, self.tangential_ratio, 1.0])
+
+    def kernel(self, row: Field, row_depth_m: float, column: Field, column_depth_m: float, reach_m: float) -> "Kernel":
+        """Covariance of two fields for places at most `reach_m` apart.
+
+        ValueError where the sum of both depths is less than 1/400 of that, for which the tables would be endless.
+        """
+        depth_m = row_depth_m + column_depth_m
+        if depth_m < _SHALLOWEST * reach_m:
+            raise ValueError(f"depth {depth_m} m is too shallow for sites {reach_m} m apart, must be 1/400 of that")
+        reach_m = max(reach_m, depth_m)
+        omega, weights = self._quadrature(depth_m, reach_m)
+        power = 4.0 * np.pi * self.correlation_length_m**2 / (1.0 + (omega * self.correlation_length_m) ** 2) ** 2
+        left, right = (
+            self._response(field, omega, place_m) for field, place_m in ((row, row_depth_m), (column, column_depth_m))
+        )
+        density = (left * self.traction_variance) @ right.conj().swapaxes(-1, -2)
+        density *= (weights * omega * power / (2.0 * np.pi))[:, None, None]
+        density = density[:, _SCALAR_FIRST[row], :][:, :, _SCALAR_FIRST[column]]
+
+        distance_m = np.linspace(0.0, reach_m, 4 + int(np.ceil(reach_m * _KNOTS_PER_DEPTH / depth_m)))
+        table = np.zeros((distance_m.size, 3, 3))
+        for part in np.array_split(np.arange(distance_m.size), 1 + distance_m.size * omega.size // _PHASES):
+            table[part] = _along_x(density, np.multiply.outer(distance_m[part], omega))
+        return Kernel(CubicSpline(distance_m, table), np.argsort(_SCALAR_FIRST[row]), np.argsort(_SCALAR_FIRST[column]))
+
+    def _quadrature(self, depth_m: float, reach_m: float) -> tuple[Floats, Floats]:
+        """Nodes and weights from 0 to where everything has faded, fine enough for the Bessel functions and for p."""
+        highest = _FADED / depth_m
+        width = min(_PANEL_PHASE / reach_m, 2.0 / self.correlation_length_m)
+        edges = np.linspace(0.0, highest, 1 + int(np.ceil(highest / width)))
+        nodes, weights = np.polynomial.legendre.leggauss(_PANEL_NODES)
+        half = (edges[1] - edges[0]) / 2.0
+        omega = (edges[:-1, None] + half * (nodes + 1.0)).ravel()
+        return omega, np.tile(half * weights, edges.size - 1)
+
+    def _response(self, field: Field, omega: Floats, depth_m: float) -> NDArray[np.complex128]:
+        """Matrix (n, 3, 3) from the traction to a field, for frequencies along x."""
+        if field == "traction":
+            return np.broadcast_to(np.eye(3, dtype=np.complex128), (omega.size, 3, 3))
+        return self.half_space.transfer_matrix(field, "traction", omega, 0.0, depth_m)
+
+
+def _along_x(density: NDArray[np.complex128], phase: Floats) -> Floats:
+    """Hankel integrals of A P B* (w, 3, 3), scalar first, for omega times distance (d, w): (d, 3, 3)."""
+    order_0, order_1, order_2 = j0(phase), j1(phase), jv(2, phase)
+    mean, difference = (density[:, 1, 1] + density[:, 2, 2]).real / 2, (density[:, 1, 1] - density[:, 2, 2]).real / 2
+    table = np.zeros((len(phase), 3, 3))
+    table[:, 0, 0] = order_0 @ density[:, 0, 0].real
+    table[:, 0, 1] = order_1 @ -density[:, 0, 1].imag
+    table[:, 1, 0] = order_1 @ -density[:, 1, 0].imag
+    table[:, 1, 1] = order_0 @ mean - order_2 @ difference
+    table[:, 2, 2] = order_0 @ mean + order_2 @ difference
+    return table
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """Covariance matrix of two fields as a function of the offset between two places."""
+
+    _along_x: CubicSpline  # of the distance: scalar first, turned to lie along x
+    _row_order: NDArray[np.intp]
+    _column_order: NDArray[np.intp]
+
+    def __call__(self, offset_m: Floats) -> Floats:
+        """Matrices (..., 3, 3) for the row's place minus the column's, (..., 2)."""
+        distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
+        safe = np.where(distance > 0.0, distance, 1.0)
+        c, s = np.where(distance > 0.0, offset_m[..., 0] / safe, 1.0), offset_m[..., 1] / safe
+        k = self._along_x(distance)
+        along, across = k[..., 1, 1], k[..., 2, 2]
+        turned = np.empty_like(k)
+        turned[..., 0, 0] = k[..., 0, 0]
+        turned[..., 0, 1], turned[..., 0, 2] = c * k[..., 0, 1], s * k[..., 0, 1]
+        turned[..., 1, 0], turned[..., 2, 0] = c * k[..., 1, 0], s * k[..., 1, 0]
+        turned[..., 1, 1] = c * c * along + s * s * across
+        turned[..., 2, 2] = s * s * along + c * c * across
+        turned[..., 1, 2] = turned[..., 2, 1] = c * s * (along - across)
+        return turned[..., self._row_order, :][..., self._column_order]

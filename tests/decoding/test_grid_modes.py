@@ -1,0 +1,86 @@
+"""Parity and reduced bases of a grid against the same matrices written out."""
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from resonator_daemon.decoding.covariance import SiteCovariance
+from resonator_daemon.decoding.grid_modes import GridModes, WholeGrid
+from resonator_daemon.decoding.modes import DenseModes
+from resonator_daemon.decoding.parity import CLASSES, Grid, parities, unfold
+from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.elastic import HalfSpace
+
+PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), 10.0, 1e-3, 0.3)
+DEPTH = 1e-3
+NOISE = np.array([2e-5, 1e-5, 3e-5])
+SCALES = np.logspace(-2, 4, 7)
+
+
+def positions(grid: Grid):
+    ny, nx = grid.shape
+    x, y = np.meshgrid(np.arange(nx) * grid.pitch_x_m, np.arange(ny) * grid.pitch_y_m)
+    return np.column_stack([x.ravel(), y.ravel()])
+
+
+def covariance(grid: Grid) -> SiteCovariance:
+    return SiteCovariance(PRIOR, positions(grid), np.full(grid.shape[0] * grid.shape[1], DEPTH))
+
+
+@pytest.mark.parametrize("shape", [(4, 6), (5, 7), (6, 5)])
+def test_four_classes_hold_all_of_each_covariance(shape: tuple[int, int]):
+    grid = Grid(shape, 4e-4, 5e-4)
+    for field, depth_m in (("sensor", DEPTH), ("traction", 0.0), ("displacement", 0.0)):
+        whole = covariance(grid).signals() if field == "sensor" else covariance(grid).surface(field, positions(grid))
+        table = grid.table(PRIOR, field, depth_m, "sensor", DEPTH)
+        rebuilt = np.zeros_like(whole)
+        for parity in CLASSES:
+            rows, columns = (
+                block_diag(*(np.kron(unfold(shape[0], y), unfold(shape[1], x)) for x, y in parities(name, parity)))
+                for name in (field, "sensor")
+            )
+            rebuilt += rows @ grid.block(table, field, "sensor", parity) @ columns.T
+        assert np.abs(rebuilt - whole).max() < 1e-12 * np.abs(whole).max()
+
+
+@pytest.mark.parametrize("shape", [(10, 12), (9, 11)])
+def test_reduced_modes_solve_the_dense_system(shape: tuple[int, int]):
+    """Any signals, also rough ones, at a scale for which the bases were made."""
+    grid = Grid(shape, 4e-4, 3.5e-4)
+    whole = WholeGrid(PRIOR, grid, DEPTH, NOISE, SCALES)
+    modes = GridModes(whole, 1e6)
+    count = shape[0] * shape[1]
+    noise = np.repeat(NOISE, count)
+    signals, traction, displacement = (
+        covariance(grid).signals(),
+        covariance(grid).surface("traction", positions(grid)),
+        covariance(grid).surface("displacement", positions(grid)),
+    )
+    scale = 100.0
+    frame = np.random.default_rng(0).standard_normal(3 * count) * noise
+    power, vectors = np.linalg.eigh(scale * signals)
+    frame += vectors @ (np.sqrt(np.maximum(power, 0.0)) * np.random.default_rng(1).standard_normal(3 * count))
+    solved = np.linalg.solve(scale * signals + np.diag(noise**2), frame)
+    weighted = scale / (scale * modes.eigenvalues + 1.0) * modes.project((frame / noise).astype(np.float32))
+    for found, matrix in (
+        (modes.traction(weighted.astype(np.float32)), traction),
+        (modes.displacement(weighted.astype(np.float32)), displacement),
+    ):
+        expected = scale * matrix @ solved
+        assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
+
+    explained = [
+        np.einsum("ij,ji->i", q * traction, np.linalg.solve(q * signals + np.diag(noise**2), q * traction.T))
+        for q in SCALES
+    ]
+    assert modes.explained_variance == pytest.approx(np.array(explained), rel=1e-5)
+    dense = DenseModes(signals, traction, displacement, noise, SCALES)
+    assert dense.explained_variance == pytest.approx(np.array(explained), rel=1e-3)
+
+
+def test_rows_are_those_that_project():
+    grid = Grid((8, 10), 4e-4, 4e-4)
+    modes = GridModes(WholeGrid(PRIOR, grid, DEPTH, NOISE, SCALES), 1e4)
+    chosen = np.array([0, 17, 95, 239])
+    for row, signal in zip(modes.rows(chosen), chosen, strict=True):
+        assert modes.project(np.eye(240, dtype=np.float32)[signal]) == pytest.approx(row, abs=1e-6)

@@ -1,0 +1,57 @@
+"""Recognition of grids, borders and duplicate sites."""
+
+import numpy as np
+import pytest
+
+from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates, spacing_m
+
+X, Y = np.meshgrid(np.arange(5) * 4e-4 - 1e-3, np.arange(4) * 6e-4)
+GRID = np.column_stack([X.ravel(), Y.ravel()])
+
+
+def test_grid():
+    grid = as_grid(GRID)
+    assert grid is not None
+    assert grid.shape == (4, 5)
+    assert (grid.pitch_x_m, grid.pitch_y_m) == pytest.approx((4e-4, 6e-4))
+
+
+@pytest.mark.parametrize(
+    "positions",
+    [
+        GRID[:-1],
+        GRID[::-1],
+        GRID[:, ::-1],
+        GRID[:5],
+        GRID[:1],
+        np.random.default_rng(0).permutation(GRID),
+        GRID + np.where(np.arange(20) == 7, 1e-6, 0.0)[:, None],
+        GRID @ np.array([[0.8, 0.6], [-0.6, 0.8]]),
+    ],
+    ids=["one missing", "backwards", "y first", "a row", "a site", "shuffled", "one off", "turned"],
+)
+def test_no_grid(positions):
+    assert as_grid(positions) is None
+
+
+def test_spacing():
+    assert spacing_m(GRID) == pytest.approx(4e-4)
+    assert spacing_m(GRID[:1]) == np.inf
+
+
+def test_border_is_the_outermost_ring_and_what_lies_beyond():
+    inside = at_border(GRID, GRID).reshape(4, 5)
+    assert inside[[0, -1]].all()
+    assert inside[:, [0, -1]].all()
+    assert not inside[1:-1, 1:-1].any()
+    assert at_border(GRID, np.array([[5e-3, 0.0], [-0.2e-3, 0.9e-3]])).tolist() == [True, False]
+
+
+def test_sites_on_a_line_are_all_border():
+    assert at_border(GRID[:5], GRID[:5]).all()
+
+
+def test_duplicates_are_named():
+    with pytest.raises(ValueError, match="sites 3 and 20"):
+        refuse_duplicates(np.vstack([GRID, GRID[3]]), np.full(21, 1e-3))
+    refuse_duplicates(np.vstack([GRID, GRID[3]]), np.append(np.full(20, 1e-3), 2e-3))

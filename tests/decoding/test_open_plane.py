@@ -1,0 +1,342 @@
+"""The open-plane decoder on contacts whose signals come from closed forms."""
+
+import warnings
+
+import numpy as np
+import pytest
+from sheared_contact import DEPTH_M, YOUNGS_PASCAL, Scene, grid_positions, noise_std, scene
+
+from resonator_daemon.decoding.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.elastic import HalfSpace
+
+SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
+GRID = (3, 32, 32)
+DRAWS = 4
+
+
+@pytest.fixture(scope="module")
+def decoders():
+    """Decoders of the 32 x 32 grid by signal-to-noise ratio and prior's tangential ratio, made when asked for."""
+    made: dict[tuple[float, float], OpenPlaneDecoder] = {}
+
+    def decoder(decibel: float, ratio: float = 0.3) -> OpenPlaneDecoder:
+        if (decibel, ratio) not in made:
+            made[decibel, ratio] = OpenPlaneDecoder(
+                SKIN, grid_positions(), DEPTH_M, noise_std(decibel), tangential_ratio=ratio
+            )
+        return made[decibel, ratio]
+
+    return decoder
+
+
+def frames(truth: Scene, decibel: float, draws: int = DRAWS):
+    return np.stack([truth.frame(noise_std(decibel), seed) for seed in range(draws)])
+
+
+def mean_error(truth: Scene, tractions) -> float:
+    return float(np.mean([truth.error(traction) for traction in tractions]))
+
+
+# --- accuracy
+
+
+@pytest.mark.parametrize(
+    ("decibel", "equal", "shaped"), [(11, 0.254, 0.232), (20, 0.192, 0.176), (30, 0.138, 0.127), (40, 0.106, 0.090)]
+)
+def test_centred_contact(decoders, decibel: float, equal: float, shaped: float):
+    """Limits for a prior of equal power in all components, and for the default."""
+    truth = scene()
+    for ratio, limit in ((1.0, equal), (0.3, shaped)):
+        decoded = decoders(decibel, ratio).decode(frames(truth, decibel))
+        assert mean_error(truth, decoded.traction_pascal) < limit
+        assert (decoded.status == "ok").all()
+        assert (decoded.reason == "").all()
+        assert not decoded.border_contact.any()
+        assert decoded.chi2 == pytest.approx(np.ones(DRAWS), abs=0.1)
+
+
+@pytest.mark.parametrize(("decibel", "equal", "shaped"), [(20, 0.196, 0.176), (30, 0.147, 0.130), (40, 0.109, 0.093)])
+def test_contact_across_the_border_is_no_worse(decoders, decibel: float, equal: float, shaped: float):
+    truth = scene((5.5e-3, 0.0))
+    for ratio, limit in ((1.0, equal), (0.3, shaped)):
+        decoded = decoders(decibel, ratio).decode(frames(truth, decibel))
+        assert mean_error(truth, decoded.traction_pascal) < limit
+        assert decoded.border_contact.all()
+
+
+def test_contact_beside_the_array_does_not_spoil_the_one_within(decoders):
+    within, beside = scene(), scene((9.5e-3, 0.0))
+    both = Scene(within.signals + beside.signals, within.traction + beside.traction)
+    assert mean_error(both, decoders(30).decode(frames(both, 30)).traction_pascal) < 0.15
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.4])
+def test_compressible_skin_and_another_direction(nu: float):
+    truth = scene((0.9e-3, -1.7e-3), nu=nu, direction=2.0)
+    std = float(np.sqrt(np.mean(truth.signals**2)) * 10 ** (-30 / 20))
+    decoder = OpenPlaneDecoder(HalfSpace(YOUNGS_PASCAL, nu), grid_positions(), DEPTH_M, std)
+    assert truth.error(decoder.decode(truth.frame(std, 0)).traction_pascal) < 0.14
+
+
+def test_scattered_sites_at_mixed_depths_asked_on_a_grid():
+    rng = np.random.default_rng(5)
+    sites = rng.uniform(-6.4e-3, 6.4e-3, (300, 2))
+    depths = np.where(np.arange(300) < 150, 0.9e-3, 1.2e-3)
+    truth = scene((0.0, 1e-3), positions_m=sites[:150], depth_m=0.9e-3)
+    deeper = scene((0.0, 1e-3), positions_m=sites[150:], depth_m=1.2e-3)
+    whole = Scene(np.hstack([truth.signals, deeper.signals]), truth.traction)
+    std = noise_std(30)
+    decoder = OpenPlaneDecoder(SKIN, sites, depths, std, query_positions_m=grid_positions())
+    decoded = decoder.decode(whole.frame(std, 0), displacement=True)
+    assert decoded.traction_pascal.shape == decoded.traction_std_pascal.shape == (3, 1024)
+    assert decoded.displacement_m is not None
+    assert decoded.displacement_m.shape == (3, 1024)
+    assert whole.error(decoded.traction_pascal) < 0.2
+    wrong = OpenPlaneDecoder(SKIN, sites, 1.05e-3, std, query_positions_m=grid_positions())
+    assert wrong.decode(whole.frame(std, 0)).log_evidence < decoded.log_evidence - 20
+
+
+def test_hertz_displacement(decoders):
+    """Hertz's indentation under pressure alone: u_z = (1 - nu^2) pi p0 (2 a^2 - r^2) / (4 a E) within the contact."""
+    truth = scene(stick_ratio=1.0)
+    decoded = decoders(30).decode(frames(truth, 30, 1)[0].reshape(GRID), displacement=True)
+    assert decoded.displacement_m is not None
+    radius, peak = 2.5e-3, 1.5 / (np.pi * 2.5e-3**2)
+    square = np.sum(grid_positions() ** 2, axis=1).reshape(GRID[1:])
+    inside = square < radius**2
+    expected = 0.75 * np.pi * peak * (2 * radius**2 - square) / (4 * radius * YOUNGS_PASCAL)
+    assert np.abs(decoded.displacement_m[2] - expected)[inside].max() < 0.05 * expected.max()
+
+
+# --- the linear algebra
+
+
+def test_grid_form_and_dense_form_agree(decoders):
+    """The decoder of a shuffled grid does not know that it is one."""
+    shape = (16, 18)
+    sites = grid_positions(shape)
+    truth = scene((0.7e-3, 0.3e-3), positions_m=sites, direction=0.4, radius_m=1.5e-3)
+    order = np.random.default_rng(0).permutation(len(sites))
+    lost = np.random.default_rng(1).random((3, len(sites))) < 0.1
+    for decibel in (11, 20, 30, 40):
+        std = noise_std(decibel) * np.array([1.0, 1.3, 0.8])
+        ordered, shuffled = (OpenPlaneDecoder(SKIN, positions, DEPTH_M, std) for positions in (sites, sites[order]))
+        whole = truth.signals + std[:, None] * np.random.default_rng(2).standard_normal(truth.signals.shape)
+        for frame in (whole, np.where(lost, np.nan, whole)):
+            one = ordered.decode(frame, displacement=True)
+            other = shuffled.decode(frame[:, order], displacement=True)
+            apart = np.linalg.norm(one.traction_pascal[:, order] - other.traction_pascal)
+            assert apart < 0.2 * np.linalg.norm(other.traction_std_pascal)
+            for a, b, limit in (
+                (one.traction_std_pascal, other.traction_std_pascal, 0.1),
+                (one.displacement_m, other.displacement_m, 0.04),
+            ):
+                assert np.linalg.norm(a[:, order] - b) < limit * np.linalg.norm(b)
+            assert one.chi2 == pytest.approx(other.chi2, rel=0.08)
+
+
+def test_estimate_std_and_evidence_are_those_of_the_dense_gaussian():
+    """Plain solves with the covariance, no eigenmodes; rows of lost signals deleted."""
+    rng = np.random.default_rng(4)
+    sites = rng.uniform(-3e-3, 3e-3, (60, 2))
+    noise = 1e-4 * rng.uniform(0.5, 2.0, (3, 60))
+    std_pascal = 900.0
+    decoder = OpenPlaneDecoder(SKIN, sites, DEPTH_M, noise, prior_std_pascal=std_pascal)
+    covariance = SiteCovariance(StationaryPrior(SKIN, std_pascal, 1e-3, 0.3), sites, np.full(60, DEPTH_M))
+    total = covariance.signals() + np.diag(noise.ravel() ** 2)
+    frame = 0.9 * np.linalg.cholesky(total) @ rng.standard_normal(180)  # 0.9: a little less than the noise is no excess
+    for known in (np.ones(180, np.bool_), rng.random(180) > 0.3):
+        inverse = np.linalg.inv(total[np.ix_(known, known)])
+        cross = covariance.surface("traction", sites)[:, known]
+        expected = cross @ inverse @ frame[known]
+        variance = np.repeat([0.3, 0.3, 1.0], 60) * std_pascal**2 - np.einsum("ij,jk,ik->i", cross, inverse, cross)
+        decoded = decoder.decode(np.where(known, frame, np.nan).reshape(3, 60))
+        assert np.linalg.norm(decoded.traction_pascal.ravel() - expected) < 0.01 * np.linalg.norm(expected)
+        factor = decoded.traction_std_pascal.ravel() / np.sqrt(variance)
+        widened = factor > 1.3
+        assert factor[~widened] == pytest.approx(1.0, rel=0.01)
+        assert factor[widened] == pytest.approx(1.6, rel=0.02)
+        assert widened.reshape(3, 60).all(axis=0).sum() == widened.sum() / 3
+        energy = frame[known] @ inverse @ frame[known]
+        density = -0.5 * (energy - np.linalg.slogdet(inverse)[1] + known.sum() * np.log(2 * np.pi))
+        assert decoded.log_evidence == pytest.approx(density, abs=0.05)
+        assert decoded.chi2 == pytest.approx(energy / known.sum(), rel=1e-3)
+
+
+# --- faults
+
+
+def test_dead_sites_cost_little(decoders):
+    truth = scene()
+    healthy = frames(truth, 30)
+    dead = np.random.default_rng(0).permutation(1024)[:200]
+    lost = healthy.copy()
+    lost[:, :, dead] = np.nan
+    decoded, whole = decoders(30).decode(lost), decoders(30).decode(healthy)
+    assert mean_error(truth, decoded.traction_pascal) < 1.05 * mean_error(truth, whole.traction_pascal)
+    assert (decoded.reason == "600 of 3072 signals lost and filled in").all()
+    assert (decoded.status == "ok").all()
+    away = np.linalg.norm(grid_positions(), axis=1) > 4e-3
+    gone = np.isin(np.arange(1024), dead)
+    std = decoded.traction_std_pascal
+    assert (std[..., away & gone].mean(axis=-1) > 1.01 * std[..., away & ~gone].mean(axis=-1)).all()
+
+
+@pytest.mark.parametrize(("gain_std", "limit"), [(0.02, 0.13), (0.05, 0.16)])
+def test_gain_errors(gain_std: float, limit: float):
+    truth = scene()
+    decoder = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, noise_std(40), gain_std=gain_std)
+    gains = 1 + gain_std * np.random.default_rng(1).standard_normal((DRAWS, 3, 1024))
+    decoded = decoder.decode(frames(truth, 40) * gains)
+    assert mean_error(truth, decoded.traction_pascal) < limit
+
+
+def test_gain_std_is_noise_of_one_and_a_half_times_that_share_of_the_rms():
+    sites = grid_positions((12, 12))
+    truth = scene(positions_m=sites, radius_m=1e-3)
+    std = noise_std(30)
+    frame = truth.frame(std, 0)
+    noise = np.sqrt(std**2 + (1.5 * 0.1) ** 2 * np.mean(frame**2))
+    told = OpenPlaneDecoder(SKIN, sites, DEPTH_M, std, gain_std=0.1).decode(frame)
+    same = OpenPlaneDecoder(SKIN, sites, DEPTH_M, noise).decode(frame)
+    assert told.chi2 == pytest.approx(same.chi2, rel=0.05)
+    assert told.log_evidence == pytest.approx(same.log_evidence, abs=1.0)
+    assert np.linalg.norm(told.traction_pascal - same.traction_pascal) < 0.05 * np.linalg.norm(same.traction_pascal)
+    assert told.traction_std_pascal == pytest.approx(same.traction_std_pascal, rel=0.1)
+
+
+def test_noise_declared_too_small_is_seen_and_widens_the_error_bars(decoders):
+    frame = frames(scene(), 20, 1)[0]
+    told, untold = decoders(20).decode(frame), decoders(40).decode(frame)
+    assert untold.chi2 > 50
+    ratio = untold.traction_std_pascal / told.traction_std_pascal
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
+
+
+def test_gain_errors_that_nobody_told_of_are_seen_and_borne(decoders):
+    truth = scene()
+    gains = 1 + 0.05 * np.random.default_rng(1).standard_normal((DRAWS, 3, 1024))
+    decoded = decoders(40).decode(frames(truth, 40) * gains)
+    assert mean_error(truth, decoded.traction_pascal) < 0.2
+    assert (decoded.chi2 > 1.5).all()
+
+
+def test_anomaly_scores_point_at_the_dead_site(decoders):
+    frame = frames(scene(), 30, 1)[0]
+    assert np.abs(decoders(30).anomaly_scores(frame)).max() < 5
+    assert decoders(30).anomaly_scores(frame).std() == pytest.approx(1.0, abs=0.05)
+    for site in (16 * 32 + 15, 16 * 32 + 26):  # under the contact and 4.2 mm from its centre
+        dead = frame.copy()
+        dead[:, site] = 0.0
+        scores = np.abs(decoders(30).anomaly_scores(dead)).max(axis=0)
+        assert scores.argmax() == site
+        assert scores[site] > 8
+        dead[:, site] = np.nan
+        scores = decoders(30).anomaly_scores(dead)
+        assert np.isnan(scores[:, site]).all()
+        assert np.nanmax(np.abs(scores)) < 5
+
+
+# --- error bars
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_error_bars(decoders, decibel: float):
+    """Pooled over contacts in the middle, beside it and across the border."""
+    inside, outside = [], []
+    for centre in ((0.0, 0.0), (3e-3, -1e-3), (-2e-3, 2e-3), (5.5e-3, 0.0)):
+        truth = scene(centre, direction=0.5)
+        decoded = decoders(decibel).decode(frames(truth, decibel))
+        score = np.abs(decoded.traction_pascal - truth.traction) / decoded.traction_std_pascal
+        pressed = truth.traction[2] > 0
+        inside.append(score[..., pressed].ravel())
+        outside.append(score[..., ~pressed].ravel())
+        assert 0.60 < np.mean(inside[-1] < 1) < 0.85
+        assert 0.91 < np.mean(inside[-1] < 2) < 0.99
+        assert np.mean(outside[-1] < 1) > 0.68
+        assert np.mean(outside[-1] < 2) > 0.95
+    assert 0.60 < np.mean(np.concatenate(inside) < 1) < 0.80
+    assert 0.92 < np.mean(np.concatenate(inside) < 2) < 0.98
+
+
+# --- bad input
+
+
+def test_frames_that_hold_nothing(decoders):
+    decoder = decoders(30)
+    frame = frames(scene(), 30, 1)[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        stack = np.stack([np.full_like(frame, np.nan), frame * 1e6, frame])
+        stack[1, 0, 0] = np.inf
+        decoded = decoder.decode(stack.reshape(3, *GRID), displacement=True)
+    assert decoded.status.tolist() == ["no_signal", "no_signal", "ok"]
+    for values in (decoded.traction_pascal, decoded.traction_std_pascal, decoded.displacement_m):
+        assert values is not None
+        assert values.shape == (3, *GRID)
+        assert np.isnan(values[:2]).all()
+        assert np.isfinite(values[2]).all()
+    assert "0% of the signals known" in str(decoded.reason[0])
+    assert decoder.decode(np.full(GRID, np.nan)).displacement_m is None
+    assert np.isnan(decoder.anomaly_scores(np.full(GRID, np.nan))).all()
+
+
+def test_what_no_load_makes_is_rejected(decoders):
+    decoded = decoders(30).decode(0.1 * np.random.default_rng(0).standard_normal(GRID))
+    assert decoded.status == "rejected"
+    assert "unexplained" in str(decoded.reason)
+    assert np.isnan(decoded.traction_pascal).all()
+
+
+def test_no_load_decodes_to_nothing(decoders):
+    noise = noise_std(30) * np.random.default_rng(0).standard_normal(GRID)
+    for frame in (noise, np.zeros(GRID)):
+        decoded = decoders(30).decode(frame)
+        assert decoded.status == "ok"
+        assert (np.abs(decoded.traction_pascal) < 4 * decoded.traction_std_pascal).all()
+        assert not decoded.border_contact
+
+
+def test_shapes_of_signals(decoders):
+    frame = frames(scene(), 30, 1)[0]
+    flat = decoders(30).decode(frame)
+    stack = decoders(30).decode(np.stack([frame, frame]).reshape(2, 1, *GRID))
+    assert stack.traction_pascal.shape == (2, 1, *GRID)
+    assert stack.traction_pascal[1, 0].reshape(3, -1) == pytest.approx(flat.traction_pascal)
+    assert stack.status.shape == (2, 1)
+    for shape in ((3, 1023), (2, 1024), (3, 31, 33), (1024,)):
+        with pytest.raises(ValueError, match=r"signals have shape .* must be \(\.\.\., 3, 1024\)"):
+            decoders(30).decode(np.zeros(shape))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"site_positions_m": np.zeros((3, 64))}, r"site_positions_m has shape \(3, 64\)"),
+        ({"site_positions_m": np.full((64, 2), np.nan)}, "site_positions_m holds nan"),
+        ({"query_positions_m": np.zeros(2)}, "query_positions_m has shape"),
+        ({"depth_m": 0.0}, "depth_m spans 0.0"),
+        ({"depth_m": np.ones(63)}, r"depth_m has shape \(63,\)"),
+        ({"noise_std": 0.0}, "noise_std spans 0.0"),
+        ({"noise_std": -1e-5}, "noise_std spans -1e-05"),
+        ({"noise_std": np.nan}, "noise_std spans nan"),
+        ({"noise_std": np.ones((2, 64))}, r"noise_std has shape \(2, 64\)"),
+        ({"gain_std": -0.1}, "gain_std is -0.1"),
+        ({"gain_std": 1.0}, "gain_std is 1.0"),
+        ({"correlation_length_m": 0.0}, "correlation_length_m is 0.0"),
+        ({"tangential_ratio": np.inf}, "tangential_ratio is inf"),
+        ({"prior_std_pascal": 0.0}, "prior_std_pascal is 0.0"),
+    ],
+)
+def test_parameters_out_of_range(change, message: str):
+    sound = {"site_positions_m": grid_positions((8, 8)), "depth_m": 1e-3, "noise_std": 1e-5}
+    with pytest.raises(ValueError, match=message):
+        OpenPlaneDecoder(SKIN, **(sound | change))
+
+
+def test_two_sites_at_one_place():
+    sites = np.vstack([grid_positions((8, 8)), grid_positions((8, 8))[5]])
+    with pytest.raises(ValueError, match="sites 5 and 64"):
+        OpenPlaneDecoder(SKIN, sites, 1e-3, 1e-5)
