@@ -1,0 +1,141 @@
+"""Least-squares fit of few bounded parameters to the signals of one frame, with covariance and evidence."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+# Parameters (p,) to signals (k,) and their derivatives (p, k).
+Model = Callable[[Floats], tuple[Floats, Floats]]
+
+_STEPS = 30
+_DAMPING = 1e-3
+_DAMPING_LIMIT = 1e8
+_UNEXPLAINED_LIMIT = 0.03  # share of the signals' energy that another kind of contact leaves ...
+_CHI2_LIMIT = 1.5  # ... beyond what the noise hides
+_SETTLED = 1e-2  # expected fall of chi-square, below which what is left is within a tenth of a standard deviation
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Where chi-square is least."""
+
+    parameters: Floats  # (p,)
+    precision: Floats  # (p, p), inverse covariance for the declared noise
+    chi_square: float
+    count: int  # of signals
+    energy: float  # sum of squares of the signals in units of the noise
+
+    @property
+    def chi2(self) -> float:
+        """Mean square of the residual in units of the noise."""
+        return self.chi_square / max(self.count - self.parameters.size, 1)
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the signals' energy that neither model nor noise explains."""
+        signal = self.energy - self.count
+        return float(max(self.chi_square - self.count, 0.0) / signal) if signal > 0.0 else 1.0
+
+    @property
+    def doubt(self) -> str:
+        """Why the model does not hold for these signals; empty where it does, or where the noise hides it."""
+        if self.chi2 > _CHI2_LIMIT and self.unexplained > _UNEXPLAINED_LIMIT:
+            return f"{self.unexplained:.0%} of the signals' energy fits no such contact, chi2 {self.chi2:.3g}"
+        return ""
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """(p, p), for noise as large as the residual where that exceeds the declared one.
+
+        Infinite for all parameters where the signals leave one undetermined.
+        """
+        scale = np.sqrt(np.diag(self.precision))
+        if not scale.all():
+            return np.full_like(self.precision, np.inf)
+        correlation = self.precision / np.outer(scale, scale)
+        if np.linalg.cond(correlation) > 1e12:
+            return np.full_like(self.precision, np.inf)
+        found: Floats = np.linalg.inv(correlation) / np.outer(scale, scale) * max(self.chi2, 1.0)
+        return found
+
+    @property
+    def log_evidence(self) -> float:
+        """Log density of the signals, less a constant, if one signal's worth was known of each parameter before.
+
+        Schwarz's criterion (Kass and Wasserman, J. Am. Stat. Assoc. 90, 1995, 928), the noise as in `covariance`.
+        """
+        excess = max(self.chi2, 1.0)
+        penalty = self.parameters.size * np.log(self.count)
+        return -0.5 * float(self.chi_square / excess + self.count * np.log(excess) + penalty)
+
+
+def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floats, noise_std: Floats) -> Fit:
+    """Minimise chi-square between bounds, by steps of Levenberg and Marquardt.
+
+    Parameters
+    ----------
+    model
+    start, lower, upper
+        (p,).
+    signals, noise_std
+        (k,); signals that are NaN or infinite are left out.
+
+    Raises
+    ------
+    ValueError
+        Fewer known signals than parameters, or a noise that is not above 0.
+    """
+    known = np.isfinite(signals)
+    everything = bool(known.all())
+    count = int(known.sum())
+    if count < start.size:
+        raise ValueError(f"{count} signals are known, must be at least {start.size}, as many as there are parameters")
+    if not (noise_std > 0.0).all():
+        raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
+    whiten = 1.0 / noise_std
+    target = signals * whiten
+    if not everything:
+        whiten, target = whiten[known], target[known]
+
+    def evaluate(parameters: Floats) -> tuple[float, Floats, Floats]:
+        value, slopes = model(parameters)
+        if not everything:
+            value, slopes = value[known], slopes[:, known]
+        left, slopes = target - value * whiten, slopes * whiten
+        return float(left @ left), slopes @ left, slopes @ slopes.T
+
+    parameters = np.clip(start, lower, upper)
+    chi_square, gradient, precision = evaluate(parameters)
+    damping = _DAMPING
+    for _ in range(_STEPS):
+        if damping > _DAMPING_LIMIT:
+            break
+        step = _step(parameters, lower, upper, gradient, precision, damping)
+        if 0.5 * float(gradient @ step) < _SETTLED * max(chi_square / count, 1.0):
+            break
+        tried = np.clip(parameters + step, lower, upper)
+        found = evaluate(tried)
+        fall = chi_square - found[0]
+        if fall < 0.0:
+            damping *= 10.0
+            continue
+        parameters, (chi_square, gradient, precision) = tried, found
+        damping *= 0.1
+    return Fit(parameters, precision, chi_square, count, float(target @ target))
+
+
+def _step(
+    parameters: Floats, lower: Floats, upper: Floats, gradient: Floats, precision: Floats, damping: float
+) -> Floats:
+    """Damped Gauss-Newton step among the parameters that do not lie at a bound they press against."""
+    free = ~(((parameters <= lower) & (gradient < 0.0)) | ((parameters >= upper) & (gradient > 0.0)))
+    inner = precision[np.ix_(free, free)]
+    scale = np.sqrt(np.maximum(np.diag(inner), 1e-300))
+    scaled = inner / np.outer(scale, scale) + damping * np.eye(scale.size)
+    step = np.zeros_like(parameters)
+    step[free] = np.linalg.solve(scaled, gradient[free] / scale) / scale
+    return step

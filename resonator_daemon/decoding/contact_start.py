@@ -1,0 +1,74 @@
+"""What is known of a contact before a fit: where the fit begins, and between which bounds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.contact_model import DiscModel
+
+Floats = NDArray[np.float64]
+
+_SMALLEST_RADIUS = 0.05  # depths, which signals hardly tell from none
+_FORCE_LIMIT = 10.0  # times the largest that fits at the start
+_LEAST_FORCE = 1e-3  # of the largest that fits at the start
+
+
+@dataclass(frozen=True)
+class Friction:
+    """A friction coefficient that is known before the frame.
+
+    Forces and stick radius are weighed by its standard deviation. A wrong modulus shifts the ratio of forces as a wrong
+    mu does, so that `std` should be no less than the modulus' relative error, times mu.
+    """
+
+    coefficient: float
+    std: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.coefficient < np.inf:
+            raise ValueError(f"friction coefficient is {self.coefficient}, must be finite and above 0")
+        if not 0.0 <= self.std < np.inf:
+            raise ValueError(f"standard deviation of the friction is {self.std}, must be finite and at least 0")
+
+
+@dataclass(frozen=True)
+class ContactStart:
+    """What is known of a contact before the frame: from a patch of the decoded map, or from the frame before."""
+
+    centre_m: tuple[float, float]  # within about a radius
+    radius_m: float
+    slip_margin: float = np.nan  # where neither it nor mu is known, several are tried
+    friction: Friction | None = None
+
+
+def disc_starts(
+    model: DiscModel, starts: Sequence[ContactStart], signals: Floats, noise_std: Floats
+) -> tuple[Floats, Floats, Floats]:
+    """Parameters x, y, a, F_x, F_y, F_z of each contact (contacts, 6), and their lower and upper bounds (6,).
+
+    Forces are those of Hertz distributions that fit the signals (3 n,) best; centres may lie as far beyond the sites as
+    half the model's margin, so that what is spread about them stays within it. ValueError for a start that is not
+    finite or a noise not above 0.
+    """
+    if not (noise_std > 0.0).all():
+        raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
+    for start in starts:
+        if not np.isfinite([*start.centre_m, start.radius_m]).all():
+            raise ValueError(f"start {start.centre_m} m, radius {start.radius_m} m must be finite")
+    smallest_m = _SMALLEST_RADIUS * float(model.depth_m.min())
+    lowest_m, highest_m = model.lowest_m - model.margin_m / 2.0, model.highest_m + model.margin_m / 2.0
+    centres = [np.clip(np.asarray(start.centre_m), lowest_m, highest_m) for start in starts]
+    radii = [float(np.clip(start.radius_m, smallest_m, model.radius_max_m)) for start in starts]
+    discs = [model.signals(centre, radius).value for centre, radius in zip(centres, radii, strict=True)]
+    columns = np.concatenate(discs).reshape(3 * len(discs), -1)
+    known = np.isfinite(signals)
+    whiten = 1.0 / noise_std[known]
+    solution, *_ = np.linalg.lstsq((columns[:, known] * whiten).T, signals[known] * whiten)
+    forces = np.asarray(solution, np.float64).reshape(-1, 3)
+    largest = max(float(np.abs(forces).max()), np.finfo(np.float64).tiny)
+    limit = _FORCE_LIMIT * largest
+    lower = np.array([*lowest_m, smallest_m, -limit, -limit, _LEAST_FORCE * largest])
+    upper = np.array([*highest_m, model.radius_max_m, limit, limit, limit])
+    return np.column_stack([centres, radii, np.clip(forces, lower[3:], upper[3:])]), lower, upper

@@ -1,0 +1,153 @@
+"""Contact patches of a decoded map: which places belong to each, its area, centroid, net force and moment."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from resonator_daemon.decoding.layout import at_border, spacing_m
+
+Floats = NDArray[np.float64]
+Places = NDArray[np.intp]
+
+_THRESHOLD = 0.15  # of the map's peak pressure: what belongs to a patch
+_PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...
+_SIGNIFICANCE = 4.0  # ... and how many standard deviations
+_LEAST_PLACES = 2
+_NEIGHBOUR = 1.6  # spacings: the eight neighbours on a grid
+_MARGIN_DEPTHS = 1.0  # around a patch, whose load still counts: the map is blurred
+_CORRELATION_DEPTHS = 0.2  # over which the map's errors go together
+
+
+@dataclass(frozen=True)
+class Patch:
+    """One contact on the map.
+
+    Areas and centroids are those of a blurred map: for the radius of a known shape fit the signals. Moments are about
+    the origin of the plate's coordinates: (y F_z, -x F_z, x F_y - y F_x), summed.
+    """
+
+    centroid_m: Floats  # (2,), of the pressure
+    centroid_std_m: Floats
+    area_m2: float
+    force_newton: Floats  # (3,)
+    force_std_newton: Floats
+    moment_newton_m: Floats  # (3,)
+    moment_std_newton_m: Floats
+    at_border: bool  # it reaches the border of the places, so that part of its load may lie beyond
+    places: Places  # above the threshold
+
+    @property
+    def radius_m(self) -> float:
+        """Of a disc of the same area."""
+        return float(np.sqrt(self.area_m2 / np.pi))
+
+
+class PatchFinder:
+    """Finds the patches of maps over the same places.
+
+    Parameters
+    ----------
+    positions_m
+        Places of the map, (m, 2).
+    cell_area_m2
+        Area that each stands for: of all, or (m,).
+    depth_m
+        Of the sites, which sets the map's blur.
+
+    Raises
+    ------
+    ValueError
+        A shape that does not fit, fewer than two places, an area or depth not above 0.
+    """
+
+    def __init__(self, positions_m: ArrayLike, cell_area_m2: ArrayLike, depth_m: float) -> None:
+        self._places_m = np.asarray(positions_m, np.float64)
+        if self._places_m.ndim != 2 or self._places_m.shape[1] != 2 or len(self._places_m) < 2:
+            raise ValueError(f"positions_m has shape {self._places_m.shape}, must be (m, 2), m at least 2")
+        areas = np.asarray(cell_area_m2, np.float64)
+        if areas.shape not in ((), (len(self._places_m),)):
+            raise ValueError(f"cell_area_m2 has shape {areas.shape}, must be () or ({len(self._places_m)},)")
+        if not ((areas > 0.0) & (areas < np.inf)).all():
+            raise ValueError(f"cell_area_m2 spans {areas.min()} .. {areas.max()}, must be finite and above 0")
+        if not 0.0 < depth_m < np.inf:
+            raise ValueError(f"depth_m is {depth_m}, must be finite and above 0")
+        self._area_m2 = np.broadcast_to(areas, len(self._places_m))
+        self._depth_m = depth_m
+        tree = cKDTree(self._places_m)
+        self._pairs = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
+        self._border = at_border(self._places_m, self._places_m)
+
+    def find(self, traction_pascal: ArrayLike, traction_std_pascal: ArrayLike) -> list[Patch]:
+        """Find patches in a map and its standard deviation, (3, m) or (3, ny, nx) each, largest normal force first.
+
+        A map that is NaN has none. ValueError for other shapes.
+        """
+        traction, std = (np.asarray(field, np.float64) for field in (traction_pascal, traction_std_pascal))
+        count = len(self._places_m)
+        for name, field in (("traction_pascal", traction), ("traction_std_pascal", std)):
+            if field.ndim not in (2, 3) or field.shape[0] != 3 or field[0].size != count:
+                raise ValueError(f"{name} has shape {field.shape}, must be (3, {count}) or a grid of as many places")
+        traction, std = traction.reshape(3, -1), std.reshape(3, -1)
+        if not np.isfinite(traction).all():
+            return []
+        groups = self._groups(traction[2], std[2])
+        if not groups:
+            return []
+        members = np.concatenate(groups)
+        owner = np.repeat(np.arange(len(groups)), [group.size for group in groups])
+        # Each place near a patch counts for the nearest one.
+        distance, nearest = cKDTree(self._places_m[members]).query(self._places_m)
+        within = distance <= _MARGIN_DEPTHS * self._depth_m
+        owners = owner[nearest]
+        patches = [
+            self._patch(group, np.flatnonzero(within & (owners == index)), traction, std)
+            for index, group in enumerate(groups)
+        ]
+        return sorted(patches, key=lambda patch: -float(patch.force_newton[2]))
+
+    def _groups(self, pressure: Floats, std: Floats) -> list[Places]:
+        peak = float(pressure.max())
+        above = pressure > _THRESHOLD * max(peak, 0.0)
+        touching = self._pairs[above[self._pairs].all(axis=1)]
+        graph = coo_array((np.ones(len(touching)), touching.T), shape=(pressure.size, pressure.size))
+        count, labels = connected_components(graph, directed=False)
+        labels = np.where(above, labels, count)
+        groups = []
+        for label in np.unique(labels[above]):
+            group = np.flatnonzero(labels == label)
+            highest = group[np.argmax(pressure[group])]
+            least = max(_PEAK * peak, _SIGNIFICANCE * float(std[highest]))
+            if group.size >= _LEAST_PLACES and pressure[highest] >= least:
+                groups.append(group)
+        return groups
+
+    def _patch(self, group: Places, around: Places, traction: Floats, std: Floats) -> Patch:
+        x, y = self._places_m[around].T
+        share = traction[:, around] * self._area_m2[around]
+        share_std = std[:, around] * self._area_m2[around]
+        apart = np.hypot(x[:, None] - x, y[:, None] - y)
+        correlation = np.exp(-apart / (_CORRELATION_DEPTHS * self._depth_m))
+
+        def spread(component: int, weight: Floats) -> float:
+            """Of the sum of a component, weighted."""
+            part = share_std[component] * weight
+            return float(np.sqrt(part @ correlation @ part))
+
+        ones = np.ones_like(x)
+        force = share.sum(axis=1)
+        centroid = np.array([x @ share[2], y @ share[2]]) / force[2]
+        return Patch(
+            centroid_m=centroid,
+            centroid_std_m=np.array([spread(2, x - centroid[0]), spread(2, y - centroid[1])]) / abs(force[2]),
+            area_m2=float(self._area_m2[group].sum()),
+            force_newton=force,
+            force_std_newton=np.array([spread(component, ones) for component in range(3)]),
+            moment_newton_m=np.array([y @ share[2], -x @ share[2], x @ share[1] - y @ share[0]]),
+            moment_std_newton_m=np.array([spread(2, y), spread(2, x), np.hypot(spread(1, x), spread(0, y))]),
+            at_border=bool(self._border[group].any()),
+            places=group,
+        )

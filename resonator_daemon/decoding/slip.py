@@ -1,0 +1,145 @@
+"""Slip over time: margins frame by frame, friction learned on the way, and slip announced as it sets in."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.partial_slip import PartialSlip, fit_partial_slip, stick_ratio
+
+INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
+REARM_MARGIN = 0.4  # ... and above this, it may be announced anew
+_IN_A_ROW = 2  # frames that must agree on an event: one may be noise
+_GROSS_MARGIN = 0.1  # where a margin that may be 0 is taken as 0
+_SIGNIFICANCE = 2.0  # standard deviations
+_LEARNED = 0.1  # relative standard deviation at which a coefficient begins to count as known
+_LEARNED_FLOOR = (
+    0.03  # relative standard deviation to which frames can bring it; friction changes, and models are wrong
+)
+
+
+class Margin(NamedTuple):
+    """Margin to slip 1 - F_t / (mu F_n) and the stick ratio c / a = margin^(1/3), with standard deviations."""
+
+    slip_margin: float
+    slip_margin_std: float
+    stick_ratio: float
+    stick_ratio_std: float
+
+
+def margin_from_forces(force_newton: ArrayLike, force_std_newton: ArrayLike, friction: Friction) -> Margin:
+    """Margin of a contact by its net force alone, for when a fit takes too long.
+
+    `force_newton` and `force_std_newton` (3,). NaN where the normal force is not above two standard deviations.
+    ValueError for other shapes.
+    """
+    force, std = np.asarray(force_newton, np.float64), np.asarray(force_std_newton, np.float64)
+    if force.shape != (3,) or std.shape != (3,):
+        raise ValueError(f"force_newton and its std have shapes {force.shape} and {std.shape}, must be (3,)")
+    if not force[2] > _SIGNIFICANCE * std[2]:
+        return Margin(np.nan, np.nan, np.nan, np.nan)
+    shear = float(np.hypot(force[0], force[1]))
+    direction = force[:2] / shear if shear > 0.0 else np.full(2, 0.5**0.5)
+    used = shear / (friction.coefficient * float(force[2]))
+    relative = np.hypot(std[2] / force[2], friction.std / friction.coefficient)
+    spread = float(np.hypot(np.hypot(*(direction * std[:2])) / (friction.coefficient * force[2]), used * relative))
+    return Margin(1.0 - used, spread, *stick_ratio(1.0 - used, spread))
+
+
+@dataclass(frozen=True)
+class SlipEvent:
+    """A contact begins to slip at its rim, or slips as a whole."""
+
+    event: Literal["incipient_slip", "gross_slip"]
+    contact: int  # its id
+    slip: PartialSlip  # of the frame that told
+
+
+@dataclass
+class _Followed:
+    start: ContactStart
+    low: int = 0  # frames in a row with little margin
+    none: int = 0  # frames in a row with none
+    announced: set[str] = field(default_factory=set)
+
+
+class SlipWatch:
+    """Fits each contact in each frame, from where it was in the frame before.
+
+    While nothing is known of friction, a contact that slips at its rim tells mu by its stick radius; from then on mu is
+    carried from frame to frame, contact by contact, and forces add what they know.
+
+    Parameters
+    ----------
+    model
+        With the Hertz profile.
+    friction
+        What is known of it beforehand.
+    """
+
+    def __init__(self, model: DiscModel, friction: Friction | None = None) -> None:
+        self._model = model
+        self._friction = friction
+        self._followed: dict[int, _Followed] = {}
+
+    def update(
+        self, signals: ArrayLike, noise_std: ArrayLike, contacts: Mapping[int, ContactStart]
+    ) -> tuple[dict[int, PartialSlip], tuple[SlipEvent, ...]]:
+        """Take a frame: fits and events by the ids of `contacts`.
+
+        A contact is told by its id; the start it comes with serves while the frame before gives no better. One that is
+        absent is forgotten. An event comes once, and again only after the margin has exceeded 0.4. Arguments otherwise
+        and errors as of `fit_partial_slip`.
+        """
+        for gone in self._followed.keys() - contacts.keys():
+            del self._followed[gone]
+        for contact, start in contacts.items():
+            if contact not in self._followed:
+                self._followed[contact] = _Followed(replace(start, friction=start.friction or self._friction))
+            elif not np.isfinite(self._followed[contact].start.radius_m):
+                self._followed[contact].start = replace(start, friction=self._followed[contact].start.friction)
+        if not contacts:
+            return {}, ()
+        starts = [self._followed[contact].start for contact in contacts]
+        fits = dict(zip(contacts, fit_partial_slip(self._model, signals, noise_std, starts), strict=True))
+        events = []
+        for contact, slip in fits.items():
+            followed = self._followed[contact]
+            events += [SlipEvent(event, contact, slip) for event in _announce(followed, slip)]
+            followed.start = ContactStart(
+                (float(slip.centre_m[0]), float(slip.centre_m[1])),
+                slip.radius_m,
+                slip.slip_margin,
+                _learn(followed.start.friction, slip),
+            )
+        return fits, tuple(events)
+
+
+def _learn(before: Friction | None, slip: PartialSlip) -> Friction | None:
+    """Friction after a frame; the fit has weighed what was known before."""
+    mu, std = slip.friction_coefficient, slip.friction_coefficient_std
+    if not std < (before.std if before else _LEARNED * mu):  # also where they are not known
+        return before
+    return Friction(mu, max(std, _LEARNED_FLOOR * mu))
+
+
+def _announce(followed: _Followed, slip: PartialSlip) -> list[Literal["incipient_slip", "gross_slip"]]:
+    margin = slip.slip_margin
+    if np.isnan(margin):
+        return []
+    if margin > REARM_MARGIN:
+        followed.announced.clear()
+    followed.low = followed.low + 1 if margin < INCIPIENT_MARGIN else 0
+    gone = margin < min(_SIGNIFICANCE * slip.slip_margin_std, _GROSS_MARGIN)
+    followed.none = followed.none + 1 if gone else 0
+    events: list[Literal["incipient_slip", "gross_slip"]] = []
+    if followed.low >= _IN_A_ROW and "incipient_slip" not in followed.announced:
+        events.append("incipient_slip")
+    if followed.none >= _IN_A_ROW and "gross_slip" not in followed.announced:
+        events.append("gross_slip")
+    followed.announced.update(events)
+    return events

@@ -1,0 +1,108 @@
+"""Spectral signals of discs against closed forms in space and against summed point loads."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model
+
+from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.elastic import HalfSpace
+from simulators.half_space_fields import hertz_fields
+
+Floats = NDArray[np.float64]
+
+
+def hertz(centre_m: Floats, radius_m: float, depth_m: float = DEPTH_M, nu: float = NU) -> Floats:
+    fields = hertz_fields(SITES_M - centre_m, depth_m, [radius_m], E, nu)[0]
+    return np.asarray(fields * TO_TRIPLE, np.float64)
+
+
+def flat_by_points(centre_m: Floats, radius_m: float) -> Floats:
+    """Point loads on rings at r = a sin(angle), where the flat punch's pressure is even in the angle."""
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    total = np.zeros((3, 3, len(SITES_M)))
+    for angle, weight in zip((nodes + 1.0) * np.pi / 4.0, weights * np.pi / 4.0, strict=True):
+        for turn in np.arange(40) * 2.0 * np.pi / 40.0:
+            place = centre_m + radius_m * np.sin(angle) * np.array([np.cos(turn), np.sin(turn)])
+            total += weight * np.sin(angle) / 40.0 * hertz(place, 0.0)
+    return total
+
+
+@pytest.fixture(scope="module")
+def discs() -> DiscModel:
+    return model()
+
+
+@pytest.mark.parametrize(
+    ("centre_mm", "radius_mm"),
+    [((0.0, 0.0), 0.0), ((0.0, 0.0), 2.5), ((0.2, -0.2), 1.13), ((5.0, -9.0), 3.3), ((1.0, 2.0), 0.35), ((0, 1), 5.9)],
+)
+def test_hertz_as_in_space(discs: DiscModel, centre_mm: tuple[float, float], radius_mm: float) -> None:
+    centre = 1e-3 * np.array(centre_mm)
+    expected = hertz(centre, 1e-3 * radius_mm)
+    found = discs.signals(centre, 1e-3 * radius_mm).value
+    for force in range(3):
+        assert np.linalg.norm(found[force] - expected[force]) < 1e-4 * np.linalg.norm(expected[force])
+
+
+def test_slopes_are_those_of_the_closed_form(discs: DiscModel) -> None:
+    centre, radius, step = np.array([3e-4, -7e-4]), 1.7e-3, 1e-7
+    along_x, along_y = step * np.eye(2)
+    found = discs.signals(centre, radius)
+    for slope, ahead, behind in (
+        (found.by_x, hertz(centre + along_x, radius), hertz(centre - along_x, radius)),
+        (found.by_y, hertz(centre + along_y, radius), hertz(centre - along_y, radius)),
+        (found.by_radius, hertz(centre, radius + step), hertz(centre, radius - step)),
+    ):
+        expected = (ahead - behind) / (2.0 * step)
+        for force in range(3):
+            assert np.linalg.norm(slope[force] - expected[force]) < 1e-3 * np.linalg.norm(expected[force])
+
+
+def test_a_site_below_the_centre_has_slopes() -> None:
+    below = DiscModel(HalfSpace(E, NU), [[0.0, 0.0]], DEPTH_M, 3e-3)
+    found = below.signals(np.zeros(2), 1e-3)
+    assert np.isfinite(found.by_x).all()
+    assert found.by_x[0, 0] != 0.0
+
+
+def test_mixed_depths_and_compressible() -> None:
+    depths = np.random.default_rng(0).choice([0.8e-3, 1.0e-3, 1.3e-3], len(SITES_M))
+    found = DiscModel(HalfSpace(E, 0.3), SITES_M, depths, 3e-3).signals(np.array([1e-3, 0.0]), 2e-3)
+    for depth in np.unique(depths):
+        at = depths == depth
+        expected = hertz(np.array([1e-3, 0.0]), 2e-3, depth, 0.3)[:, :, at]
+        assert np.abs(found.value[:, :, at] - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_flat_as_summed_point_loads() -> None:
+    flat = DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 3e-3, "flat")
+    centre = np.array([2e-4, -5e-4])
+    expected = flat_by_points(centre, 2e-3)
+    assert np.linalg.norm(flat.signals(centre, 2e-3).value - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize(
+    ("sites", "depth", "radius", "match"),
+    [
+        (np.zeros(3), 1e-3, 1e-3, "site_positions_m has shape"),
+        ([[0.0, np.nan]], 1e-3, 1e-3, "not finite"),
+        (np.zeros((2, 2)), [1e-3] * 3, 1e-3, "depth_m has shape"),
+        (np.zeros((2, 2)), 0.0, 1e-3, "depth_m spans"),
+        (np.zeros((2, 2)), 1e-3, np.nan, "radius_max_m spans"),
+    ],
+)
+def test_refuses(sites: object, depth: object, radius: float, match: str) -> None:
+    with pytest.raises(ValueError, match=match):
+        DiscModel(HalfSpace(E, NU), sites, depth, radius)  # type: ignore[arg-type]
+
+
+def test_refuses_unknown_profiles_and_places_off_the_table(discs: DiscModel) -> None:
+    with pytest.raises(ValueError, match="profile is 'round'"):
+        DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 1e-3, "round")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="radius_m is"):
+        discs.signals(np.zeros(2), 7e-3)
+    with pytest.raises(ValueError, match="outside the sites"):
+        discs.signals(np.array([0.1, 0.0]), 1e-3)
+    with pytest.raises(ValueError, match="outside the sites"):
+        discs.signals(np.array([np.nan, 0.0]), 1e-3)

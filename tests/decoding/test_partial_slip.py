@@ -1,0 +1,202 @@
+"""Stick radius and margin to slip from single frames, whose truth comes from closed forms in space."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from slip_scenes import DEPTH_M, NU, SITES_M, E, Scene, model, noise_std, noisy
+
+from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.partial_slip import PartialSlip, fit_partial_slip, partial_slip_signals, stick_ratio
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+
+SCENE = Scene((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)
+
+
+@pytest.fixture(scope="module")
+def discs() -> DiscModel:
+    return model()
+
+
+def about(scene: Scene, friction: Friction | None = None) -> ContactStart:
+    x, y = scene.centre_m
+    return ContactStart((x + 4e-4, y - 3e-4), 1.2 * scene.radius_m, friction=friction)
+
+
+def one(discs: DiscModel, signals: Floats, noise: float, scene: Scene, friction: Friction | None) -> PartialSlip:
+    return fit_partial_slip(discs, signals, noise, [about(scene, friction)])[0]
+
+
+def test_signals_as_in_space_and_slopes_as_differences(discs: DiscModel) -> None:
+    contact = np.array([*SCENE.centre_m, SCENE.radius_m, *SCENE.force_newton, SCENE.stick_ratio**3])
+    value, slopes = partial_slip_signals(discs, contact)
+    assert np.linalg.norm(value - SCENE.signals.ravel()) < 1e-4 * np.linalg.norm(value)
+    for index, slope in enumerate(slopes):
+        step = np.zeros(7)
+        step[index] = 1e-6 * contact[index]
+        ahead, behind = (partial_slip_signals(discs, contact + sign * step)[0] for sign in (1.0, -1.0))
+        expected = (ahead - behind) / (2.0 * step[index])
+        assert np.linalg.norm(slope - expected) < 1e-6 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("friction", [None, Friction(0.5), Friction(0.5, 0.02)])
+@pytest.mark.parametrize("ratio", [0.02, 0.3, 0.6, 0.9])
+def test_recovers_a_frame_without_noise(discs: DiscModel, friction: Friction | None, ratio: float) -> None:
+    scene = replace(SCENE, stick_ratio=ratio)
+    found = one(discs, scene.signals, noise_std(scene.signals, 60.0), scene, friction)
+    assert (found.status, found.reason) == ("ok", "")
+    np.testing.assert_allclose(found.centre_m, scene.centre_m, atol=1e-6)
+    np.testing.assert_allclose(found.radius_m, scene.radius_m, rtol=1e-3)
+    np.testing.assert_allclose(found.force_newton, scene.force_newton, atol=1e-3)
+    np.testing.assert_allclose(found.slip_margin, ratio**3, atol=3e-3)
+    np.testing.assert_allclose(found.friction_coefficient, 0.5, rtol=1e-2)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.6, 0.8])
+def test_without_noise_the_best_is_the_truth(discs: DiscModel, ratio: float) -> None:
+    scene = replace(SCENE, stick_ratio=ratio)
+    found = one(discs, scene.signals, noise_std(scene.signals, 40.0), scene, None)
+    truth = np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, ratio**3])
+    estimate = np.array([*found.centre_m, found.radius_m, *found.force_newton, found.slip_margin])
+    assert np.abs((estimate - truth) / np.sqrt(np.diag(found.covariance))).max() < 0.2
+
+
+@pytest.mark.parametrize(
+    ("friction", "decibel", "limit"),
+    [(Friction(0.5), 11.0, 0.03), (Friction(0.5), 30.0, 0.005), (None, 20.0, 0.025)],
+)
+def test_noisy_frames_with_honest_errors(
+    discs: DiscModel, friction: Friction | None, decibel: float, limit: float
+) -> None:
+    rng = np.random.default_rng(1)
+    ratios, scores, radii = [], [], []
+    for _ in range(24):
+        scene = Scene.random(rng)
+        found = one(discs, noisy(scene.signals, decibel, rng), noise_std(scene.signals, decibel), scene, friction)
+        ratios.append(found.stick_ratio - scene.stick_ratio)
+        radii.append(found.radius_m / scene.radius_m - 1.0)
+        truth = np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, scene.stick_ratio**3])
+        estimate = np.array([*found.centre_m, found.radius_m, *found.force_newton, found.slip_margin])
+        scores.append((estimate - truth) / np.sqrt(np.diag(found.covariance)))
+    assert np.sqrt(np.mean(np.square(ratios))) <= limit
+    assert np.sqrt(np.mean(np.square(radii))) <= 0.01
+    rms = np.sqrt(np.mean(np.square(scores), axis=0))
+    assert ((rms > 0.6) & (rms < 1.5)).all()
+
+
+def test_wrong_depth_and_modulus(discs: DiscModel) -> None:
+    rng = np.random.default_rng(2)
+    wrong = model(1.05 * E, 1.05 * DEPTH_M)
+    ratios: dict[Friction | None, list[float]] = {None: [], Friction(0.5, 0.025): []}
+    for _ in range(20):
+        scene = Scene.random(rng)
+        signals = noisy(scene.signals, 20.0, rng) * np.array([[1.0 / 1.05], [1.0], [1.0]])
+        for friction, errors in ratios.items():
+            found = one(wrong, signals, noise_std(scene.signals, 20.0), scene, friction)
+            errors.append(found.stick_ratio - scene.stick_ratio)
+    for errors in ratios.values():
+        assert np.sqrt(np.mean(np.square(errors))) <= 0.05
+
+
+def test_two_contacts_in_each_others_field(discs: DiscModel) -> None:
+    left, right = Scene((-3e-3, 1e-3), 1.8e-3, 0.4, 0.3), Scene((2.5e-3, -1e-3), 2.1e-3, 0.7, 2.0, normal_newton=0.6)
+    signals = left.signals + right.signals
+    noise = noise_std(signals, 30.0)
+    frame = noisy(signals, 30.0, np.random.default_rng(3))
+    for friction in (None, Friction(0.5)):
+        found = fit_partial_slip(discs, frame, noise, [about(left, friction), about(right)])
+        for scene, contact in zip((left, right), found, strict=True):
+            assert abs(contact.slip_margin - scene.stick_ratio**3) < 4.0 * contact.slip_margin_std < 0.3
+            np.testing.assert_allclose(contact.force_newton, scene.force_newton, atol=0.01)
+
+
+def test_gross_slip_beyond_the_friction_given_is_seen(discs: DiscModel) -> None:
+    scene = replace(SCENE, stick_ratio=0.0, mu=0.3)
+    found = one(discs, scene.signals, noise_std(scene.signals, 30.0), scene, Friction(0.5, 0.05))
+    assert found.slip_margin < 0.02
+    assert found.friction_coefficient == pytest.approx(0.3, rel=0.02)
+
+
+def test_lost_signals_drop_out(discs: DiscModel) -> None:
+    rng = np.random.default_rng(4)
+    frame = noisy(SCENE.signals, 30.0, rng)
+    frame[:, rng.permutation(frame.shape[1])[:500]] = np.nan
+    found = one(discs, frame, noise_std(SCENE.signals, 30.0), SCENE, Friction(0.5))
+    assert abs(found.stick_ratio - SCENE.stick_ratio) < 0.02
+
+
+@pytest.mark.parametrize("decibel", [11.0, 20.0, 30.0])
+def test_without_shear_the_margin_is_unknown_and_the_pose_is_not(discs: DiscModel, decibel: float) -> None:
+    scene = replace(SCENE, stick_ratio=1.0)
+    rng = np.random.default_rng(5)
+    for _ in range(6):
+        found = one(discs, noisy(scene.signals, decibel, rng), noise_std(scene.signals, decibel), scene, None)
+        assert found.status == "unknown"
+        assert "slips too little" in found.reason
+        assert np.isnan([found.slip_margin, found.stick_ratio, found.friction_coefficient]).all()
+        assert found.radius_m == pytest.approx(scene.radius_m, rel=0.03)
+
+
+def test_with_friction_known_no_shear_is_full_margin(discs: DiscModel) -> None:
+    scene = replace(SCENE, stick_ratio=1.0)
+    found = one(
+        discs,
+        noisy(scene.signals, 20.0, np.random.default_rng(6)),
+        noise_std(scene.signals, 20.0),
+        scene,
+        Friction(0.5),
+    )
+    assert found.slip_margin > 0.97
+
+
+def test_another_shape_is_unknown(discs: DiscModel) -> None:
+    flat = DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 3e-3, "flat").signals(np.zeros(2), 2.5e-3).value
+    signals = flat[2] + 0.2 * flat[0]
+    found = fit_partial_slip(discs, signals, noise_std(signals, 30.0), [ContactStart((2e-4, 0.0), 2e-3)])[0]
+    assert found.status == "unknown"
+    assert "energy fits no such contact" in found.reason
+    assert np.isnan([*found.force_newton, found.radius_m, found.slip_margin]).all()
+
+
+def test_noise_alone_is_unknown(discs: DiscModel) -> None:
+    frame = np.random.default_rng(7).standard_normal((3, len(SITES_M)))
+    found = fit_partial_slip(discs, frame, 1.0, [ContactStart((0.0, 0.0), 2e-3)])[0]
+    assert found.status == "unknown"
+    assert np.isnan(found.force_newton).all()
+
+
+@pytest.mark.parametrize("factor", [np.nan, 1e6])
+def test_a_frame_out_of_all_bounds_is_unknown(discs: DiscModel, factor: float) -> None:
+    found = fit_partial_slip(discs, factor * (SCENE.signals + 1e-4), 1e-4, [about(SCENE)])[0]
+    assert found.status == "unknown"
+    assert "needs 1536" in found.reason
+    assert np.isnan(found.force_newton).all()
+
+
+def test_stick_ratio_near_gross_slip_has_a_wide_error() -> None:
+    assert stick_ratio(0.125, 0.0) == (0.5, 0.0)
+    ratio, std = stick_ratio(0.0, 0.008)
+    assert ratio == 0.0
+    assert std == pytest.approx(0.1)
+
+
+def test_refuses(discs: DiscModel) -> None:
+    frame = SCENE.signals
+    with pytest.raises(ValueError, match="signals have shape"):
+        fit_partial_slip(discs, frame[:2], 1.0, [about(SCENE)])
+    with pytest.raises(ValueError, match="starts is empty"):
+        fit_partial_slip(discs, frame, 1.0, [])
+    with pytest.raises(ValueError, match="noise_std reaches"):
+        fit_partial_slip(discs, frame, 0.0, [about(SCENE)])
+    with pytest.raises(ValueError, match="2 sites make 6 signals"):
+        fit_partial_slip(DiscModel(HalfSpace(E, NU), SITES_M[:2], DEPTH_M, 3e-3), frame[:, :2], 1.0, [about(SCENE)])
+    with pytest.raises(ValueError, match="must be finite"):
+        fit_partial_slip(discs, frame, 1.0, [ContactStart((np.nan, 0.0), 1e-3)])
+    with pytest.raises(ValueError, match="friction coefficient is 0"):
+        Friction(0.0)
+    with pytest.raises(ValueError, match="standard deviation of the friction is -1"):
+        Friction(0.5, -1.0)

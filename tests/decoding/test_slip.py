@@ -1,0 +1,132 @@
+"""Slip over time: announced before it is gross, never under a safe load, friction learned on the way."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model, noise_std
+
+from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.slip import SlipEvent, SlipWatch, margin_from_forces
+from simulators.contact import PressedSpot
+
+Floats = NDArray[np.float64]
+
+CENTRE_M, RADIUS_M, MU = (-6e-4, 9e-4), 2.4e-3, 0.6
+START = ContactStart((-3e-4, 7e-4), 2.1e-3)
+
+
+@pytest.fixture(scope="module")
+def discs() -> DiscModel:
+    return model()
+
+
+@pytest.fixture(scope="module")
+def spot() -> PressedSpot:
+    return PressedSpot(SITES_M, DEPTH_M, E, NU, CENTRE_M, RADIUS_M, MU, 1.01)
+
+
+def sheared(share: Floats) -> Floats:
+    """Forces (t, 3) at shares of the largest shear that friction bears."""
+    along = np.array([0.6, 0.8])
+    return np.column_stack([MU * share[:, None] * along, np.ones_like(share)])
+
+
+def follow(
+    watch: SlipWatch, spot: PressedSpot, share: Floats, seed: int
+) -> tuple[list[tuple[int, SlipEvent]], Floats, Floats]:
+    """Events with the index of their frame; margins and their standard deviations."""
+    rng = np.random.default_rng(seed)
+    frames = spot.signals(sheared(share)) * TO_TRIPLE
+    noise = noise_std(frames[0], 20.0)
+    events, margins = [], []
+    for index, frame in enumerate(frames):
+        fits, news = watch.update(frame + noise * rng.standard_normal(frame.shape), noise, {4: START})
+        events += [(index, event) for event in news]
+        margins.append((fits[4].slip_margin, fits[4].slip_margin_std))
+    return events, *np.array(margins).T
+
+
+@pytest.mark.parametrize("friction", [None, Friction(MU, 0.05)])
+@pytest.mark.parametrize("frames", [40, 110])
+def test_ramp_to_gross_slip(discs: DiscModel, spot: PressedSpot, friction: Friction | None, frames: int) -> None:
+    share = np.linspace(0.0, 1.2, frames)
+    events, margins, std = follow(SlipWatch(discs, friction), spot, share, frames)
+    assert [event.event for _, event in events] == ["incipient_slip", "gross_slip"]
+    assert [event.contact for _, event in events] == [4, 4]
+    gross = int(np.argmax(share >= 1.0))
+    (incipient, _), (slipping, last) = events
+    assert share[incipient] > 0.65
+    assert incipient < gross
+    assert abs(slipping - gross) <= 0.1 * frames
+    assert last.slip.friction_coefficient == pytest.approx(MU, rel=0.05)
+    known = np.isfinite(margins)
+    assert known[share > 0.4].all()
+    scores = (margins - np.maximum(1.0 - share, 0.0))[known] / std[known]
+    assert 0.4 < np.sqrt(np.mean(scores**2)) < 1.7
+    assert known.all() == (friction is not None)
+
+
+def test_what_was_learned_serves_where_slip_no_longer_shows(discs: DiscModel, spot: PressedSpot) -> None:
+    share = np.concatenate([np.linspace(0.3, 0.8, 12), np.full(6, 0.02)])
+    _, margins, std = follow(SlipWatch(discs), spot, share, 10)
+    np.testing.assert_allclose(margins[-6:], 0.98, atol=0.03)
+    assert (std[-6:] < 0.03).all()
+
+
+def test_a_wrong_coefficient_is_unlearned(discs: DiscModel, spot: PressedSpot) -> None:
+    events, margins, _ = follow(SlipWatch(discs, Friction(0.8 * MU, 0.1)), spot, np.full(12, 0.6), 11)
+    assert events == []
+    np.testing.assert_allclose(margins[-4:], 0.4, atol=0.06)
+
+
+def test_safe_load_stays_silent(discs: DiscModel, spot: PressedSpot) -> None:
+    share = np.concatenate([np.linspace(0.0, 0.5, 40), 0.5 - 0.1 * np.sin(np.linspace(0.0, 6.0, 20)) ** 2])
+    events, margins, _ = follow(SlipWatch(discs), spot, share, 3)
+    assert events == []
+    assert np.isfinite(margins[-10:]).all()
+
+
+def test_announces_again_after_recovery(discs: DiscModel, spot: PressedSpot) -> None:
+    down, up = np.full(6, 0.85), np.full(6, 0.4)
+    events, *_ = follow(SlipWatch(discs, Friction(MU, 0.03)), spot, np.concatenate([up, down, down, up, down]), 4)
+    assert [(index, event.event) for index, event in events] == [(7, "incipient_slip"), (25, "incipient_slip")]
+
+
+def test_a_contact_that_is_gone_is_forgotten(discs: DiscModel, spot: PressedSpot) -> None:
+    watch = SlipWatch(discs)
+    follow(watch, spot, np.linspace(0.3, 0.9, 12), 5)
+    assert watch.update(np.zeros((3, len(SITES_M))), 1e-6, {}) == ({}, ())
+    _, margins, _ = follow(watch, spot, np.zeros(3), 6)
+    assert np.isnan(margins).all()
+
+
+def test_an_unknown_frame_does_not_end_it(discs: DiscModel, spot: PressedSpot) -> None:
+    watch = SlipWatch(discs, Friction(MU, 0.03))
+    follow(watch, spot, np.full(3, 0.5), 7)
+    fits, events = watch.update(np.random.default_rng(0).standard_normal((3, len(SITES_M))), 1.0, {4: START})
+    assert fits[4].status == "unknown"
+    assert events == ()
+    _, margins, _ = follow(watch, spot, np.full(3, 0.5), 8)
+    np.testing.assert_allclose(margins, 0.5, atol=0.1)
+
+
+def test_margin_from_forces_scatters_as_it_says() -> None:
+    rng = np.random.default_rng(9)
+    force, std, mu = np.array([0.1, -0.2, 1.0]), np.array([0.005, 0.01, 0.02]), Friction(0.5, 0.02)
+    forces = force + std * rng.standard_normal((20000, 3))
+    coefficients = mu.coefficient + mu.std * rng.standard_normal(20000)
+    margins = 1.0 - np.hypot(forces[:, 0], forces[:, 1]) / (coefficients * forces[:, 2])
+    found = margin_from_forces(force, std, mu)
+    assert found.slip_margin == pytest.approx(margins.mean(), abs=5e-3)
+    assert found.slip_margin_std == pytest.approx(margins.std(), rel=0.05)
+    assert found.stick_ratio == pytest.approx(np.cbrt(margins).mean(), abs=5e-3)
+    assert found.stick_ratio_std == pytest.approx(np.cbrt(margins).std(), rel=0.05)
+
+
+def test_margin_from_forces_without_pressure_or_shear() -> None:
+    assert np.isnan(margin_from_forces([0.1, 0.0, 0.01], [0.01] * 3, Friction(0.5))).all()
+    found = margin_from_forces([0.0, 0.0, 1.0], [0.01] * 3, Friction(0.5))
+    assert found.slip_margin == found.stick_ratio == 1.0
+    with pytest.raises(ValueError, match="have shapes"):
+        margin_from_forces([1.0, 0.0], [0.1] * 3, Friction(0.5))
