@@ -15,7 +15,8 @@ class Decoded:
     """One decoded frame, or a stack of them: leading axes of the signals are leading axes here.
 
     Components are x, y, z; a traction is what the object exerts: f_z > 0 presses; u_z > 0 is indentation.
-    Where `status` is not "ok" the numbers of the surface are NaN and `reason` says why.
+    Where `status` is neither "ok" nor "constraint_dropped" the numbers of the surface are NaN and `reason` says why.
+    "constraint_dropped": contact physics did not fit the signals, and `reason` says what is shown in its place.
     """
 
     traction_pascal: Floats  # (..., 3, ny, nx) or (..., 3, m)

@@ -52,6 +52,8 @@ class OpenPlaneDecoder:
         Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame. It
         holds at the declared noise; noise beyond that raises both in proportion.
 
+    Attributes bear the names of these parameters, broadcast: `depths_m` (n,), `noise_std` (3, n).
+
     Raises
     ------
     ValueError
@@ -87,6 +89,14 @@ class OpenPlaneDecoder:
         if not 0.0 <= gain_std < 1.0:
             raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
         refuse_duplicates(sites, depths)
+        self.half_space = half_space
+        self.site_positions_m = sites
+        self.depths_m = depths
+        self.noise_std = noise
+        self.gain_std = gain_std
+        self.query_positions_m = places
+        self.correlation_length_m = correlation_length_m
+        self.tangential_ratio = tangential_ratio
 
         unit_pascal = 2.0 * half_space.shear_modulus_pascal * float(np.sqrt(np.mean(noise**2)))
         scales = _SCALES**2 if prior_std_pascal is None else np.array([(prior_std_pascal / unit_pascal) ** 2])

@@ -1,0 +1,100 @@
+"""Square pixels that may carry load: they cover the sites and a margin, so that load beside them is allowed."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.spatial import Delaunay, QhullError
+
+from resonator_daemon.decoding.layout import as_grid
+
+Floats = NDArray[np.float64]
+Interpolation = csr_array[np.float32, tuple[int, int]]
+
+_PITCH_DEPTHS = 0.4  # finer pixels than this cannot be told apart at depth
+_GRID_DEPTHS = (0.25, 0.5)  # pitches of a site grid that serve as they are
+_MARGIN_DEPTHS = 3.2
+_NEGLIGIBLE = 1e-6  # weight of an interpolation
+
+
+@dataclass(frozen=True)
+class PixelLattice:
+    """Square pixels in rows along y; centres lie at origin_m + pitch_m (column, row)."""
+
+    origin_m: tuple[float, float]
+    pitch_m: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, positions_m: Floats, depth_m: float) -> "PixelLattice":
+        """Pixels over sites (n, 2) and 3.2 depths beyond; centred on the sites where those form a grid fine enough."""
+        pitch_m = _PITCH_DEPTHS * depth_m
+        grid = as_grid(positions_m)
+        if (
+            grid
+            and np.isclose(grid.pitch_x_m, grid.pitch_y_m)
+            and _GRID_DEPTHS[0] * depth_m <= grid.pitch_x_m <= _GRID_DEPTHS[1] * depth_m
+        ):
+            pitch_m = grid.pitch_x_m
+        low_m, high_m = positions_m.min(axis=0), positions_m.max(axis=0)
+        margin = int(np.ceil(_MARGIN_DEPTHS * depth_m / pitch_m - _NEGLIGIBLE))
+        counts = np.ceil((high_m - low_m) / pitch_m - _NEGLIGIBLE).astype(int)
+        origin_m = (low_m + high_m - counts * pitch_m) / 2.0 - margin * pitch_m
+        nx, ny = (int(count) + 1 + 2 * margin for count in counts)
+        return cls((float(origin_m[0]), float(origin_m[1])), float(pitch_m), (ny, nx))
+
+    @property
+    def centres_m(self) -> Floats:
+        """Row by row, (ny nx, 2)."""
+        ny, nx = self.shape
+        y, x = np.divmod(np.arange(ny * nx), nx)
+        return np.asarray(self.origin_m + self.pitch_m * np.column_stack([x, y]), np.float64)
+
+    def nearest(self, positions_m: Floats) -> NDArray[np.intp]:
+        """Flat index of the pixel nearest to each place, (m,)."""
+        ny, nx = self.shape
+        x, y = np.rint((positions_m - self.origin_m) / self.pitch_m).astype(np.intp).T
+        return np.asarray(np.clip(y, 0, ny - 1) * nx + np.clip(x, 0, nx - 1), np.intp)
+
+    def to_places(self, positions_m: Floats) -> Interpolation:
+        """Bilinear interpolation from pixels to places, (m, ny nx); 0 beyond the outermost centres."""
+        ny, nx = self.shape
+        place = (positions_m - self.origin_m) / self.pitch_m
+        corner = np.floor(place + _NEGLIGIBLE).astype(int)
+        share = np.clip(place - corner, 0.0, 1.0)
+        rows, columns, weights = [], [], []
+        for dx in (0, 1):
+            for dy in (0, 1):
+                x, y = corner[:, 0] + dx, corner[:, 1] + dy
+                weight = np.abs(1 - dx - share[:, 0]) * np.abs(1 - dy - share[:, 1])
+                kept = np.flatnonzero((weight > _NEGLIGIBLE) & (x >= 0) & (x < nx) & (y >= 0) & (y < ny))
+                rows.append(kept)
+                columns.append(y[kept] * nx + x[kept])
+                weights.append(weight[kept])
+        return _sparse(rows, columns, weights, (len(positions_m), ny * nx))
+
+    def from_places(self, positions_m: Floats) -> Interpolation:
+        """Linear interpolation from places (m, 2) to pixels, (ny nx, m); rows outside their hull are empty."""
+        scaled = positions_m / self.pitch_m
+        try:
+            triangles = Delaunay(scaled)
+        except QhullError:
+            raise ValueError("all places lie on a line, must span an area for a map of pressure") from None
+        centres = self.centres_m / self.pitch_m
+        inside = triangles.find_simplex(centres, tol=_NEGLIGIBLE)
+        pixels = np.flatnonzero(inside >= 0)
+        transform = triangles.transform[inside[pixels]]
+        two = np.einsum("nij,nj->ni", transform[:, :2], centres[pixels] - transform[:, 2])
+        weights = np.column_stack([two, 1.0 - two.sum(axis=1)])
+        kept = weights > _NEGLIGIBLE
+        rows = np.repeat(pixels, 3).reshape(-1, 3)[kept]
+        columns = triangles.simplices[inside[pixels]][kept].astype(np.intp)
+        return _sparse([rows], [columns], [weights[kept]], (len(centres), len(positions_m)))
+
+
+def _sparse(
+    rows: list[NDArray[np.intp]], columns: list[NDArray[np.intp]], weights: list[Floats], shape: tuple[int, int]
+) -> Interpolation:
+    values = np.concatenate(weights).astype(np.float32)
+    return csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape)

@@ -1,0 +1,52 @@
+"""Where a contact is: from the linear map of the pressure to the pixels that may carry load."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Floats = NDArray[np.float64] | NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_THRESHOLD = 0.15  # of the largest pressure: what belongs to a contact
+BLOB_PEAK = 0.25  # of the largest pressure: what a blob must reach to count as one
+_BLOB_PIXELS = 2
+
+_EIGHT = np.ones((3, 3), np.bool_)
+
+
+def raw_support(pressure: Floats) -> Mask:
+    """Pixels above the threshold, (ny, nx), and their neighbours: quick, with every blob of noise."""
+    return dilated(pressure > _THRESHOLD * pressure.max())
+
+
+def load_support(pressure: Floats) -> Mask:
+    """Pixels (ny, nx) that carry load: above the threshold, in blobs that are no noise, and their neighbours."""
+    above = pressure > _THRESHOLD * pressure.max()
+    labels, count = ndimage.label(above, _EIGHT)
+    index = np.arange(1, count + 1)
+    peaks = np.atleast_1d(ndimage.maximum(pressure, labels, index))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    kept = np.flatnonzero((peaks >= BLOB_PEAK * pressure.max()) & (sizes >= _BLOB_PIXELS)) + 1
+    return dilated(np.isin(labels, kept))
+
+
+def dilated(mask: Mask, times: int = 1) -> Mask:
+    """With its eight neighbours, `times` over."""
+    for _ in range(times):
+        wide = mask.copy()
+        wide[:, 1:] |= mask[:, :-1]
+        wide[:, :-1] |= mask[:, 1:]
+        mask = wide.copy()
+        mask[1:] |= wide[:-1]
+        mask[:-1] |= wide[1:]
+    return mask
+
+
+def count_blobs(mask: Mask) -> int:
+    return int(ndimage.label(mask, _EIGHT)[1])
+
+
+def connected(mask: Mask, seed: Mask) -> Mask:
+    """Those blobs of a mask that a seed touches."""
+    labels, _ = ndimage.label(mask, _EIGHT)
+    return np.isin(labels, np.unique(labels[seed & mask]))

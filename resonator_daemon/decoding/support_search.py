@@ -1,0 +1,244 @@
+"""From a frame and its linear map to the inverse problem on a support."""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.layout import as_grid
+from resonator_daemon.decoding.pixels import PixelLattice
+from resonator_daemon.decoding.signal_rows import LostRows, SignalRows
+from resonator_daemon.decoding.site_kernel import site_kernel
+from resonator_daemon.decoding.support import count_blobs, dilated, load_support
+from resonator_daemon.decoding.support_problem import SupportProblem
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+_SIGNAL_LIMIT = 10.0  # as the linear decoder's: beyond it a signal is lost
+_GAIN_FLOOR = 1.5  # as the linear decoder's
+_PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
+_PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
+_LEEWAY = 2  # pixels by which the solved support exceeds the one found
+_REACH = 8  # pixels beyond the linear map in which a contact at its border is looked for
+_MISSED_REACH = 6  # pixels around the place of a missed load that may carry it
+_LIGHT = 0.2  # of such a load's peak: what belongs to it
+_CHI2_SIGMAS = 4.0
+_MODEL_ERROR = 0.19  # of the signals, by a traction that is even over each pixel, times pixels in a contact ...
+_MODEL_EXPONENT = -0.75  # ... to this power
+_NOTICED = 6.0  # standard deviations by which a pressure that was missed shows
+_CLOSE = 0.6  # of its peak: where it may be
+_DRIFT = 1.3  # factor by which the prior's standard deviation over the noise's may change
+
+
+class LinearDecoder(Protocol):
+    """What contact physics needs of the decoder below it: the frame's linear map, and what that was built from."""
+
+    @property
+    def half_space(self) -> HalfSpace: ...
+    @property
+    def site_positions_m(self) -> Floats: ...  # (n, 2)
+    @property
+    def depths_m(self) -> Floats: ...  # (n,)
+    @property
+    def noise_std(self) -> Floats: ...  # (3, n)
+    @property
+    def gain_std(self) -> float: ...
+    @property
+    def query_positions_m(self) -> Floats: ...  # (m, 2)
+    @property
+    def correlation_length_m(self) -> float: ...
+    @property
+    def tangential_ratio(self) -> float: ...
+
+    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded: ...
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame's signals and its linear map."""
+
+    rows: Singles  # of the whitened signals
+    known: Mask | None  # (3 n,), None where all are
+    pressure: Singles  # of the linear map on the pixels, (ny, nx); 0 where it does not reach
+    noise_floor: float  # noise variance that is reckoned with, over the declared one
+    excess: float  # of the linear map's residual over that, at least 1
+    snr: float  # of amplitudes
+    chi2_limit: float  # what a load of the right support and bounds leaves of the rows, at most
+    row_share: float  # of rows in signals
+
+    @property
+    def noise_std(self) -> float:
+        """Of the rows' noise and of what the linear map's residual adds to it."""
+        return math.sqrt(self.noise_floor * self.excess)
+
+
+@dataclass(frozen=True)
+class Located:
+    """A support and the inverse problem on it and some pixels around."""
+
+    found: Mask  # all masks (ny, nx)
+    lasting: Mask  # part of it that the linear map cannot show
+    nearby: Mask  # where the support may move before new matrices are due
+    solved: Mask  # pixels of the problem
+    problem: SupportProblem
+    std_pascal: Singles  # of the problem's pixels, (3, n)
+    level: float  # prior standard deviation that the linear map gives, over the noise's
+    model_error: float  # of the pixels, over the signals
+
+    def model_chi2(self, frame: Frame) -> float:
+        """Mean square residual that the pixels' error adds."""
+        return (self.model_error * frame.snr) ** 2 / frame.row_share
+
+    def allowed(self, support: Mask) -> Mask:
+        """Pixels that may carry load in a frame with this support."""
+        return (support | self.lasting) & self.solved
+
+
+class SupportSearch:
+    """Builds the problems of one skin.
+
+    Parameters
+    ----------
+    linear
+    lattice
+        Pixels that may carry load.
+    """
+
+    def __init__(self, linear: LinearDecoder, lattice: PixelLattice) -> None:
+        sites, places = linear.site_positions_m, linear.query_positions_m
+        noise_std = np.broadcast_to(linear.noise_std, (3, len(sites)))
+        kernel = site_kernel(linear.half_space, sites, linear.depths_m, lattice)
+        kernel /= noise_std.astype(np.float32)
+        grid = as_grid(sites)
+        self._rows = SignalRows(kernel, grid.shape if grid else None)
+        self._whiten = (1.0 / noise_std).ravel().astype(np.float32)
+        self._gain_floor = (_GAIN_FLOOR * linear.gain_std) ** 2
+        self._correlation_length_m = linear.correlation_length_m
+        self._tangential_ratio = linear.tangential_ratio
+        self._lattice = lattice
+        self._centres_m = lattice.centres_m
+        self._from_places = lattice.from_places(places)
+        self._unmapped = (np.diff(self._from_places.indptr) == 0).reshape(lattice.shape)
+        self._edge = dilated(self._unmapped) & ~self._unmapped
+        self._pressure_power = np.einsum("pr,pr->p", self._rows.kernel[2], self._rows.kernel[2])
+        self._lost: tuple[bytes, LostRows] | None = None
+
+    def frame(self, signals: Floats, linear: Decoded) -> Frame:
+        """Of signals that the linear decoder decoded."""
+        flat = signals.reshape(-1)
+        whitened = flat.astype(np.float32) * self._whiten
+        sound = np.abs(flat) <= _SIGNAL_LIMIT  # False for NaN
+        known, lost = None, None
+        if not sound.all():
+            known, lost = sound, self._lost_rows(sound)
+            whitened[~sound] = 0.0
+        power = float(whitened @ whitened) / np.count_nonzero(sound)
+        floor = 1.0 + self._gain_floor * power
+        rows = self._rows.project(whitened)
+        pressure = self._from_places @ linear.traction_pascal[2].ravel().astype(np.float32)
+        excess, snr = max(float(linear.chi2), 1.0), max(power / floor - 1.0, 0.0) ** 0.5
+        return Frame(
+            rows if lost is None else lost.signals(rows),
+            known,
+            pressure.reshape(self._lattice.shape),
+            floor,
+            excess,
+            snr,
+            excess * (1.0 + _CHI2_SIGMAS * (2.0 / rows.size) ** 0.5),
+            rows.size / flat.size,
+        )
+
+    def locate(self, frame: Frame, missed: Mask) -> Located:
+        """Find the pixels that carry load, and build the problem on them.
+
+        Beyond the linear map's reach, and around pixels where load was missed, they are read off the least-squares
+        traction on all pixels there.
+        """
+        seen = load_support(frame.pressure)
+        around = dilated(missed, _MISSED_REACH) & ~dilated(seen)
+        wide = seen | around
+        if (seen & self._edge).any():
+            wide |= dilated(seen, _REACH) & self._unmapped
+        found, grown = seen, np.zeros_like(seen)
+        level = std_pascal = self._prior_std_pascal(frame, seen)
+        if (wide & ~seen).any():
+            pressure = self._free_pressure(frame, wide, level)
+            found = load_support(pressure)
+            if not around.any():
+                std_pascal = _prior_std_pascal(pressure[found], frame.snr)
+            if around.any():
+                light = np.where(around, pressure, 0.0)
+                grown = dilated(light > _LIGHT * light.max())
+                found |= grown | seen
+        solved = dilated(found, _LEEWAY)
+        problem = self._problem(frame, solved, std_pascal)
+        model_error = _MODEL_ERROR * (np.count_nonzero(found) / count_blobs(found)) ** _MODEL_EXPONENT
+        lasting = found & self._unmapped | grown
+        return Located(
+            found, lasting, dilated(found | seen), solved, problem, problem.std(), level / frame.noise_std, model_error
+        )
+
+    def _free_pressure(self, frame: Frame, wide: Mask, std_pascal: float) -> Singles:
+        """Least-squares f_z of a frame on many pixels, (ny, nx)."""
+        problem = self._problem(frame, wide, std_pascal)
+        count = problem.pixels.size
+        start = np.zeros((3, count), np.float32)
+        load = problem.linear(problem.right_side(frame.rows), np.ones(count, np.bool_), start)
+        pressure = np.zeros(wide.size, np.float32)
+        pressure[problem.pixels] = load[2]
+        return pressure.reshape(wide.shape)
+
+    def missed_load(self, frame: Frame, problem: SupportProblem, traction: Singles) -> Mask:
+        """Pixels (ny, nx) whose pressure would best explain what a traction leaves of a frame's signals."""
+        left = frame.rows - problem.predicted(traction)
+        if problem.lost is not None:
+            left = problem.lost.back(left)
+        pressure = self._rows.kernel[2]
+        score = (pressure @ left) / np.sqrt(self._pressure_power)
+        score /= np.float32(frame.noise_std)
+        best = float(score.max())
+        if best < _NOTICED:
+            return np.zeros(self._lattice.shape, np.bool_)
+        return dilated((score > _CLOSE * best).reshape(self._lattice.shape))
+
+    def on_pixels(self, linear: Decoded) -> Singles:
+        """Linear map of the traction on the pixels, (3, pixels)."""
+        places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
+        return np.asarray((self._from_places @ places.T).T, np.float32)
+
+    def fits(self, located: Located, frame: Frame, support: Mask) -> bool:
+        """Whether a problem's prior, noise and lost signals are those of a frame, too."""
+        ratio = self._prior_std_pascal(frame, support) / frame.noise_std / located.level
+        lost = None if frame.known is None else self._lost_rows(frame.known)
+        return 1.0 / _DRIFT < ratio < _DRIFT and located.problem.lost is lost
+
+    def _prior_std_pascal(self, frame: Frame, support: Mask) -> float:
+        return _prior_std_pascal(frame.pressure[support & ~self._unmapped], frame.snr)
+
+    def _problem(self, frame: Frame, support: Mask, std_pascal: float) -> SupportProblem:
+        return SupportProblem(
+            self._rows.kernel,
+            self._centres_m,
+            support.ravel(),
+            std_pascal,
+            frame.noise_std,
+            self._correlation_length_m,
+            self._tangential_ratio,
+            None if frame.known is None else self._lost_rows(frame.known),
+        )
+
+    def _lost_rows(self, known: Mask) -> LostRows:
+        key = known.tobytes()
+        if self._lost is None or self._lost[0] != key:
+            self._lost = key, self._rows.whitener(known)
+        return self._lost[1]
+
+
+def _prior_std_pascal(pressure: Singles, snr: float) -> float:
+    return math.sqrt(_PRIOR_VARIANCE / (1.0 + snr / _PRIOR_SNR) * float(np.mean(pressure**2)))

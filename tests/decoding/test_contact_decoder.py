@@ -1,0 +1,343 @@
+"""Tests of the decoder with contact physics: closed-form contacts on skin32's grid and on irregular sites."""
+
+import numpy as np
+import pytest
+from sheared_contact import DEPTH_M, PITCH_M, YOUNGS_PASCAL, grid_positions, noise_std, scene
+
+from resonator_daemon.decoding.contact import ContactDecoder
+from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.elastic import HalfSpace
+from simulators.half_space_fields import hertz_fields
+
+SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
+NOISE_STD = noise_std(30)  # of the fixtures' decoders; scenes are scaled to reach other ratios
+
+
+@pytest.fixture(scope="module")
+def linear():
+    return OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD)
+
+
+@pytest.fixture(scope="module")
+def told(linear):
+    return ContactDecoder(linear, 0.5)
+
+
+@pytest.fixture(scope="module")
+def untold(linear):
+    return ContactDecoder(linear)
+
+
+def frame_of(contact, decibel, seed=0):
+    """Signals (3, 32, 32) and traction for the fixtures' noise at a ratio over the contact's own signals."""
+    scale = NOISE_STD / np.sqrt(np.mean(contact.signals**2)) * 10 ** (decibel / 20)
+    noise = NOISE_STD * np.random.default_rng(seed).standard_normal(contact.signals.shape)
+    return (contact.signals * scale + noise).reshape(3, 32, 32), (contact.traction * scale).reshape(3, 32, 32)
+
+
+def error(found, truth):
+    return float(np.linalg.norm(found - truth) / np.linalg.norm(truth))
+
+
+def mean_error(decoder, contact, decibel):
+    errors = []
+    for seed in range(4):
+        signals, truth = frame_of(contact, decibel, seed)
+        decoder.reset()
+        decoded = decoder.decode(signals)
+        assert (decoded.status, decoded.reason) == ("ok", "")
+        errors.append(error(decoded.traction_pascal, truth))
+    return np.mean(errors)
+
+
+LIMITS = [  # at 11, 20, 30, 40 dB
+    (0.0, "told", (0.160, 0.100, 0.062, 0.047)),
+    (0.0, "untold", (0.178, 0.122, 0.078, 0.056)),
+    (6.4e-3, "told", (0.122, 0.090, 0.068, 0.052)),
+    (6.4e-3, "untold", (0.158, 0.117, 0.095, 0.068)),
+]
+
+
+@pytest.mark.parametrize(("centre_m", "friction", "limits"), LIMITS)
+def test_error_in_the_centre_and_at_the_border(request, centre_m, friction, limits):
+    decoder = request.getfixturevalue(friction)
+    contact = scene((centre_m, 0.0))
+    for decibel, limit in zip((11, 20, 30, 40), limits, strict=True):
+        assert mean_error(decoder, contact, decibel) <= 1.03 * limit  # four draws scatter
+
+
+def test_traction_obeys_the_bounds(told):
+    signals, _ = frame_of(scene((1e-3, -5e-4), direction=2.0), 20)
+    told.reset()
+    f_x, f_y, f_z = told.decode(signals).traction_pascal
+    assert (f_z >= 0.0).all()
+    assert (np.hypot(f_x, f_y) <= 0.5 * f_z * (1.0 + 1e-5)).all()
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_standard_deviation_belongs_to_the_map(untold, decibel):
+    inside, outside = [], []
+    for seed, centre_m in enumerate([(0.0, 0.0), (1.5e-3, -2e-3), (-2e-3, 1e-3)]):
+        signals, truth = frame_of(scene(centre_m, direction=float(seed)), decibel, seed)
+        untold.reset()
+        decoded = untold.decode(signals)
+        z = np.abs(decoded.traction_pascal - truth) / decoded.traction_std_pascal
+        inside.append(z[:, truth[2] > 0.0].ravel())
+        outside.append(z[:, truth[2] == 0.0].ravel())
+    inside, outside = np.concatenate(inside), np.concatenate(outside)
+    assert 0.60 <= np.mean(inside < 1.0) <= 0.84
+    assert 0.92 <= np.mean(inside < 2.0) <= 0.985
+    assert np.mean(outside < 1.0) >= 0.68
+    assert np.mean(outside < 2.0) >= 0.95
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_net_load_has_no_bias_and_an_honest_error(told, decibel):
+    rng = np.random.default_rng(decibel)
+    off, z = [], []
+    for seed in range(8):
+        centre_m, angle = tuple(rng.uniform(-2.5e-3, 2.5e-3, 2)), rng.uniform(0.0, 2.0 * np.pi)
+        signals, truth = frame_of(scene(centre_m, direction=angle, radius_m=rng.uniform(1.5e-3, 3e-3)), decibel, seed)
+        told.reset()
+        told.decode(signals)
+        force = truth.sum(axis=(1, 2)) * PITCH_M**2
+        load = told.net_load(truth[2] > 0.3 * truth[2].max(), centre_m)
+        off.append((load.force_newton - force) / force[2])
+        z.append((load.force_newton - force) / load.force_std_newton)
+        assert np.abs(load.moment_newton_m[2]) < 5.0 * load.moment_std_newton_m[2]
+    assert (np.abs(np.mean(off, axis=0)) <= 0.01).all()
+    z = np.array(z)
+    assert 0.45 <= np.sqrt(np.mean(z[:, 2] ** 2)) <= 1.7
+    assert 0.6 <= np.sqrt(np.mean(z[:, :2] ** 2)) <= 1.6
+
+
+def test_moment_turns_with_the_point_it_refers_to(told):
+    signals, truth = frame_of(scene((1e-3, 0.0)), 40)
+    told.reset()
+    told.decode(signals)
+    centred, beside = (told.net_load(truth[2] > 0.0, about_m) for about_m in [(1e-3, 0.0), (0.0, 2e-3)])
+    f_x, f_y, f_z = centred.force_newton
+    moved = np.cross([1e-3, -2e-3, 0.0], [f_x, f_y, f_z])
+    np.testing.assert_allclose(beside.moment_newton_m - centred.moment_newton_m, moved, atol=1e-3 * f_z * 1e-3)
+
+
+def test_frames_that_follow_each_other_stay_as_good(told):
+    frames, truths = zip(
+        *(frame_of(scene((-1e-3 + 6e-5 * k, 0.0), stick_ratio=0.7 - 0.02 * k), 20, k) for k in range(20)), strict=True
+    )
+    told.reset()
+    decoded = told.decode(np.array(frames))
+    assert decoded.traction_pascal.shape == (20, 3, 32, 32)
+    assert (decoded.status == "ok").all()
+    errors = [error(found, truth) for found, truth in zip(decoded.traction_pascal, truths, strict=True)]
+    assert np.mean(errors) <= 0.105
+
+
+def test_results_are_reproducible_and_the_leading_axis_is_time(told):
+    frames = np.array([frame_of(scene((4e-4 * k, 0.0)), 20, k)[0] for k in range(3)])
+    told.reset()
+    together = told.decode(frames.reshape(3, 3, 1024))
+    told.reset()
+    apart = [told.decode(frame.reshape(3, 1024)) for frame in frames]
+    for index, single in enumerate(apart):
+        np.testing.assert_array_equal(together.traction_pascal[index], single.traction_pascal)
+        assert single.traction_pascal.shape == (3, 1024)
+
+
+def test_lost_sites_cost_little(told):
+    signals, truth = frame_of(scene(), 30)
+    told.reset()
+    healthy = error(told.decode(signals).traction_pascal, truth)
+    signals.reshape(3, -1)[:, np.random.default_rng(3).permutation(1024)[:200]] = np.nan
+    told.reset()
+    decoded = told.decode(signals)
+    assert error(decoded.traction_pascal, truth) <= 1.10 * healthy
+    assert decoded.reason == "600 of 3072 signals lost and filled in"
+    assert decoded.chi2 == pytest.approx(1.0, abs=0.15)
+
+
+def full_slip(friction):
+    """A sliding contact of another friction coefficient: its shear scaled."""
+    contact = scene(stick_ratio=1e-3)
+    normal = scene(stick_ratio=0.999999)
+    share = friction / 0.5
+    return type(contact)(
+        normal.signals + share * (contact.signals - normal.signals),
+        normal.traction + share * (contact.traction - normal.traction),
+    )
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_too_small_a_friction_coefficient_is_noticed(told, decibel):
+    signals, truth = frame_of(full_slip(0.65), decibel)
+    told.reset()
+    decoded = told.decode(signals)
+    assert decoded.status == "constraint_dropped"
+    assert "friction coefficient 0.5 contradicted" in decoded.reason
+    assert error(decoded.traction_pascal, truth) <= {11: 0.18, 20: 0.125, 30: 0.09, 40: 0.08}[decibel]
+
+
+def test_given_up_bounds_stay_so_until_the_contact_ends(told):
+    signals, _ = frame_of(full_slip(0.65), 20)
+    told.reset()
+    still, _ = frame_of(scene(), 20)
+    statuses = told.decode(np.array([signals, still, np.zeros_like(still), still])).status
+    assert statuses.tolist() == ["constraint_dropped", "constraint_dropped", "ok", "ok"]
+
+
+def adhesive(share):
+    """The contact with a ring of pull around it, 0.5 mm wide."""
+    contact = scene()
+    fine_m = PITCH_M / 4
+    axis = (np.arange(128) - 63.5) * fine_m
+    x, y = np.meshgrid(axis, axis)
+    ring = (np.hypot(x, y) > 2.5e-3) & (np.hypot(x, y) < 3e-3)
+    pull = -share * contact.traction[2].max()
+    fields = sum(
+        hertz_fields(grid_positions() - place, DEPTH_M, [0.0], YOUNGS_PASCAL, 0.5)[0, 2]
+        for place in np.column_stack([x[ring], y[ring]])
+    )
+    traction = contact.traction.copy()
+    traction[2] += pull * ring.reshape(32, 4, 32, 4).mean(axis=(1, 3)).ravel()
+    signals = contact.signals + fields * pull * fine_m**2 * np.array([[1.5 / YOUNGS_PASCAL], [1.0], [1.0]])
+    return type(contact)(signals, traction)
+
+
+@pytest.mark.parametrize(("share", "decibel"), [(0.1, 30), (0.1, 40), (0.3, 20), (0.3, 30), (0.3, 40)])
+def test_adhesion_is_noticed_and_the_linear_map_shown(told, linear, share, decibel):
+    signals, _ = frame_of(adhesive(share), decibel)
+    told.reset()
+    decoded = told.decode(signals)
+    assert decoded.status == "constraint_dropped"
+    assert decoded.reason.endswith("the linear map is shown")
+    np.testing.assert_array_equal(decoded.traction_pascal, linear.decode(signals).traction_pascal)
+
+
+@pytest.mark.parametrize("decibel", [20, 30])
+def test_light_contact_beside_a_heavy_one_is_found_in_the_residual(told, decibel):
+    heavy, light = scene((-2.4e-3, 0.0)), scene((3.4e-3, 0.0), force_newton=0.1)
+    both = type(heavy)(heavy.signals + light.signals, heavy.traction + light.traction)
+    signals, truth = frame_of(both, decibel)
+    told.reset()
+    decoded = told.decode(signals)
+    assert (decoded.status, decoded.reason) == ("ok", "load beside the support, found in what that left of the signals")
+    assert error(decoded.traction_pascal, truth) <= {20: 0.115, 30: 0.08}[decibel]
+    x_m = grid_positions()[:, 0].reshape(32, 32)
+    found, expected = (traction[2][x_m > 1.2e-3].sum() for traction in (decoded.traction_pascal, truth))
+    assert found == pytest.approx(expected, rel=0.2)
+
+
+def test_friction_estimate_tightens_the_bound(untold):
+    signals, truth = frame_of(scene(), 20)
+    untold.reset()
+    unknown = error(untold.decode(signals).traction_pascal, truth)
+    untold.friction_estimate = 0.5
+    try:
+        untold.reset()
+        f_x, f_y, f_z = untold.decode(signals).traction_pascal
+    finally:
+        untold.friction_estimate = None
+    assert error(np.array([f_x, f_y, f_z]), truth) < unknown
+    assert (np.hypot(f_x, f_y) <= 0.7 * f_z * (1.0 + 1e-5)).all()
+
+
+def test_background_cuts_the_linear_map_until_the_matrices_are_there(linear, told):
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    signals, truth = frame_of(scene(), 20)
+    assert not decoder.rebuild()
+    masked = decoder.decode(signals).traction_pascal
+    assert decoder.rebuild_wanted
+    plain = error(linear.decode(signals).traction_pascal, truth)
+    assert error(masked, truth) < 0.85 * plain
+    assert (np.hypot(masked[0], masked[1]) <= 0.5 * masked[2] * (1.0 + 1e-5)).all()
+    assert decoder.rebuild()
+    told.reset()
+    np.testing.assert_array_equal(decoder.decode(signals).traction_pascal, told.decode(signals).traction_pascal)
+    assert not decoder.rebuild_wanted
+    far, truth = frame_of(scene((4e-3, 3e-3)), 20)
+    assert error(decoder.decode(far).traction_pascal, truth) < 0.2
+    assert decoder.rebuild_wanted
+
+
+def test_without_a_contact_the_linear_map_is_shown(told, linear):
+    signals = NOISE_STD * np.random.default_rng(0).standard_normal((3, 32, 32))
+    told.reset()
+    decoded = told.decode(signals)
+    np.testing.assert_array_equal(decoded.traction_pascal, linear.decode(signals).traction_pascal)
+    assert decoded.status == "ok"
+    assert told.net_load(np.ones((32, 32), bool), (0.0, 0.0)) is None
+
+
+def test_frames_that_cannot_be_decoded_do_not_stop_the_next(told):
+    signals, truth = frame_of(scene(), 20)
+    told.reset()
+    decoded = told.decode(np.array([np.full_like(signals, np.nan), 1e6 * signals, signals]))
+    assert decoded.status.tolist() == ["no_signal", "no_signal", "ok"]
+    assert np.isnan(decoded.traction_pascal[:2]).all()
+    assert error(decoded.traction_pascal[2], truth) < 0.1
+
+
+@pytest.mark.parametrize("decibel", [30])
+def test_gain_errors_that_are_told_do_not_look_like_broken_bounds(decibel):
+    linear = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, gain_std=0.02)
+    decoder = ContactDecoder(linear, 0.5)
+    contact = scene()
+    gains = 1.0 + 0.02 * np.random.default_rng(5).standard_normal(contact.signals.shape)
+    signals, _ = frame_of(type(contact)(contact.signals * gains, contact.traction), decibel)
+    _, truth = frame_of(contact, decibel)
+    decoded = decoder.decode(signals)
+    assert (decoded.status, decoded.reason) == ("ok", "")
+    assert error(decoded.traction_pascal, truth) <= 0.12
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.5])
+def test_irregular_sites(nu):
+    rng = np.random.default_rng(2)
+    disc = rng.uniform(-1.0, 1.0, (700, 2))
+    disc = disc[np.hypot(*disc.T) < 1.0][:400]
+    sites_m = disc * (0.55 + 0.45 * np.hypot(*disc.T)[:, None]) * [6.5e-3, 8e-3]  # denser in the middle
+    contact = scene((5e-4, -1e-3), positions_m=sites_m, nu=nu)
+    std = float(np.sqrt(np.mean(contact.signals**2)) * 10**-1.5)
+    linear = OpenPlaneDecoder(HalfSpace(YOUNGS_PASCAL, nu), sites_m, DEPTH_M, std)
+    decoder = ContactDecoder(linear, 0.5)
+    signals = contact.frame(std, 1)
+    r = np.hypot(*(sites_m - [5e-4, -1e-3]).T) / 2.5e-3
+    peak = 1.5 / np.pi / 2.5e-3**2
+    pressure = peak * np.sqrt(np.maximum(1.0 - r**2, 0.0))
+    shear = 0.5 * (pressure - 0.5 * peak * np.sqrt(np.maximum(1.0 - 4.0 * r**2, 0.0)))
+    truth = np.array([shear, np.zeros_like(r), pressure])
+    decoded = decoder.decode(signals)
+    assert decoded.status == "ok"
+    assert error(decoded.traction_pascal, truth) < 0.8 * error(linear.decode(signals).traction_pascal, truth)
+    load = decoder.net_load(pressure > 0.0, (5e-4, -1e-3))
+    assert load.force_newton[2] == pytest.approx(1.0, rel=0.03)
+
+
+@pytest.mark.parametrize("friction", [0.0, -0.5, np.nan, np.inf])
+def test_friction_coefficients_that_cannot_be_are_refused(linear, untold, friction):
+    with pytest.raises(ValueError, match=f"friction_coefficient is {friction}, must be finite and above 0"):
+        ContactDecoder(linear, friction)
+    with pytest.raises(ValueError, match="friction_estimate"):
+        untold.friction_estimate = friction
+
+
+def test_signals_of_another_shape_are_refused(told):
+    for shape in ((3,), (3, 1000), (2, 32, 32), (5, 3, 32, 31)):
+        with pytest.raises(ValueError, match="shape"):
+            told.decode(np.zeros(shape))
+
+
+def test_background_leaves_the_growth_of_the_support_to_the_other_thread(linear):
+    heavy, light = scene((-2.4e-3, 0.0)), scene((3.4e-3, 0.0), force_newton=0.1)
+    both = type(heavy)(heavy.signals + light.signals, heavy.traction + light.traction)
+    signals, truth = frame_of(both, 30)
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    decoder.decode(signals)
+    decoder.rebuild()
+    before = error(decoder.decode(signals).traction_pascal, truth)
+    assert decoder.rebuild_wanted
+    decoder.rebuild()
+    decoded = decoder.decode(signals)
+    assert not decoder.rebuild_wanted
+    assert decoded.status == "ok"
+    assert error(decoded.traction_pascal, truth) < 0.8 * before

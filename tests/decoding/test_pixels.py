@@ -1,0 +1,49 @@
+"""Tests of the pixel lattice and of the ways between its pixels and other places."""
+
+import numpy as np
+import pytest
+
+from resonator_daemon.decoding.pixels import PixelLattice
+
+
+def grid(count_y, count_x, pitch_m):
+    y, x = np.divmod(np.arange(count_y * count_x), count_x)
+    return np.column_stack([x, y]) * pitch_m
+
+
+def test_pixels_are_centred_on_the_sites_of_a_fine_grid():
+    sites_m = grid(5, 8, 4e-4)
+    lattice = PixelLattice.over(sites_m, 1e-3)
+    assert lattice.shape == (5 + 16, 8 + 16)
+    np.testing.assert_allclose(lattice.centres_m[lattice.nearest(sites_m)], sites_m, atol=1e-12)
+
+
+@pytest.mark.parametrize("pitch_m", [1e-4, 1e-3])
+def test_other_grids_get_pixels_of_two_fifths_of_the_depth(pitch_m):
+    lattice = PixelLattice.over(grid(9, 9, pitch_m), 1e-3)
+    assert lattice.pitch_m == pytest.approx(4e-4)
+    low_m, high_m = lattice.centres_m.min(axis=0), lattice.centres_m.max(axis=0)
+    np.testing.assert_allclose(low_m + high_m, 8 * pitch_m, atol=1e-12)
+    assert (low_m <= -3.2e-3 + 1e-12).all()
+
+
+def test_interpolation_both_ways_keeps_linear_functions():
+    rng = np.random.default_rng(0)
+    places_m = rng.uniform(-3e-3, 3e-3, (300, 2))
+    lattice = PixelLattice.over(places_m, 1e-3)
+
+    def plane(where_m):
+        return 1.0 + 300.0 * where_m[:, 0] - 200.0 * where_m[:, 1]
+
+    np.testing.assert_allclose(lattice.to_places(places_m) @ plane(lattice.centres_m), plane(places_m), atol=1e-5)
+    onto = lattice.from_places(places_m)
+    mapped = np.diff(onto.indptr) > 0
+    np.testing.assert_allclose((onto @ plane(places_m))[mapped], plane(lattice.centres_m)[mapped], atol=1e-5)
+    assert mapped[lattice.nearest(np.zeros((1, 2)))].all()
+    assert not mapped[0]
+
+
+def test_places_on_a_line_are_refused():
+    places_m = np.column_stack([np.arange(9) * 1e-3, np.zeros(9)])
+    with pytest.raises(ValueError, match="on a line"):
+        PixelLattice.over(places_m, 1e-3).from_places(places_m)

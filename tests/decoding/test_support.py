@@ -1,0 +1,45 @@
+"""Tests of the support: small maps drawn by hand."""
+
+import numpy as np
+
+from resonator_daemon.decoding.support import connected, count_blobs, dilated, load_support, raw_support
+
+
+def drawn(*rows):
+    return np.array([[int(c) if c.isdigit() else 0 for c in row] for row in rows], float) / 9.0
+
+
+def test_noise_blobs_are_left_out_and_neighbours_come_in():
+    pressure = drawn(
+        "9.......",
+        "9.....2.",  # above 15 %, below the 25 % of a contact
+        "........",
+        "..3.....",  # a single pixel
+        ".......3",
+        ".......3",
+    )
+    expected = np.zeros((6, 8), bool)
+    expected[:3, :2] = True
+    expected[3:, 6:] = True
+    np.testing.assert_array_equal(load_support(pressure), expected)
+
+
+def test_raw_support_keeps_every_blob():
+    pressure = drawn("9....", "9....", ".....", "...2.")
+    assert raw_support(pressure)[3, 3]
+    assert not load_support(pressure)[3, 3]
+
+
+def test_dilation_takes_all_eight_neighbours_and_stops_at_the_border():
+    mask = np.zeros((5, 6), bool)
+    mask[0, 2] = True
+    assert dilated(mask, 2).sum() == 3 * 5
+    assert dilated(mask)[1, 3]
+
+
+def test_blobs_meet_at_corners():
+    mask = drawn("9...", ".9..", "...9") > 0
+    assert count_blobs(mask) == 2
+    seed = np.zeros_like(mask)
+    seed[1, 1] = seed[2, 0] = True
+    np.testing.assert_array_equal(connected(mask, seed), drawn("9...", ".9..", "....") > 0)
