@@ -1,6 +1,6 @@
 """Decoding with contact physics beside the linear map: errors, a sliding contact at 200 frames/s, failures noticed.
 
-Run it with `make bench`, or `python benchmarks/contact_decoding.py [DRAWS]`. Truth is closed-form. One thread of linear
+Run it with `python benchmarks/contact_decoding.py [DRAWS]`. Truth is closed-form. One thread of linear
 algebra; the sliding contact's matrices are rebuilt by a second thread that rests 2.4 times as long as it works.
 """
 

