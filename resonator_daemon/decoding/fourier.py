@@ -17,6 +17,7 @@ from scipy import fft
 
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.extension import extended_length, extension, noise_power
+from resonator_daemon.decoding.parameters import check_prior, noise_of_signals
 from resonator_daemon.decoding.wiener import SpectralWiener
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
@@ -75,14 +76,8 @@ class FourierDecoder:
         prior_std_pascal: float | None = None,
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
-        for name, value in (
-            ("correlation_length_m", correlation_length_m),
-            ("tangential_ratio", tangential_ratio),
-            ("prior_std_pascal", 1.0 if prior_std_pascal is None else prior_std_pascal),
-        ):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"{name} is {value}, must be finite and above 0")
-        channel_std = _channel_std(noise_std, shape)
+        check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
+        channel_std = np.sqrt(np.mean(noise_of_signals(noise_std, shape) ** 2, axis=(1, 2)))
 
         self._shape = shape
         self._side = extended_length(max(shape))  # square: the displacement of an isolated load is known for that
@@ -220,20 +215,6 @@ class FourierDecoder:
         ones = np.ones(self._shape)
         shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
         return np.asarray(shares.min(axis=0), np.float64)
-
-
-def _channel_std(noise_std: ArrayLike, shape: tuple[int, int]) -> Floats:
-    """Root of the mean variance of each channel, shape (3,)."""
-    std = np.asarray(noise_std, np.float64)
-    if std.shape == (3,):
-        std = std[:, None, None]
-    try:
-        std = np.broadcast_to(std, (3, *shape))
-    except ValueError:
-        raise ValueError(f"noise_std has shape {std.shape}, must be (3,) or broadcast to {(3, *shape)}") from None
-    if not ((std > 0.0) & (std < np.inf)).all():
-        raise ValueError(f"noise_std spans {std.min()} .. {std.max()}, must be finite and above 0")
-    return np.asarray(np.sqrt(np.mean(std**2, axis=(1, 2))), np.float64)
 
 
 def _kernel(count: int, width: float) -> Floats:

@@ -13,6 +13,7 @@ from resonator_daemon.decoding.grid_modes import LEVELS, GridModes, WholeGrid
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.linear_map import LinearMap, Tier
 from resonator_daemon.decoding.modes import DenseModes, Modes
+from resonator_daemon.decoding.parameters import check_prior, noise_of_signals, positive
 from resonator_daemon.decoding.prior_tables import StationaryPrior
 from resonator_daemon.decoding.scale_bank import ScaleBank
 from resonator_daemon.elastic import HalfSpace
@@ -75,17 +76,10 @@ class OpenPlaneDecoder:
     ) -> None:
         sites = _positions("site_positions_m", site_positions_m)
         count = len(sites)
-        depths = _broadcast("depth_m", np.asarray(depth_m, np.float64), (count,))
-        by_channel = np.asarray(noise_std, np.float64)
-        noise = _broadcast("noise_std", by_channel[:, None] if by_channel.shape == (3,) else by_channel, (3, count))
+        depths = positive("depth_m", np.asarray(depth_m, np.float64), (count,))
+        noise = noise_of_signals(noise_std, (count,))
         places = sites if query_positions_m is None else _positions("query_positions_m", query_positions_m)
-        for name, value in (
-            ("correlation_length_m", correlation_length_m),
-            ("tangential_ratio", tangential_ratio),
-            ("prior_std_pascal", 1.0 if prior_std_pascal is None else prior_std_pascal),
-        ):
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"{name} is {value}, must be finite and above 0")
+        check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
         if not 0.0 <= gain_std < 1.0:
             raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
         refuse_duplicates(sites, depths)
@@ -189,14 +183,3 @@ def _positions(name: str, positions_m: ArrayLike) -> Floats:
     if not np.isfinite(positions).all():
         raise ValueError(f"{name} holds {np.abs(positions).max()}, must be finite")
     return positions
-
-
-def _broadcast(name: str, value: Floats, shape: tuple[int, ...]) -> Floats:
-    """Of `shape`, every entry finite and above 0."""
-    try:
-        whole = np.broadcast_to(value, shape)
-    except ValueError:
-        raise ValueError(f"{name} has shape {value.shape}, must broadcast to {shape}") from None
-    if not ((whole > 0.0) & (whole < np.inf)).all():
-        raise ValueError(f"{name} spans {whole.min()} .. {whole.max()}, must be finite and above 0")
-    return whole
