@@ -133,8 +133,8 @@ class Emulator:
     def stop(self) -> None:
         """End `run`; from any thread or signal handler."""
         if not self._stopping:  # later the pipe may be closed
+            os.write(self._wake_write_fd, b"x")  # before the flag: a run that has seen it closes the pipe
             self._stopping = True
-            os.write(self._wake_write_fd, b"x")
 
     def report(self) -> dict[str, Any]:
         """Return what was sent and what was done to it; every frame made was sent, dropped or is still unsent."""

@@ -248,6 +248,24 @@ def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
     assert stamps[199] - stamps[0] == pytest.approx(199e6 / 2, abs=2e6)
 
 
+def test_a_run_that_ends_while_it_is_being_stopped_does_not_pull_the_pipe_away(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    emulator = Emulator(EmulatorOptions("quartz16", pty=tmp_path / "board"))
+    running = threading.Thread(target=emulator.run)
+
+    def write_late(fd: int, data: bytes) -> int:
+        running.start()
+        running.join(0.2)  # where it would end, it ends first
+        return write(fd, data)
+
+    write = os.write
+    monkeypatch.setattr(os, "write", write_late)
+    emulator.stop()
+    running.join(10.0)
+    assert not running.is_alive()
+
+
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "board"
     fds = len(os.listdir("/proc/self/fd"))
