@@ -9,24 +9,31 @@ Four things that a small array needs are added to eq. (5) of Karason, Srinivasan
   where a contact crosses the border.)
 - The noise is at least the declared one. Where the best fit leaves more (gain errors, a contact across the border), the
   excess counts as noise and widens the error bars; without that, small noise would make errors of the model explode.
+
+Two things are corrected: eq. (5) as printed holds only for noise of one power in all channels, and the spectra printed
+for a sliding contact are no covariance, because they tie f_z to both directions at once.
 """
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import fft
 
+from resonator_daemon.decoding.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.extension import extended_length, extension, noise_power
+from resonator_daemon.decoding.extension import ExtendedTransform, ExtensionName
 from resonator_daemon.decoding.parameters import check_prior, noise_of_signals
-from resonator_daemon.decoding.wiener import SpectralWiener
+from resonator_daemon.decoding.refill import Refill
+from resonator_daemon.decoding.spectra import Spectra, prior_root, sliding, smooth, white
+from resonator_daemon.decoding.wiener import SpectralWiener, product
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 _BANK = np.logspace(-1.0, 5.0, 30)  # standard deviation of the prior over the traction that makes a signal of the noise
-_REFILLS = 20  # most rounds of the model's own prediction over lost signals ...
-_REFILL_TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
+_PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
+_SECTORS = 36  # of directions in which a contact may slide
+_STACK = 16  # frames decoded at once: many more would not stay in the processor's cache
 _SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
 _KNOWN_LIMIT = 0.5  # smallest share of known signals in each channel
 _CHI2_LIMIT = 100.0  # residual of ten times the declared noise ...
@@ -37,6 +44,10 @@ _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
 class FourierDecoder:
     """Linear minimum-mean-square estimate of tractions and displacements on a grid of sites.
+
+    The Wiener inverse of Karason, Srinivasan and Annaswamy, "Encoding and Decoding of Static Information in Tactile
+    Sensing Systems", eq. (5). The printed recipe is `extension="periodic", prior="white"` with a `prior_std_pascal`;
+    without regularisation, one far above any traction; their weighted-norm filter, `prior=weighted_norm(...)`.
 
     Parameters
     ----------
@@ -50,17 +61,29 @@ class FourierDecoder:
     noise_std
         Standard deviation of the noise of the dimensionless signals: a scalar, (3,), or what broadcasts to (3, ny, nx).
         The solution uses the mean variance of each channel, because it works frequency by frequency.
+    extension
+        "taper", to a square of 1.5 times the longer side; "periodic", not at all.
+    prior
+        Power spectra of the traction up to a common factor: "smooth"; "white", the same for all frequencies and
+        components; or spectra and cross-spectra given as a function of omega_x and omega_y, see `spectra.Spectra`.
     correlation_length_m
-        l of the prior; between 0.5 and 2 mm results hardly change for sites 1 mm deep.
+        l of the smooth prior; between 0.5 and 2 mm results hardly change for sites 1 mm deep.
     tangential_ratio
-        r of the prior: power of f_x and of f_y over that of f_z.
+        r of the smooth prior: power of f_x and of f_y over that of f_z.
     prior_std_pascal
-        Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame.
+        Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame. Give one
+        with a white prior, whose likelihood chooses badly.
+    sliding_friction
+        Friction coefficient of a contact that slides as a whole: f_t is this times f_z, in one direction. Of `prior`
+        only the power of f_z counts; estimates for 36 sectors of directions are averaged by their evidence, at the cost
+        of as many. Where a part of the contact sticks, f_t comes out too large there and its error bars too small;
+        above about 30 dB `chi2` shows it.
 
     Raises
     ------
     ValueError
-        A shape that does not fit, or a parameter that is not finite and above 0 (depth: at least 0).
+        A shape that does not fit, a parameter that is not finite and above 0 (depth: at least 0), a name that is none
+        of those above, or spectra that are no covariance of real tractions.
     """
 
     def __init__(
@@ -71,39 +94,53 @@ class FourierDecoder:
         depth_m: float,
         noise_std: ArrayLike,
         *,
+        extension: ExtensionName = "taper",
+        prior: Literal["smooth", "white"] | Spectra = "smooth",
         correlation_length_m: float = 1e-3,
         tangential_ratio: float = 0.3,
         prior_std_pascal: float | None = None,
+        sliding_friction: float | None = None,
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
         check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
+        if sliding_friction is not None and not 0.0 < sliding_friction < np.inf:
+            raise ValueError(f"sliding_friction is {sliding_friction}, must be finite and above 0")
+        if prior_std_pascal is not None and prior_std_pascal > _PRIOR_LIMIT_PASCAL:
+            limit = f"must be at most {_PRIOR_LIMIT_PASCAL:.0e}, where it no longer regularises"
+            raise ValueError(f"prior_std_pascal is {prior_std_pascal}, {limit}")
         channel_std = np.sqrt(np.mean(noise_of_signals(noise_std, shape) ** 2, axis=(1, 2)))
 
         self._shape = shape
-        self._side = extended_length(max(shape))  # square: the displacement of an isolated load is known for that
-        grid = SpectralGrid((self._side, self._side), pitch_m)
-        self._extend_y, self._extend_x = extension(shape[0], self._side), extension(shape[1], self._side)
-        bin_power = noise_power(self._extend_y)[:, None] * noise_power(self._extend_x)[: self._side // 2 + 1]
-
-        power = 1.0 / (1.0 + (grid.omega_x**2 + grid.omega_y**2) * correlation_length_m**2) ** 2
-        power *= self._side**2 / (grid.multiplicity * power).sum()  # unit variance of f_z in space
+        self._transform = ExtendedTransform(shape, extension)
+        grid = SpectralGrid(self._transform.extended_shape, pitch_m)
+        bin_power = self._transform.noise_power
+        forward = grid.transfer_matrix(half_space, "sensor", "traction", depth_m)
+        bin_std = np.sqrt(bin_power)[..., None] * channel_std
         noise_traction = 2.0 * half_space.shear_modulus_pascal * np.sqrt(np.mean(channel_std**2))
-        self._wiener = SpectralWiener(
-            forward=grid.transfer_matrix(half_space, "sensor", "traction", depth_m),
-            prior_std=np.sqrt(power[..., None] * [tangential_ratio, tangential_ratio, 1.0]),
-            noise_std=np.sqrt(bin_power)[..., None] * channel_std,
-            multiplicity=grid.multiplicity,
-            bank=(noise_traction * _BANK) ** 2 if prior_std_pascal is None else np.array([prior_std_pascal**2]),
-        )
-        compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0)
+        bank = (noise_traction * _BANK) ** 2 if prior_std_pascal is None else np.array([prior_std_pascal**2])
+
+        def wiener(spectra: Spectra) -> SpectralWiener:
+            return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, bank)
+
+        self._inverse: SpectralWiener | AveragedWiener
+        spectra = _spectra(prior, correlation_length_m, tangential_ratio)
+        if sliding_friction is None:
+            self._inverse = predictor = wiener(spectra)
+        else:
+            sector = 2.0 * np.pi / _SECTORS
+            ways = [wiener(sliding(spectra, sliding_friction, n * sector, sector)) for n in range(_SECTORS)]
+            self._inverse = AveragedWiener(ways, self._transform.samples_share)
+            predictor = wiener(sliding(spectra, sliding_friction, 0.0, 2.0 * np.pi))
+
+        self._noise_variance = float(np.mean(channel_std**2))
+        self._refill = Refill(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
+        # A periodic load has no level to move from: zero at omega = 0.
+        zero: Literal["isolated", "periodic"] = "periodic" if extension == "periodic" else "isolated"
+        compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0, zero=zero)
         self._compliance = np.ascontiguousarray(np.moveaxis(compliance.reshape(-1, 3, 3), 0, -1))
         self._border = np.ones(shape, np.bool_)
         self._border[1:-1, 1:-1] = False
         self._evidence_offset = 1.5 * (grid.multiplicity * np.log(bin_power)).sum()  # repeated samples are no new ones
-        self._measured_share = shape[0] * shape[1] / self._side**2
-        self._noise_variance = float(np.mean(channel_std**2))
-        self._neighbours_y, self._neighbours_x = (_kernel(n, 0.5) for n in shape)
-        self._blur_y, self._blur_x = (_kernel(n, 0.5 * max(depth_m / pitch_m, 1.0)) for n in shape)
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
         """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
@@ -111,12 +148,13 @@ class FourierDecoder:
         Parameters
         ----------
         signals
-            Shape (..., 3, ny, nx), dimensionless. A frame's result does not depend on the frames beside it. A signal
-            that is NaN, infinite or beyond 10 counts as lost: the model's prediction from the others takes its place
-            and the error bar around it widens.
+            Shape (..., 3, ny, nx), dimensionless. The frames beside it change a frame's result by rounding only. A
+            signal that is NaN, infinite or beyond 10 counts as lost: the model's prediction from the others takes its
+            place and the error bar around it widens; that takes up to twenty times as long.
         displacement
             Also the surface displacement that the decoded traction causes, alone on the plane; for a Poisson's ratio
-            below 1/2 without the part that is linear in x and y.
+            below 1/2 without the part that is linear in x and y. With a periodic extension that of the periodic
+            traction, less its mean.
 
         Returns
         -------
@@ -134,90 +172,90 @@ class FourierDecoder:
         ValueError
             Signals of another shape, or not numbers.
         """
-        frames = np.asarray(signals, np.float64)
+        given = np.asarray(signals, np.float64)
         wanted = (3, *self._shape)
-        if frames.shape[-3:] != wanted:
-            raise ValueError(f"signals have shape {frames.shape}, must be (..., {', '.join(map(str, wanted))})")
-        leading = frames.shape[:-3]
-        decoded = [self._decode_frame(frame, displacement) for frame in frames.reshape(-1, *wanted)]
+        if given.shape[-3:] != wanted:
+            raise ValueError(f"signals have shape {given.shape}, must be (..., {', '.join(map(str, wanted))})")
+        leading, frames = given.shape[:-3], given.reshape(-1, *wanted)
+        known = np.abs(frames) <= _SIGNAL_LIMIT  # False for NaN
+        complete = known.all(axis=(1, 2, 3))
+        whole = np.flatnonzero(complete)
+        found: dict[int, Decoded] = {}
+        for start in range(0, whole.size, _STACK):
+            rows = whole[start : start + _STACK]
+            stack = self._decode_stack(frames[rows], 1.0, np.ones((1, 1)), displacement)
+            found.update(zip(rows.tolist(), stack, strict=True))
+        for row in np.flatnonzero(~complete).tolist():
+            found[row] = self._decode_incomplete(frames[row], known[row], displacement)
+        decoded = [found[row] for row in range(len(frames))]
         return Decoded.stack(decoded, leading, wanted) if leading else decoded[0]
 
-    def _decode_frame(self, frame: Floats, displacement: bool) -> Decoded:
-        known = np.abs(frame) <= _SIGNAL_LIMIT  # False for NaN
-        worst, share = float(known.mean(axis=(1, 2)).min()), float(known.mean())
+    def _decode_incomplete(self, frame: Floats, known: NDArray[np.bool_], displacement: bool) -> Decoded:
+        worst = float(known.mean(axis=(1, 2)).min())
         if worst < _KNOWN_LIMIT:
             reason = f"{worst:.0%} of a channel known (finite, within {_SIGNAL_LIMIT}), needs {_KNOWN_LIMIT:.0%}"
             return self._unknown(displacement, np.nan, np.nan, "no_signal", reason)
-        complete = bool(known.all())
-        if complete:
-            filled, reason = frame, ""
-        else:
-            filled, settled = self._fill(frame, known)
-            reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
-            reason += "" if settled else "; too many side by side for that to settle"
-        fit = self._wiener.fit(self._to_spectrum(filled), share)
-        log_evidence = self._measured_share * (fit.log_evidence + share * self._evidence_offset)
+        filled, settled = self._refill.fill(frame, known)
+        reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
+        reason += "" if settled else "; too many side by side for that to settle"
+        density = self._refill.density(known)
+        return self._decode_stack(filled[None], float(known.mean()), density, displacement, reason)[0]
 
-        left = fit.chi2 * self._noise_variance / max(float(np.mean(filled**2)), np.finfo(np.float64).tiny)
-        if fit.chi2 > _CHI2_LIMIT and left > _UNEXPLAINED_LIMIT:
-            reason = f"chi2 {fit.chi2:.3g} exceeds {_CHI2_LIMIT:.0f} and {left:.0%} of the energy remain unexplained"
-            return self._unknown(displacement, log_evidence, fit.chi2, "rejected", reason)
+    def _decode_stack(
+        self, frames: Floats, known_share: float, density: Floats, displacement: bool, reason: str = ""
+    ) -> list[Decoded]:
+        """Decode frames (n, 3, ny, nx) without gaps; `density` (1, 1) or (ny, nx) as the inverse takes it."""
+        estimate = self._inverse.estimate(self._transform.to_spectrum(frames), known_share, density)
+        corrected = estimate.log_evidence + known_share * self._evidence_offset
+        log_evidence = self._transform.samples_share * corrected
 
-        spectrum = self._wiener.tractions(fit)
-        traction = self._to_space(spectrum)
-        density = np.ones((1, 1)) if complete else self._density(known)
-        std = np.broadcast_to(np.sqrt(self._wiener.traction_variance(fit, density)), traction.shape).copy()
-        border_energy = np.sum(traction[2][self._border] ** 2)
-        significant = self._border.sum() * (_BORDER_SIGMAS * std[2].mean()) ** 2
-        return Decoded(
-            traction_pascal=traction,
-            traction_std_pascal=std,
-            displacement_m=self._to_space((self._compliance * spectrum).sum(axis=1)) if displacement else None,
-            border_contact=bool(border_energy > max(_BORDER_SHARE * np.sum(traction[2] ** 2), significant)),
-            log_evidence=log_evidence,
-            chi2=fit.chi2,
-            status="ok",
-            reason=reason,
-        )
+        energy = np.maximum(np.mean(frames**2, axis=(1, 2, 3)), np.finfo(np.float64).tiny)
+        left = estimate.chi2 * self._noise_variance / energy
+        rejected = (estimate.chi2 > _CHI2_LIMIT) & (left > _UNEXPLAINED_LIMIT)
+
+        traction = self._transform.to_space(estimate.tractions)
+        std = np.sqrt(estimate.variance)
+        moved = None
+        if displacement:
+            moved = self._transform.to_space(product(self._compliance, estimate.tractions))
+        normal = traction[:, 2] ** 2
+        border_energy = normal[:, self._border].sum(axis=1)
+        significant = self._border.sum() * (_BORDER_SIGMAS * std[:, 2].mean(axis=(1, 2))) ** 2
+        at_border = border_energy > np.maximum(_BORDER_SHARE * normal.sum(axis=(1, 2)), significant)
+
+        decoded = []
+        for n, chi2 in enumerate(estimate.chi2.tolist()):
+            evidence = float(log_evidence[n])
+            if rejected[n]:
+                why = f"chi2 {chi2:.3g} exceeds {_CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
+                decoded.append(self._unknown(displacement, evidence, chi2, "rejected", why))
+                continue
+            decoded.append(
+                Decoded(
+                    traction_pascal=np.ascontiguousarray(traction[n]),
+                    traction_std_pascal=np.broadcast_to(std[n], traction[n].shape).copy(),
+                    displacement_m=None if moved is None else np.ascontiguousarray(moved[n]),
+                    border_contact=bool(at_border[n]),
+                    log_evidence=evidence,
+                    chi2=chi2,
+                    status="ok",
+                    reason=reason,
+                )
+            )
+        return decoded
 
     def _unknown(self, displacement: bool, log_evidence: float, chi2: float, status: str, reason: str) -> Decoded:
         traction, std, moved = np.full((3, 3, *self._shape), np.nan)
         return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)
 
-    def _to_spectrum(self, signals: Floats) -> Complexes:
-        extended = self._extend_y @ signals @ self._extend_x.T
-        return np.asarray(fft.rfft2(extended, norm="ortho").reshape(3, -1), np.complex128)
 
-    def _to_space(self, spectrum: Complexes) -> Floats:
-        side, (ny, nx) = self._side, self._shape
-        extended = fft.irfft2(spectrum.reshape(3, side, -1), s=(side, side), norm="ortho")
-        return np.ascontiguousarray(extended[:, :ny, :nx])
-
-    def _fill(self, frame: Floats, known: NDArray[np.bool_]) -> tuple[Floats, bool]:
-        """Replace lost signals by the model's prediction from the others; False where that has not settled.
-
-        A mean of the neighbours, then expectation and maximisation in turn, with Nesterov's momentum.
-        """
-        total = self._neighbours_y @ np.where(known, frame, 0.0) @ self._neighbours_x
-        filled = predicted = np.where(known, frame, total / (self._neighbours_y @ known @ self._neighbours_x))
-        limit = _REFILL_TOLERANCE**2 * self._noise_variance * (known.size - known.sum())
-        for n in range(_REFILLS):
-            fit = self._wiener.fit(self._to_spectrum(filled), float(known.mean()))
-            change = np.where(known, 0.0, self._to_space(self._wiener.signals(fit)) - predicted)
-            predicted = predicted + change
-            filled = predicted + n / (n + 3.0) * change
-            if np.sum(change**2) < limit:
-                return predicted, True
-        return predicted, False
-
-    def _density(self, known: NDArray[np.bool_]) -> Floats:
-        """Share of known signals around each site, of the channel that has lost most there."""
-        ones = np.ones(self._shape)
-        shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
-        return np.asarray(shares.min(axis=0), np.float64)
-
-
-def _kernel(count: int, width: float) -> Floats:
-    """Weights (count, count) that fall with the distance of two samples, a few times faster beyond `width`."""
-    distance = np.subtract.outer(np.arange(count), np.arange(count))
-    return np.asarray(1.0 / (1.0 + (distance / width) ** 2) ** 2, np.float64)
+def _spectra(
+    prior: Literal["smooth", "white"] | Spectra, correlation_length_m: float, tangential_ratio: float
+) -> Spectra:
+    if prior == "smooth":
+        return smooth(correlation_length_m, tangential_ratio)
+    if prior == "white":
+        return white
+    if isinstance(prior, str):
+        raise ValueError(f"prior is {prior!r}, must be 'smooth', 'white' or a function of omega_x and omega_y")
+    return prior

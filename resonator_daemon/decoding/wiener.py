@@ -13,27 +13,40 @@ _Number = TypeVar("_Number", np.float64, np.complex128)
 
 @dataclass(frozen=True)
 class Fit:
-    """One frame in the eigenbasis, and the scale that explains it best."""
+    """Frames in the eigenbasis, and for each the scale that explains it best."""
 
-    rotated: Complexes  # (3, bins)
-    scale: int  # index in the bank
-    chi2: float  # mean square of the innovation in units of prior and declared noise
-    excess: float  # noise variance over the declared one, at least 1
-    log_evidence: float
+    rotated: Complexes  # (n, 3, bins)
+    scale: NDArray[np.intp]  # (n,): index in the bank
+    chi2: Floats  # (n,): mean square of the innovation in units of prior and declared noise
+    excess: Floats  # (n,): noise variance over the declared one, at least 1
+    log_evidence: Floats  # (n,)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Posterior of frames of one stack."""
+
+    tractions: Complexes  # (n, 3, bins): mean
+    variance: Floats  # (n, 3, ...): in space
+    chi2: Floats  # (n,)
+    log_evidence: Floats  # (n,)
 
 
 class SpectralWiener:
-    """Estimate f from s = T f + n for independent frequencies, with covariances q P of f and N of n, both diagonal.
+    """Estimate f from s = T f + n for independent frequencies, with covariances q P of f and N of n, N diagonal.
 
     Karason, Srinivasan and Annaswamy, eq. (5), in the form that holds for any N: f = q P T* (q T P T* + N)^-1 s. With
-    N^-1/2 T P^1/2 = U S V*, it is f = P^1/2 V (q S / (q S^2 + 1)) U* N^-1/2 s, for each q of a bank at no more cost.
+    P = R R* and N^-1/2 T R = U S V*, it is f = R V (q S / (q S^2 + 1)) U* N^-1/2 s, for each q of a bank at no more
+    cost.
 
     Parameters
     ----------
     forward
         T, shape (ny, nx // 2 + 1, 3, 3), in the layout of a unitary `rfft2`.
-    prior_std, noise_std
-        Square roots of P and N, shape (ny, nx // 2 + 1, 3).
+    prior_root
+        R, of the same shape.
+    noise_std
+        Square root of N, shape (ny, nx // 2 + 1, 3).
     multiplicity
         Bins of the whole transform that each column stands for, shape (nx // 2 + 1,).
     bank
@@ -41,14 +54,14 @@ class SpectralWiener:
     """
 
     def __init__(
-        self, forward: Complexes, prior_std: Floats, noise_std: Floats, multiplicity: Floats, bank: Floats
+        self, forward: Complexes, prior_root: Complexes, noise_std: Floats, multiplicity: Floats, bank: Floats
     ) -> None:
-        whitened = forward / noise_std[..., :, None] * prior_std[..., None, :]
-        left, singular, right = np.linalg.svd(whitened)
+        bases = np.linalg.svd(forward / noise_std[..., :, None] @ prior_root)
+        left, right = np.asarray(bases.U, np.complex128), np.asarray(bases.Vh, np.complex128)
         self._rotate = _bins_last(left.conj().swapaxes(-1, -2) / noise_std[..., None, :])
         self._to_signals = _bins_last(left * noise_std[..., :, None])
-        self._to_tractions = _bins_last(right.conj().swapaxes(-1, -2) * prior_std[..., :, None])
-        self._singular = _bins_last(singular)
+        self._to_tractions = _bins_last(prior_root @ right.conj().swapaxes(-1, -2))
+        self._singular = _bins_last(np.asarray(bases.S, np.float64))
         self._bank = bank
         self._weight = np.broadcast_to(multiplicity, forward.shape[:2]).ravel().copy()
 
@@ -65,42 +78,64 @@ class SpectralWiener:
         left_over = 1.0 / (self._levels[:, None, None] * self._singular**2 + 1.0)
         self._variance = self._levels[:, None] * np.einsum("imb,kmb->ki", share, left_over)
 
+    def estimate(self, spectrum: Complexes, known_share: float, density: Floats) -> Estimate:
+        """Decode signals (n, 3, bins) of which a share was measured; `density` as in `traction_variance`."""
+        fit = self.fit(spectrum, known_share)
+        return Estimate(self.tractions(fit), self.traction_variance(fit, density), fit.chi2, fit.log_evidence)
+
     def fit(self, spectrum: Complexes, known_share: float) -> Fit:
-        """Choose the scale for signals of shape (3, bins), of which `known_share` were measured and not filled in.
+        """Choose the scales for signals of shape (n, 3, bins), of which `known_share` were measured, not filled in.
 
         Whittle's likelihood, the frequencies taken as independent, maximised over the bank and over a common factor of
         prior and noise that is at least 1.
         """
-        rotated = (self._rotate * spectrum).sum(axis=1)
+        rotated = product(self._rotate, spectrum)
         energy = self._weight * (rotated.real**2 + rotated.imag**2)
-        innovation = self._shrinkage.reshape(self._bank.size, -1) @ energy.ravel()
+        innovation = energy.reshape(len(energy), -1) @ self._shrinkage.reshape(self._bank.size, -1).T
         count = 3.0 * self._samples * known_share
         chi2 = innovation / count
         excess = np.maximum(chi2, 1.0)
         deviance = known_share * self._log_det + count * np.log(excess) + innovation / excess
-        scale = int(deviance.argmin())
-        return Fit(rotated, scale, float(chi2[scale]), float(excess[scale]), -0.5 * float(deviance[scale]))
+        scale = deviance.argmin(axis=1)
+        best = np.arange(len(scale)), scale
+        return Fit(rotated, scale, chi2[best], excess[best], -0.5 * deviance[best])
 
     def tractions(self, fit: Fit) -> Complexes:
-        """Estimate of f, shape (3, bins)."""
-        gain = self._bank[fit.scale] * self._singular * self._shrinkage[fit.scale]
-        return np.asarray((self._to_tractions * (gain * fit.rotated)).sum(axis=1), np.complex128)
+        """Estimates of f, shape (n, 3, bins)."""
+        gain = self._bank[fit.scale, None, None] * self._singular * self._shrinkage[fit.scale]
+        return product(self._to_tractions, fit.rotated * gain)
 
     def signals(self, fit: Fit) -> Complexes:
-        """T f of the estimate, shape (3, bins)."""
-        gain = 1.0 - self._shrinkage[fit.scale]
-        return np.asarray((self._to_signals * (gain * fit.rotated)).sum(axis=1), np.complex128)
+        """T f of the estimates, shape (n, 3, bins)."""
+        return product(self._to_signals, fit.rotated * (1.0 - self._shrinkage[fit.scale]))
+
+    def mean_square(self, spectra: Complexes) -> Floats:
+        """Mean square in space of spectra (..., bins)."""
+        energy = self._weight * (spectra.real**2 + spectra.imag**2)
+        return np.asarray(energy.sum(axis=-1) / self._samples, np.float64)
 
     def traction_variance(self, fit: Fit, density: Floats) -> Floats:
-        """Posterior variance of each component in space, shape (3, *density.shape).
+        """Posterior variance of each component in space, shape (n, 3, *density.shape).
 
         From the covariance q P - q P T* (q T P T* + N)^-1 T q P. `density` is the share of signals known around a
         place: the noise there counts as larger by its inverse, up to the prior's own variance where none is known.
         """
-        chosen = self._bank[fit.scale]
+        by_frame = (-1, *[1] * (density.ndim + 1))
+        chosen = self._bank[fit.scale].reshape(by_frame)
         reduced = np.maximum(chosen * density, self._levels[0])
         known = [np.interp(np.log(reduced), np.log(self._levels), np.log(variance)) for variance in self._variance.T]
-        return np.asarray(fit.excess * chosen / reduced * np.exp(known), np.float64)
+        return np.asarray(
+            fit.excess.reshape(by_frame) * chosen / reduced * np.exp(np.concatenate(known, axis=1)), np.float64
+        )
+
+
+def product(matrices: Complexes, vectors: Complexes) -> Complexes:
+    """Apply (3, 3, bins) to each of (n, 3, bins)."""
+    # Column by column: a product of all nine entries at once would leave the processor's cache.
+    total = np.asarray(matrices[:, 0] * vectors[:, None, 0], np.complex128)
+    for column in (1, 2):
+        total += matrices[:, column] * vectors[:, None, column]
+    return total
 
 
 def _bins_last(matrices: NDArray[_Number]) -> NDArray[_Number]:

@@ -1,91 +1,14 @@
 """The Fourier decoder on contacts whose signals come from superposed Boussinesq and Cerruti point loads."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from point_load_scenes import DEPTH, FORCE, PITCH, E, Scene, decoder, partial_slip, sites
 
 from resonator_daemon.decoding import Decoded, FourierDecoder
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
-
-E = 2e5
-PITCH, DEPTH = 4e-4, 1e-3
-FORCE = 1.0
-
-
-def sites(shape: tuple[int, int]) -> tuple[Floats, Floats]:
-    """x and y of the sites, origin in the middle."""
-    x, y = ((np.arange(n) - (n - 1) / 2) * PITCH for n in (shape[1], shape[0]))
-    return np.meshgrid(x, y)
-
-
-def point_load_signals(dx: Floats, dy: Floats, nu: float) -> Floats:
-    """Signals at (dx, dy, DEPTH) of unit forces along x, y, z at the origin: (3 forces, 3 signals, ...)."""
-    r, shear = np.sqrt(dx * dx + dy * dy + DEPTH**2), (1 + nu) / E
-    p_n = -(1 + nu) / (3 * np.pi * r**3) * 1.5 / E
-    tau = -3 / (2 * np.pi * r**5) * shear
-    return np.array(
-        [
-            [p_n * dx, tau * dx * dx * DEPTH, tau * dx * dy * DEPTH],
-            [p_n * dy, tau * dx * dy * DEPTH, tau * dy * dy * DEPTH],
-            [p_n * DEPTH, tau * dx * DEPTH**2, tau * dy * DEPTH**2],
-        ]
-    )
-
-
-def hertz_signals(x: Floats, y: Floats, radius: float, nu: float) -> Floats:
-    """The same of tractions sqrt(1 - r^2 / radius^2), by quadrature over the disc."""
-    nodes, weights = np.polynomial.legendre.leggauss(24)
-    phi, angle = (nodes + 1) * np.pi / 4, np.arange(48) * (2 * np.pi / 48)
-    signals = np.zeros((3, 3, *x.shape))
-    for p, w in zip(phi, weights * np.pi / 4, strict=True):
-        ring = w * 2 * np.pi / 48 * radius**2 * np.cos(p) ** 2 * np.sin(p)
-        cos, sin = radius * np.sin(p) * np.cos(angle), radius * np.sin(p) * np.sin(angle)
-        signals += ring * point_load_signals(x[..., None] - cos, y[..., None] - sin, nu).sum(axis=-1)
-    return signals
-
-
-@dataclass(frozen=True)
-class Scene:
-    signals: Floats  # (3, ny, nx), without noise
-    traction: Floats  # (3, ny, nx), averaged over the cell of each site
-
-    def noise_std(self, decibel: float) -> float:
-        return float(np.sqrt(np.mean(self.signals**2)) * 10 ** (-decibel / 20))
-
-    def noisy(self, decibel: float, seed: int) -> Floats:
-        return self.signals + self.noise_std(decibel) * np.random.default_rng(seed).standard_normal(self.signals.shape)
-
-    def error(self, decoded: Decoded) -> float:
-        return float(np.linalg.norm(decoded.traction_pascal - self.traction) / np.linalg.norm(self.traction))
-
-
-def partial_slip(
-    centre: tuple[float, float] = (0.0, 0.0),
-    *,
-    shape: tuple[int, int] = (32, 32),
-    nu: float = 0.5,
-    stick: float = 0.5,
-    friction: float = 0.5,
-    radius: float = 2.5e-3,
-    direction: float = np.pi / 6,
-) -> Scene:
-    """Cattaneo and Mindlin: Hertz pressure, friction times pressure less the same over the stick radius."""
-    x, y = (axis - middle for axis, middle in zip(sites(shape), centre, strict=True))
-    peak = 1.5 * FORCE / (np.pi * radius**2)
-    way = np.array([np.cos(direction), np.sin(direction)])
-    whole = hertz_signals(x, y, radius, nu)
-    inner = hertz_signals(x, y, stick * radius, nu)
-    signals = peak * (whole[2] + friction * np.tensordot(way, whole[:2] - stick * inner[:2], 1))
-    offset = ((np.arange(16) + 0.5) / 16 - 0.5) * PITCH
-    square = (x[..., None, None] + offset) ** 2 + (y[..., None, None] + offset[:, None]) ** 2
-    pressure = peak * np.sqrt(np.maximum(1 - square / radius**2, 0))
-    shear = friction * (pressure - peak * stick * np.sqrt(np.maximum(1 - square / (stick * radius) ** 2, 0)))
-    cells = np.array([way[0] * shear, way[1] * shear, pressure]).mean(axis=(-1, -2))
-    return Scene(signals, cells)
 
 
 @pytest.fixture(scope="module")
@@ -96,11 +19,6 @@ def centred() -> Scene:
 @pytest.fixture(scope="module")
 def crossing() -> Scene:
     return partial_slip((5.5e-3, 0.0))
-
-
-def decoder(scene: Scene, decibel: float, *, nu: float = 0.5, **keywords: float) -> FourierDecoder:
-    shape = scene.signals.shape[1:]
-    return FourierDecoder(HalfSpace(E, nu), shape, PITCH, DEPTH, scene.noise_std(decibel), **keywords)
 
 
 # --- accuracy
@@ -338,25 +256,30 @@ def test_silence_is_a_frame_like_any_other(centred: Scene):
 # --- shapes
 
 
-def test_a_frame_does_not_depend_on_its_batch_and_repeats_exactly(centred: Scene):
+def test_a_stack_decodes_as_its_frames_do(centred: Scene):
+    """Whole, damaged and unusable frames side by side, more of them than are decoded at once."""
     decode = decoder(centred, 30).decode
-    frames = np.stack([centred.noisy(30, seed) for seed in range(4)]).reshape(2, 2, 3, 32, 32)
+    frames = np.stack([centred.noisy(30, seed) for seed in range(40)]).reshape(4, 10, 3, 32, 32)
     frames[1, 0] = np.nan
     frames[0, 1, 2, 5, 5] = np.nan
-    batch = decode(frames, displacement=True)
-    assert batch.traction_pascal.shape == batch.traction_std_pascal.shape == (2, 2, 3, 32, 32)
-    assert batch.displacement_m is not None
+    frames[2, 3] = np.random.default_rng(0).permutation(frames[2, 3].ravel()).reshape(3, 32, 32)
+    stack = decode(frames, displacement=True)
+    assert stack.traction_pascal.shape == stack.traction_std_pascal.shape == (4, 10, 3, 32, 32)
+    assert stack.displacement_m is not None
     for name in ("border_contact", "log_evidence", "chi2", "status", "reason"):
-        assert np.shape(getattr(batch, name)) == (2, 2)
-    for row, column in np.ndindex(2, 2):
+        assert np.shape(getattr(stack, name)) == (4, 10)
+    for row, column in np.ndindex(4, 10):
         single = decode(frames[row, column], displacement=True)
-        assert single.displacement_m is not None
-        np.testing.assert_array_equal(batch.traction_pascal[row, column], single.traction_pascal)
-        np.testing.assert_array_equal(batch.traction_std_pascal[row, column], single.traction_std_pascal)
-        np.testing.assert_array_equal(batch.displacement_m[row, column], single.displacement_m)
-        assert batch.status[row, column] == single.status
-        np.testing.assert_array_equal(batch.chi2[row, column], single.chi2)
-    assert batch.status.tolist() == [["ok", "ok"], ["no_signal", "ok"]]
+        for name in ("traction_pascal", "traction_std_pascal", "displacement_m", "log_evidence", "chi2"):
+            expected, found = getattr(single, name), getattr(stack, name)[row, column]
+            scale = np.nan_to_num(np.abs(expected)).max()
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * scale, err_msg=name)
+        for name in ("status", "reason", "border_contact"):
+            assert getattr(stack, name)[row, column] == getattr(single, name)
+    expected_status = np.full((4, 10), "ok", "<U9")
+    expected_status[1, 0], expected_status[2, 3] = "no_signal", "rejected"
+    np.testing.assert_array_equal(stack.status, expected_status)
+    assert stack.reason[0, 1] == "1 of 3072 signals lost and filled in"
     assert isinstance(single.status, str)
     assert isinstance(single.border_contact, bool)
 

@@ -1,0 +1,336 @@
+"""The Fourier decoder as printed, as a weighted-norm filter, with given spectra and for a sliding contact."""
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from point_load_scenes import DEPTH, PITCH, E, Scene, decoder, partial_slip
+from scipy import fft
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from resonator_daemon.decoding import FourierDecoder
+from resonator_daemon.decoding.spectra import prior_root, weighted_norm
+from resonator_daemon.elastic import HalfSpace, SpectralGrid
+
+Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
+
+SKIN = HalfSpace(E, 0.5)
+ODD = (5, 7)  # no Nyquist frequencies
+RECORD = [(11, 0.307), (20, 0.306), (30, 0.342), (40, 0.459)]
+
+
+@pytest.fixture(scope="module")
+def centred() -> Scene:
+    return partial_slip()
+
+
+def dense(per_bin: Complexes, shape: tuple[int, int]) -> Floats:
+    """Matrix of a real operator given for each bin of rfft2, by pushing unit fields through it."""
+    size = 3 * shape[0] * shape[1]
+    spectra = np.einsum("yxij,njyx->niyx", per_bin, fft.rfft2(np.eye(size).reshape(size, 3, *shape)))
+    return np.asarray(fft.irfft2(spectra, s=shape).reshape(size, size).T, np.float64)
+
+
+def transfer(shape: tuple[int, int], depth_m: float = DEPTH) -> Complexes:
+    return SpectralGrid(shape, PITCH).transfer_matrix(SKIN, "sensor", "traction", depth_m)
+
+
+def filtered(per_bin: Complexes, frame: Floats) -> Floats:
+    spectrum = np.moveaxis(fft.rfft2(frame), 0, -1)[..., None]
+    return np.asarray(fft.irfft2(np.moveaxis((per_bin @ spectrum)[..., 0], -1, 0), s=frame.shape[1:]), np.float64)
+
+
+# --- as printed
+
+
+@pytest.mark.parametrize("decibel", [11, 20, 30, 40])
+def test_the_printed_recipe_is_a_setting(centred: Scene, decibel: float):
+    """Eq. (5) as it stands: [q T* T + N]^-1 q T* s; the noise has one power, where that is right."""
+    std, frame, power = centred.noise_std(decibel), centred.noisy(decibel, 0), np.mean(centred.traction**2)
+    forward = transfer((32, 32))
+    adjoint = forward.conj().swapaxes(-1, -2)
+    expected = filtered(np.linalg.inv(power * adjoint @ forward + std**2 * np.eye(3)) @ (power * adjoint), frame)
+    printed = decoder(centred, decibel, extension="periodic", prior="white", prior_std_pascal=np.sqrt(power))
+    found = printed.decode(frame)
+    np.testing.assert_allclose(found.traction_pascal, expected, atol=1e-10 * np.abs(expected).max())
+    assert centred.error(found) > 1.3 * centred.error(decoder(centred, decibel).decode(frame))
+
+
+def test_errors_of_the_printed_recipe_on_record(centred: Scene):
+    """They grow with the signal-to-noise ratio, here the same in each channel; white, of the true mean powers."""
+    powers = np.mean(centred.traction**2, axis=(1, 2))
+    rms = np.sqrt(np.mean(centred.signals**2, axis=(1, 2)))
+    settings: list[dict[str, Any]] = [
+        {
+            "extension": "periodic",
+            "prior": lambda x, y: np.broadcast_to(powers, (y.size, x.size, 3)),
+            "prior_std_pascal": np.sqrt(powers[2]),
+        },
+        {"extension": "periodic"},
+        {},
+    ]
+    for decibel, published in RECORD:
+        std = rms * 10 ** (-decibel / 20)
+        noise = std[:, None, None] * np.random.default_rng(0).standard_normal((4, 3, 32, 32))
+        errors = []
+        for keywords in settings:
+            found = FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, std, **keywords).decode(centred.signals + noise)
+            off = (found.traction_pascal - centred.traction).reshape(4, -1)
+            errors.append(np.mean(np.linalg.norm(off, axis=1)) / np.linalg.norm(centred.traction))
+        printed, periodic, default = errors
+        assert printed == pytest.approx(published, abs=0.015)
+        assert default < periodic < 0.75 * printed
+
+
+def test_without_regularisation_only_a_frame_without_noise_decodes(centred: Scene):
+    forward = transfer((32, 32))
+    plain = decoder(centred, 30, extension="periodic", prior="white", prior_std_pascal=1e30)
+    model_signals = filtered(forward, centred.traction)
+    np.testing.assert_allclose(
+        plain.decode(model_signals).traction_pascal, centred.traction, atol=1e-8 * centred.traction.max()
+    )
+    noisy = plain.decode(centred.noisy(30, 0))
+    expected = filtered(np.linalg.inv(forward), centred.noisy(30, 0))
+    np.testing.assert_allclose(noisy.traction_pascal, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    assert centred.error(noisy) > 100
+
+
+def test_displacement_of_a_periodic_load_on_an_oblong_array():
+    """A cosine pressure indents by 2 (1 - nu^2) / (E omega) times itself; its level does not."""
+    shape, nu = (24, 30), 0.3
+    x = np.arange(30) * PITCH
+    omega = 2 * np.pi * 2 / (30 * PITCH)
+    pressure = np.zeros((3, *shape))
+    pressure[2] = 1e3 + 2e3 * np.cos(omega * x)
+    body = HalfSpace(E, nu)
+    forward = SpectralGrid(shape, PITCH).transfer_matrix(body, "sensor", "traction", DEPTH)
+    plain = FourierDecoder(body, shape, PITCH, DEPTH, 1e-6, extension="periodic", prior="white", prior_std_pascal=1e15)
+    found = plain.decode(filtered(forward, pressure), displacement=True)
+    assert found.displacement_m is not None
+    expected = 2 * (1 - nu**2) / (E * omega) * 2e3 * np.cos(omega * x)
+    np.testing.assert_allclose(
+        found.displacement_m[2], np.broadcast_to(expected, shape), atol=1e-6 * np.abs(expected).max()
+    )
+
+
+# --- weights and spectra
+
+
+def coupled_weights(omega_x: Floats, omega_y: Floats) -> Complexes:
+    """1 + omega^2 l^2 for each component, and the square of a sum of slopes and of f_z."""
+    length = 5e-4
+    slopes = np.stack(np.broadcast_arrays(1j * omega_x * length, 1j * omega_y * length, 1.0), axis=-1)
+    plain = 1.0 + (omega_x**2 + omega_y**2) * length**2
+    return plain[..., None, None] * np.eye(3) + slopes.conj()[..., None] * slopes[..., None, :]
+
+
+def test_weighted_norm_is_the_minimum_of_tikhonovs_functional():
+    """|T f - s|^2 + alpha f* H f, minimised by dense linear algebra in space."""
+    std, prior_std = 2e-3, 3e4
+    grid = SpectralGrid(ODD, PITCH)
+    weights = coupled_weights(grid.omega_x, grid.omega_y)
+    mean_power = np.sum(grid.multiplicity * np.linalg.inv(weights)[..., 2, 2].real) / (ODD[0] * ODD[1])
+    alpha = std**2 * mean_power / prior_std**2
+    forward, norm = dense(transfer(ODD), ODD), dense(weights, ODD)
+    frame = 5e-3 * np.random.default_rng(1).standard_normal((3, *ODD))
+    expected = np.linalg.solve(forward.T @ forward + alpha * norm, forward.T @ frame.ravel()).reshape(frame.shape)
+    keywords: dict[str, Any] = {"extension": "periodic", "prior_std_pascal": prior_std}
+    found = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, prior=weighted_norm(coupled_weights), **keywords).decode(frame)
+    np.testing.assert_allclose(found.traction_pascal, expected, atol=1e-9 * np.abs(expected).max())
+    plain = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, prior="white", **keywords).decode(frame)
+    assert np.abs(plain.traction_pascal - expected).max() > 0.1 * np.abs(expected).max()
+
+
+def test_spectra_count_up_to_a_factor_and_name_the_standard_deviation(centred: Scene):
+    def smooth(omega_x: Floats, omega_y: Floats) -> Floats:
+        return 7e5 / (1 + (omega_x**2 + omega_y**2)[..., None] * 1e-6) ** 2 * [0.3, 0.3, 1.0]
+
+    frame = centred.noisy(30, 0)
+    for keywords in ({}, {"prior_std_pascal": 1e4}):
+        own = decoder(centred, 30, **keywords).decode(frame)
+        given = decoder(centred, 30, prior=smooth, **keywords).decode(frame)
+        np.testing.assert_allclose(given.traction_pascal, own.traction_pascal, rtol=1e-9, atol=1e-6)
+        assert given.log_evidence == pytest.approx(own.log_evidence, rel=1e-12)
+    lost = np.full((3, 3, *ODD), np.nan)[0]
+    lost[:, :, :4] = 0.0  # the columns beyond are unknown: there the prior's own deviation holds
+    blind = FourierDecoder(SKIN, ODD, PITCH, 0.0, 10.0, prior=smooth, prior_std_pascal=1e3).decode(lost)
+    assert blind.traction_std_pascal[2, 2, 6] == pytest.approx(1e3, rel=0.01)
+
+
+def test_a_nyquist_frequency_stands_for_both_its_signs():
+    """Spectra that differ between omega_x and -omega_x at one omega_y, on an even array: still a real operator."""
+
+    def slanted(omega_x: Floats, omega_y: Floats) -> Floats:
+        return np.exp(-(((omega_x - omega_y) * PITCH / 2) ** 2))[..., None] * np.ones(3)
+
+    def power(x: int, y: int) -> float:
+        return float(np.exp(-(((x / 6 - y / 4) * np.pi) ** 2)))
+
+    root = prior_root(slanted, SpectralGrid((4, 6), PITCH))[..., 0, :]
+    found = (np.abs(root) ** 2).sum(axis=-1)
+    expected = np.array([[power(x, y) for x in range(4)] for y in (0, 1, -2, -1)])
+    expected[:, 3] = [(power(3, y) + power(-3, y)) / 2 for y in (0, 1, -2, -1)]
+    expected[2] = [(power(x, 2) + power(x, -2)) / 2 for x in range(4)]
+    np.testing.assert_allclose(found / found[0, 0], expected, rtol=1e-12)
+    assert found @ [1, 2, 2, 1] @ np.ones(4) == pytest.approx(24)  # of unit variance in space
+
+
+@pytest.mark.parametrize(
+    ("prior", "message"),
+    [
+        ("rough", "prior is 'rough', must be 'smooth', 'white'"),
+        (lambda x, y: np.ones((3, 3)), r"prior has shape \(3, 3\), must be \(48, 25, 3\) or \(48, 25, 3, 3\)"),
+        (lambda x, y: np.full((y.size, x.size, 3), np.inf), "prior holds values that are not finite"),
+        (lambda x, y: np.full((y.size, x.size, 3), -1.0), "prior has the eigenvalue -1, must have none below 0"),
+        (lambda x, y: np.ones((y.size, x.size, 3)) * [1.0, 1.0, 0.0], "prior has power 0 of f_z"),
+        (lambda x, y: (x + 0 * y + 1e6)[..., None] * np.ones(3), "prior differs from its conjugate at -omega"),
+        (lambda x, y: np.broadcast_to(np.tri(3), (y.size, x.size, 3, 3)), "conjugate transpose, must be Hermitian"),
+        (
+            weighted_norm(lambda x, y: (x**2 + y**2)[..., None] * np.ones(3)),
+            "weights have the eigenvalue 0, must be above 0 everywhere: add a constant",
+        ),
+    ],
+)
+def test_refuses_what_is_no_prior(prior: Any, message: str):
+    with pytest.raises(ValueError, match=message):
+        FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, 1e-3, prior=prior)
+
+
+@pytest.mark.parametrize(
+    ("keywords", "message"),
+    [
+        ({"extension": "mirror"}, "extension is 'mirror', must be 'taper' or 'periodic'"),
+        ({"sliding_friction": 0.0}, "sliding_friction is 0.0, must be finite and above 0"),
+        ({"sliding_friction": np.nan}, "sliding_friction is nan"),
+        ({"prior_std_pascal": 1e200}, r"prior_std_pascal is 1e\+200, must be at most 1e\+30"),
+    ],
+)
+def test_refuses_parameters(keywords: Any, message: str):
+    with pytest.raises(ValueError, match=message):
+        FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, 1e-3, **keywords)
+
+
+# --- sliding contacts
+
+
+def test_the_printed_spectra_of_a_sliding_contact_are_no_covariance():
+    mu = 0.5
+    printed = np.array([[mu**2, 0, mu], [0, mu**2, mu], [mu, mu, 1]])
+    with pytest.raises(ValueError, match=r"prior has the eigenvalue -0\.175, must have none below 0"):
+        FourierDecoder(
+            SKIN, (32, 32), PITCH, DEPTH, 1e-3, prior=lambda x, y: np.broadcast_to(printed, (y.size, x.size, 3, 3))
+        )
+
+
+def test_sliding_is_a_mixture_of_gaussians_over_the_directions():
+    """Evidence, mean and variance of 36 dense Gaussian models, their moments by averaging over angles."""
+    mu, std, prior_std, sectors = 0.4, 4e-3, 2e3, 36
+    size = ODD[0] * ODD[1]
+    forward = dense(transfer(ODD, 5e-4), ODD)
+    rng = np.random.default_rng(4)
+    normal = prior_std * rng.standard_normal(size)
+    load = np.concatenate([mu * np.cos(2.0) * normal, mu * np.sin(2.0) * normal, normal])
+    signals = forward @ load + 0.8 * std * rng.standard_normal(3 * size)
+    evidence, means, variances = [], [], []
+    for sector in range(sectors):
+        angles = (sector + (np.arange(200) + 0.5) / 200 - 0.5) * 2 * np.pi / sectors
+        ways = np.array([mu * np.cos(angles), mu * np.sin(angles), np.ones(200)])
+        prior = prior_std**2 * np.kron(ways @ ways.T / 200, np.eye(size))
+        covariance = forward @ prior @ forward.T + std**2 * np.eye(3 * size)
+        gain = prior @ forward.T @ np.linalg.inv(covariance)
+        evidence.append(multivariate_normal(cov=covariance).logpdf(signals))
+        means.append(gain @ signals)
+        variances.append(np.diag(prior - gain @ forward @ prior))
+    weights = np.exp(evidence - logsumexp(evidence))
+    assert np.sort(weights)[-3] > 0.03  # several directions matter
+    mean = weights @ np.array(means)
+    between = (weights @ (np.array(means) - mean) ** 2).reshape(3, size).mean(axis=1)
+    within = (weights @ np.array(variances)).reshape(3, size)
+    assert (between > 0.02 * within.mean(axis=1)).any()
+
+    found = FourierDecoder(
+        SKIN,
+        ODD,
+        PITCH,
+        5e-4,
+        std,
+        extension="periodic",
+        prior="white",
+        prior_std_pascal=prior_std,
+        sliding_friction=mu,
+    ).decode(signals.reshape(3, *ODD))
+    assert found.chi2 < 1.0
+    assert found.log_evidence == pytest.approx(logsumexp(evidence) - np.log(sectors), abs=1e-3)
+    np.testing.assert_allclose(found.traction_pascal.ravel(), mean, atol=2e-3 * np.abs(mean).max())
+    np.testing.assert_allclose(
+        found.traction_std_pascal.reshape(3, size), np.sqrt(within + between[:, None]), rtol=5e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("degrees", "decibel", "tangential", "normal"),
+    [(30.0, 11, 0.19, 0.18), (35.0, 11, 0.19, 0.18), (-100.0, 20, 0.14, 0.13), (35.0, 30, 0.10, 0.095)],
+)
+def test_sliding_contact_of_unknown_direction(degrees: float, decibel: float, tangential: float, normal: float):
+    """Less than 0.65 of the error of the shear, wherever the direction lies in its sector."""
+    scene = partial_slip(stick=1e-6, direction=np.deg2rad(degrees))
+    frames = np.stack([scene.noisy(decibel, seed) for seed in range(4)])
+    found = decoder(scene, decibel, sliding_friction=0.5).decode(frames)
+    plain = decoder(scene, decibel).decode(frames)
+    off, off_plain = found.traction_pascal - scene.traction, plain.traction_pascal - scene.traction
+    assert np.linalg.norm(off[:, :2]) < 0.65 * np.linalg.norm(off_plain[:, :2])
+    assert np.linalg.norm(off[:, :2]) < tangential * 2 * np.linalg.norm(scene.traction[:2])
+    assert np.linalg.norm(off[:, 2]) < normal * 2 * np.linalg.norm(scene.traction[2])
+    assert (found.log_evidence > plain.log_evidence).all()
+    z_scores = np.sqrt(np.mean((off / found.traction_std_pascal) ** 2, axis=(0, 2, 3)))
+    assert (z_scores > 0.7).all()
+    assert (z_scores < 1.35).all()
+
+
+def test_without_friction_every_direction_is_the_same(centred: Scene):
+    """Then the average is any one of its members, evidence included."""
+    frame = centred.noisy(30, 0)
+    found = decoder(centred, 30, sliding_friction=1e-4).decode(frame)
+    plain = decoder(centred, 30, tangential_ratio=5e-9).decode(frame)
+    assert found.log_evidence == pytest.approx(plain.log_evidence, abs=1.0)
+    np.testing.assert_allclose(
+        found.traction_pascal[2], plain.traction_pascal[2], atol=1e-3 * plain.traction_pascal.max()
+    )
+
+
+def test_a_contact_that_sticks_in_part_shows_in_chi2(centred: Scene):
+    frame = centred.noisy(30, 0)
+    assert decoder(centred, 30, sliding_friction=0.5).decode(frame).chi2 > 1.4
+    assert decoder(centred, 30).decode(frame).chi2 < 1.1
+
+
+def test_lost_signals_of_a_sliding_contact():
+    scene = partial_slip(stick=1e-6)
+    frame = scene.noisy(30, 0)
+    gone = np.random.default_rng(5).random(frame.shape) < 0.1
+    decode = decoder(scene, 30, sliding_friction=0.5).decode
+    whole, found = decode(frame), decode(np.where(gone, np.nan, frame))
+    assert scene.error(found) < 1.1 * scene.error(whole)
+    assert found.reason == f"{gone.sum()} of 3072 signals lost and filled in"
+    assert found.traction_std_pascal.mean() > whole.traction_std_pascal.mean()
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {},
+        {"extension": "periodic", "prior": "white", "prior_std_pascal": 1e4},
+        {"prior": weighted_norm(coupled_weights)},
+        {"sliding_friction": 0.5},
+    ],
+)
+def test_decoders_are_pickled(keywords: dict[str, Any]):
+    shape = (12, 10)
+    original = FourierDecoder(SKIN, shape, PITCH, DEPTH, 1e-3, **keywords)
+    copied = pickle.loads(pickle.dumps(original))
+    frame = 0.01 * np.random.default_rng(0).standard_normal((3, *shape))
+    np.testing.assert_array_equal(copied.decode(frame).traction_pascal, original.decode(frame).traction_pascal)
