@@ -109,6 +109,24 @@ def pixel_tractions(
     return traction
 
 
+def point_tractions(
+    force_newton: npt.ArrayLike,
+    centre_m: tuple[float, float],
+    radius_m_at_1_newton: float,
+    friction_coefficient: float,
+    positions_m: npt.ArrayLike,
+) -> FloatArray:
+    """Traction x, y, z in pascals, (3, n), at places (n, 2) on the surface; the other parameters as `hertz_parts`."""
+    distances = np.linalg.norm(np.asarray(positions_m, dtype=np.float64) - np.asarray(centre_m), axis=-1)
+    traction = np.zeros((3, len(distances)))
+    radii, forces = hertz_parts(force_newton, radius_m_at_1_newton, friction_coefficient)
+    for radius, force in zip(radii, forces, strict=True):
+        if radius > 0.0:
+            height = np.sqrt(np.maximum(1.0 - (distances / radius) ** 2, 0.0))
+            traction += 1.5 / (math.pi * radius**2) * force[:, np.newaxis] * height
+    return traction
+
+
 def _share_up_to(x: FloatArray, y: FloatArray) -> FloatArray:
     """Integral of the unit-force Hertz distribution of radius 1 over the rectangle from 0 to (x, y); odd in both.
 

@@ -44,33 +44,33 @@ class SkinPlate:
     def __init__(
         self, plate: Plate, scenario: Scenario, seed: int, *, reference_error: float = REFERENCE_ERROR
     ) -> None:
-        if plate.grid is None or plate.skin is None:
-            raise ValueError(
-                f"plate {plate.name} has no [grid] and [skin], the emulated channelised counter needs both"
-            )
-        grid, skin, tones = plate.grid, plate.skin, plate.tones
+        if plate.skin is None:
+            raise ValueError(f"plate {plate.name} has no [skin], the emulated channelised counter needs one")
+        skin, tones = plate.skin, plate.tones
+        oscillator_hz, spacing_hz = _oscillators(plate)
+        count = len(tones.f0_hz)
         reference_hz = plate.counter.reference_hz
         self.description = Description(
             counter_kind=CounterKind.CHANNELISED,
             channels=CHANNEL_COUNT,
-            tones=grid.tone_count,
+            tones=count,
             reference_millihertz=round(reference_hz * 1e3),
             gate_ticks_min=round(_GATE_S[0] * reference_hz),
             gate_ticks_max=round(_GATE_S[1] * reference_hz),
             plate=plate.name,
-            oscillator_millihertz=round(grid.f0_hz * 1e3),
-            oscillator_spacing_millihertz=round(grid.spacing_hz * 1e3),
+            oscillator_millihertz=round(oscillator_hz[0] * 1e3),
+            oscillator_spacing_millihertz=round(spacing_hz * 1e3),
         )
         self._scenario = scenario
         self._reference_hz = reference_hz
         self._tick_rate_hz = reference_hz * (1.0 + reference_error)
         self._random = np.random.default_rng(seed)
         self._where = tones.signal_index, tones.site_index
-        self._oscillator_hz = grid.f0_hz + grid.spacing_hz * np.arange(grid.tone_count)
-        self._half_spacing_hz = grid.spacing_hz / 2.0
+        self._oscillator_hz = oscillator_hz
+        self._half_spacing_hz = spacing_hz / 2.0
         # Counted against a fast reference, every frequency seems low.
         self._f0_hz = tones.f0_hz.T / (1.0 + reference_error)
-        gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, grid.tone_count)
+        gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, count)
         self._sensitivity = tones.sensitivity.T * gain
         self._spots = [
             _spot(plate, skin, (float(x), float(y)), float(peak))
@@ -140,6 +140,20 @@ class SkinPlate:
             stick_radius_m,
             FRICTION_COEFFICIENT,
         )
+
+
+def _oscillators(plate: Plate) -> tuple[FloatArray, float]:
+    """Return the frequencies (tones,) that tones are counted against, evenly spaced, and their spacing."""
+    f0_hz = plate.tones.f0_hz.mean(axis=1)
+    spacing_hz = float(f0_hz[-1] - f0_hz[0]) / (len(f0_hz) - 1)
+    oscillator_hz = f0_hz[0] + spacing_hz * np.arange(len(f0_hz))
+    off_hz = np.abs(plate.tones.f0_hz - oscillator_hz[:, np.newaxis]).max()
+    if not off_hz < spacing_hz / 2.0:
+        raise ValueError(
+            f"tones of plate {plate.name} lie up to {off_hz:.0f} Hz off an even spacing of {spacing_hz:.0f} Hz, must "
+            "be within half of it, in the order of the file: the emulated counter's oscillators are spaced evenly"
+        )
+    return oscillator_hz, spacing_hz
 
 
 def _spot(plate: Plate, skin: Skin, centre_m: tuple[float, float], force_max_newton: float) -> PressedSpot:

@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from emulation import emulated
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
@@ -27,24 +28,12 @@ from resonator_daemon.acquisition.frames import (
 )
 from resonator_daemon.config import SerialLink, TcpLink, parse_link
 from resonator_daemon.plate import load_plate
-from simulators.emulator import Emulator, EmulatorOptions
+from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
 QUARTZ = load_plate("quartz16")
 SKIN = load_plate("skin32")
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
-
-
-@contextmanager
-def emulated(options: EmulatorOptions) -> Iterator[Emulator]:
-    emulator = Emulator(options)
-    thread = threading.Thread(target=emulator.run)
-    thread.start()
-    try:
-        yield emulator
-    finally:
-        emulator.stop()
-        thread.join()
 
 
 class Listener:

@@ -14,7 +14,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from emulation import emulated
 
 from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Rebooted
 from firmware_protocol.messages import Configuration
@@ -64,18 +66,6 @@ class Host:
 
 
 @contextmanager
-def running(options: EmulatorOptions) -> Iterator[Emulator]:
-    emulator = Emulator(options)
-    thread = threading.Thread(target=emulator.run)
-    thread.start()
-    try:
-        yield emulator
-    finally:
-        emulator.stop()
-        thread.join()
-
-
-@contextmanager
 def opened(path: Path, gate_ticks: int = 1_000_000) -> Iterator[Host]:
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
@@ -100,7 +90,7 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
     fds = len(os.listdir("/proc/self/fd"))
     options = EmulatorOptions("quartz16", pty=path, scenario="held", truth=truth_path)
-    with running(options) as emulator, opened(path) as host:
+    with emulated(options) as emulator, opened(path) as host:
         begin_ns = time.time_ns()
         host.read_until(lambda: len(host.frames) >= 300)
         end_ns = time.time_ns()
@@ -134,7 +124,7 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
 def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up(tmp_path: Path) -> None:
     path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
     options = EmulatorOptions("quartz16", pty=path, scenario="still", truth=truth_path, speed=10.0)
-    with running(options) as emulator, opened(path) as host:
+    with emulated(options) as emulator, opened(path) as host:
         host.read_until(lambda: len(host.frames) >= 10)
         wait_for(lambda: len(truths(truth_path)) >= 3000)
     report = emulator.report()
@@ -143,10 +133,13 @@ def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
 
 
-def test_skin32_sends_3072_tones_on_four_channels_over_tcp(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("plate", "tones", "parts_a_frame"), [("skin32", 3072, 20), ("fingertip400", 1200, 8)])
+def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
+    tmp_path: Path, plate: str, tones: int, parts_a_frame: int
+) -> None:
     truth_path = tmp_path / "truth.jsonl"
-    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), truth=truth_path)
-    with running(options) as emulator:
+    options = EmulatorOptions(plate, tcp=("127.0.0.1", 0), truth=truth_path)
+    with emulated(options) as emulator:
         host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
         with socket.create_connection((host_name, int(port))) as client:
             host = Host(client.fileno(), 2_500_000)
@@ -154,23 +147,23 @@ def test_skin32_sends_3072_tones_on_four_channels_over_tcp(tmp_path: Path) -> No
 
             def enough() -> bool:
                 parts[:] = [event for event in host.events if isinstance(event, FramePart)]
-                return len(parts) >= 80 * 20
+                return len(parts) >= 80 * parts_a_frame
 
             host.read_until(enough)
-    assert [part.sequence for part in parts[:1600]] == [sequence for sequence in range(80) for _ in range(20)]
-    assert sum(part.block.tones for part in parts[:20]) == 4 * 3072
+    assert [part.sequence for part in parts[: 80 * parts_a_frame]] == list(np.repeat(np.arange(80), parts_a_frame))
+    assert sum(part.block.tones for part in parts[:parts_a_frame]) == 4 * tones
     contacts = truths(truth_path)[79]["contacts"]  # 0.795 s: 0.295 s into the rise of 0.4 s
     assert set(contacts[0]) == {
         "id", "site", "position_m", "force_newton", "radius_m", "stick_radius_m", "friction_coefficient"
     }  # fmt: skip
     assert contacts[0]["radius_m"] == pytest.approx(2.5e-3 * contacts[0]["force_newton"][2] ** (1 / 3))
-    assert emulator.report()["bytes_sent"] >= 80 * 20 * 36
+    assert emulator.report()["bytes_sent"] >= 80 * parts_a_frame * 36
 
 
 def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "board"
     faults = FaultPlan(unplug_at_s=0.2, unplug_for_s=0.3)
-    with running(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
+    with emulated(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
         with opened(path) as host:
             host.read_until(lambda: False)
             assert host.gone
@@ -191,7 +184,7 @@ def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
     path = tmp_path / "board"
     faults = FaultPlan(reboot_at_s=0.1)
     options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)
-    with running(options) as emulator, opened(path) as host:
+    with emulated(options) as emulator, opened(path) as host:
         host.read_until(lambda: len(host.frames) >= 50)
         first = next(event for event in host.events if isinstance(event, Described))
         host.read_until(lambda: sum(isinstance(event, Described) for event in host.events) == 2)
@@ -207,7 +200,7 @@ def test_damage_on_the_wire_is_what_the_report_says(tmp_path: Path) -> None:
     path = tmp_path / "board"
     faults = FaultPlan(bit_error_rate=1e-4, garbage_rate_hz=50.0)
     options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults, seed=11)
-    with running(options) as emulator, opened(path) as host:
+    with emulated(options) as emulator, opened(path) as host:
         host.read_until(lambda: len(host.frames) >= 400)
     last = host.frames[-1].sequence
     received = {frame.sequence for frame in host.frames}
@@ -242,7 +235,7 @@ def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: 
 
 def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
     path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
-    with running(EmulatorOptions("quartz16", pty=path, truth=truth_path, speed=2.0)), opened(path) as host:
+    with emulated(EmulatorOptions("quartz16", pty=path, truth=truth_path, speed=2.0)), opened(path) as host:
         host.read_until(lambda: len(host.frames) >= 200)
     stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
     assert stamps[199] - stamps[0] == pytest.approx(199e6 / 2, abs=2e6)

@@ -1,0 +1,127 @@
+"""The third plate: its file, and the emulated tones of its 400 scattered sites."""
+
+import math
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.distance import pdist, squareform
+
+from firmware_protocol.layouts import ToneFlag
+from resonator_daemon.acquisition.fit import misfits, oscillator_hz
+from resonator_daemon.measurement.channelised import ToneArray
+from resonator_daemon.plate import Plate, load_plate
+from simulators.scenario import Scenario, Touch
+from simulators.skin_plate import SkinPlate
+
+ROOT = Path(__file__).parents[2]
+PLATE = load_plate("fingertip400")
+GATE_TICKS = 2_500_000
+RECORD = np.dtype("<i4, <i4, <u2, u1, u1")  # phase, offset_hz16, attenuation, sigma_code, flags
+PRESS = Touch(start_s=0.0, position_mm=(0.0, 0.0), force_newton=1.0, rise_s=0.0, hold_s=10.0, fall_s=0.0)
+
+
+def test_the_file_is_what_its_script_makes() -> None:
+    run = subprocess.run([sys.executable, ROOT / "docs/plates/fingertip400.py"], capture_output=True, check=True)
+    assert run.stdout == (ROOT / "resonator_daemon/plates/fingertip400.toml").read_bytes()
+
+
+def test_400_sites_lie_irregularly_inside_a_fingertip_and_closer_in_the_middle() -> None:
+    sites_mm = PLATE.site_positions_m * 1e3
+    assert sites_mm.shape == (400, 2)
+    assert sorted(PLATE.site_ids) == list(range(1, 401))
+    np.testing.assert_allclose(np.ptp(PLATE.outline_m, axis=0), [14e-3, 18e-3])
+    x, y = sites_mm.T
+    assert (np.hypot(x, y - 2.0)[y > 2.0] <= 6.5).all()  # the tip is a half circle; 0.5 mm are left free
+    assert np.abs(x).max() <= 6.5
+    assert y.min() >= -8.5
+    distance_mm = squareform(pdist(sites_mm)) + np.diag(np.full(400, np.inf))
+    nearest_mm = distance_mm.min(axis=1)
+    assert nearest_mm.min() >= 0.35
+    radius_mm = np.hypot(x, y)
+    assert np.median(nearest_mm[radius_mm < 3.0]) < 0.7 * np.median(nearest_mm[radius_mm > 6.0])
+    # Irregular: the ways to the nearest site lead everywhere, on a lattice they have few directions.
+    ways = sites_mm[distance_mm.argmin(axis=1)] - sites_mm
+    for fold in (2, 4, 6):
+        assert abs(np.exp(1j * fold * np.arctan2(ways[:, 1], ways[:, 0])).mean()) < 0.15
+
+
+def test_its_skin_and_its_1200_tones() -> None:
+    assert PLATE.skin
+    assert (PLATE.skin.youngs_modulus_pascal, PLATE.skin.poisson_ratio, PLATE.skin.depth_m) == (2e5, 0.5, 1e-3)
+    assert (PLATE.counter.kind, PLATE.counter.frame_rate_hz) == ("channelised", 100)
+    tones = PLATE.tones
+    assert (tones.f0_hz == 100e6 + 8e3 * np.arange(1200)[:, np.newaxis]).all()
+    assert (tones.signal_index == np.tile([0, 1, 2], 400)).all()
+    expected = np.array([-2.0e-11, 2.7e-6, 2.7e-6])[tones.signal_index, np.newaxis]
+    np.testing.assert_array_equal(tones.sensitivity, np.broadcast_to(expected, (1200, 4)))
+
+
+def test_tones_of_near_sites_are_far_apart() -> None:
+    distance_m = squareform(pdist(PLATE.site_positions_m))
+    here, there = np.nonzero((distance_m > 0.0) & (distance_m <= 1.5e-3))
+    assert len(here) > 2000
+    f0_hz = PLATE.tones.f0_hz[:, 0].reshape(400, 3)
+    assert np.abs(f0_hz[here][:, :, np.newaxis] - f0_hz[there][:, np.newaxis]).min() == 560e3
+
+
+def test_it_loads_in_less_than_a_third_of_a_second() -> None:
+    took_s = []
+    for _ in range(3):
+        begun_s = time.process_time()
+        assert len(load_plate("fingertip400").tones.f0_hz) == 1200
+        took_s.append(time.process_time() - begun_s)
+    assert min(took_s) < 0.3
+
+
+def signals_of(plate: Plate, *touches: Touch, frames: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    """Mean signals (3, n), as the daemon computes them from the records, and their standard deviation in one frame."""
+    emulated = SkinPlate(plate, Scenario(touches, None, plate), seed=4)
+    assert misfits(emulated.description, plate) == ()
+    counted = emulated.count(0, 250_000_000, GATE_TICKS, frames)
+    rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
+    assert not (rows["f4"] & ToneFlag.OUT_OF_BAND).any()
+    tones = plate.tones
+    assert plate.skin
+    array = ToneArray(
+        tones.f0_hz,
+        tones.sensitivity,
+        oscillator_hz(emulated.description),
+        tones.site_index,
+        tones.signal_index,
+        plate.skin.youngs_modulus_pascal,
+    )
+    sigma_hz = 2.0 ** ((rows["f3"][0] - 128.0) / 8.0)
+    shifts = array.shifts(rows["f1"].mean(axis=0) / 2**16, sigma_hz, np.ones(sigma_hz.shape, np.bool_))
+    return array.signals(shifts, common_mode=-1.5e-6 / (1.0 + 1.5e-6))
+
+
+def test_each_sites_signals_are_those_of_its_own_place() -> None:
+    """Beside point loads strewn over the Hertz disc (Boussinesq's solution; Johnson, Contact Mechanics, 3.2)."""
+    signals, noise_std = signals_of(PLATE, PRESS)
+    angle, ring = np.meshgrid(np.arange(48) * (2 * math.pi / 48), (np.arange(60) + 0.5) / 60)
+    share = (ring * np.sqrt(1.0 - ring**2)).ravel()
+    loads_m = 2.5e-3 * np.column_stack([(ring * np.cos(angle)).ravel(), (ring * np.sin(angle)).ravel()])
+    away = PLATE.site_positions_m[:, np.newaxis] - loads_m
+    rho = np.sqrt((away**2).sum(axis=-1) + 1e-6)
+    p_n = -1.5 / (3 * math.pi) * (1e-3 / rho**3) @ share / share.sum()
+    shear = -3 / (2 * math.pi) * np.einsum("nl,nli,l->in", 1e-6 / rho**5, away, share) / share.sum()
+    true = 1.5 / 2e5 * np.array([p_n, *shear])
+    # 40 frames' noise, and a gain that is off by 1 % and not told
+    assert (np.abs(signals - true) < 5.0 * np.hypot(noise_std / math.sqrt(40), 0.011 * np.abs(true))).all()
+
+
+def test_signal_to_noise_ratio_is_30_db_at_1_newton() -> None:
+    signals, noise_std = signals_of(PLATE, PRESS)
+    assert 20 * np.log10(np.sqrt((signals**2).mean() / (noise_std**2).mean())) == pytest.approx(30.0, abs=0.5)
+
+
+def test_tones_that_no_even_oscillators_can_follow_are_refused() -> None:
+    raw = PLATE.model_dump(exclude_none=True)
+    raw["sites"] = (*raw["sites"][1:], raw["sites"][0])
+    mixed = Plate.model_validate(raw)
+    with pytest.raises(ValueError, match="off an even spacing"):
+        SkinPlate(mixed, Scenario((), None, mixed), seed=4)
