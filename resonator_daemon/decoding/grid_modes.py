@@ -2,10 +2,12 @@
 
 Parity splits the covariances into four blocks, exactly. Each axis then keeps the even and odd vectors that the estimate
 uses: the leading eigenvectors of the marginals of V w V' for the signals and of F w F' for the surface, w weighting the
-modes by their part in the estimate. Strong signals need more vectors than faint ones: there is a set for each level.
+modes by their part in the estimate. Of the products of both axes' vectors those stay that carry the estimate. Strong
+signals need more than faint ones: there is a set for each level.
 """
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +16,38 @@ from resonator_daemon.decoding.modes import Floats, Modes, Singles, explained_va
 from resonator_daemon.decoding.parity import CLASSES, Grid, half, parities, unfold
 from resonator_daemon.decoding.prior_tables import Field, StationaryPrior
 
-LEVELS = (1.5e2, 1.5e3, 1.5e4, 1.5e6)  # power of signals over noise, up to which each set of bases serves
+
+class Level(NamedTuple):
+    """Power of signals over noise up to which a set of bases serves, and shares of the estimate's power it may lose.
+
+    The shares are those that raise the error of a contact by less than 1 %. What the signals lose lies close to the
+    noise; the surface may lose less the more of it is seen.
+    """
+
+    power: float
+    signals: float
+    surface: float
+
+
+LEVELS = (
+    Level(1.5e2, 0.006, 0.0025),
+    Level(1.5e3, 0.009, 0.0035),
+    Level(1.5e4, 0.004, 0.0020),
+    Level(1.5e6, 0.002, 0.0012),
+)
 _HEADROOM = 8.0  # of the scale: a contact puts the array's power on a tenth of its area, and its edges are sharp
-# Shares of the estimate's power that may be lost; those of the signals and of the modes lie close to the noise.
-_LEFT_OUT: dict[Field, float] = {"sensor": 4e-3, "traction": 1.2e-3, "displacement": 1.2e-3}
-_LEFT_OUT_MODES = 8e-3
-_FEWEST = 10  # vectors of each parity, and root of the modes of each class: fewer save no time
+_FEWEST = 150  # products of a class: fewer save no time
+_DISPLACEMENT_PART = 0.2  # of the surface's share: most of the power is in long waves, which take few vectors
+# Parts of these shares that each axis' vectors may lose, before the products are chosen.
+_AXIS_PART: dict[Field, float] = {"sensor": 0.1, "traction": 0.2, "displacement": 0.2}
 
 
-class _AxisBases:
-    """Even and odd vectors along both axes, as many of each: columns of (count, 2 k), even ones first."""
+class _Bases:
+    """Even and odd vectors along both axes, as many of each, and the products of them that each class keeps."""
 
-    def __init__(self, grid: Grid, field: Field, blocks: list[Floats]) -> None:
+    def __init__(self, grid: Grid, field: Field, blocks: list[Floats], left_out: float) -> None:
         """From matrices (channels of a class, r), one for each class, whose squares are the power to be kept."""
+        self._grid = grid
         self._field: Field = field
         ny, nx = grid.shape
         power = {(axis, odd): np.zeros((half(n, odd),) * 2) for axis, n in enumerate((nx, ny)) for odd in (0, 1)}
@@ -38,23 +59,31 @@ class _AxisBases:
                 along_x, along_y = cube.swapaxes(0, 1).reshape(half(nx, x), -1), cube.reshape(half(ny, y), -1)
                 power[0, x] += along_x @ along_x.T
                 power[1, y] += along_y @ along_y.T
-        self._folded = [_leading(power[axis, 0], power[axis, 1], _LEFT_OUT[field]) for axis in (0, 1)]
-        self.x, self.y = (
+        self._folded = [_leading(power[axis, 0], power[axis, 1], _AXIS_PART[field] * left_out) for axis in (0, 1)]
+        self.x, self.y = (  # columns of (count, 2 k), even ones first
             np.hstack([unfold(n, odd) @ self._folded[axis][odd] for odd in (0, 1)]) for axis, n in enumerate((nx, ny))
         )
         ky, kx = self.y.shape[1], self.x.shape[1]
-        place = np.arange(3 * ky * kx).reshape(3, 2, ky // 2, 2, kx // 2)
-        self.places = np.array(  # of what belongs to each class, in (3, 2 ky, 2 kx)
+        place = np.arange(3 * ky * kx).reshape(2, kx // 2, 3, 2, ky // 2)
+        power_of_class = np.array([np.sum(self._products(block, i) ** 2, axis=1) for i, block in enumerate(blocks)])
+        ranks = np.argsort(-power_of_class, axis=1)
+        by_rank = np.take_along_axis(power_of_class, ranks, axis=1).sum(axis=0)
+        self._kept = ranks[:, : max(_FEWEST, _needed(by_rank, left_out))]
+        self.places = np.array(  # of what each class keeps, in (2 kx, 3, 2 ky): two plain products lead there and back
             [
-                np.concatenate([place[c, y, :, x].ravel() for c, (x, y) in enumerate(parities(field, parity))])
-                for parity in CLASSES
+                np.concatenate([place[x, :, c, y].T.ravel() for c, (x, y) in enumerate(parities(field, parity))])[kept]
+                for parity, kept in zip(CLASSES, self._kept, strict=True)
             ]
         )
 
-    def reduce(self, block: Floats, grid: Grid, index: int) -> Floats:
-        """Coefficients in the bases: rows (channels of a class) to rows (channels, reduced)."""
+    def reduce(self, block: Floats, index: int) -> Floats:
+        """Coefficients in the bases: rows (channels of a class) to rows (products kept)."""
+        kept: Floats = self._products(block, index)[self._kept[index]]
+        return kept
+
+    def _products(self, block: Floats, index: int) -> Floats:
         parity = CLASSES[index]
-        parts = np.split(block, _bounds(grid, self._field, parity))
+        parts = np.split(block, _bounds(self._grid, self._field, parity))
         return np.concatenate(
             [
                 np.kron(self._folded[1][y], self._folded[0][x]).T @ part
@@ -64,19 +93,20 @@ class _AxisBases:
 
 
 class _Synthesis:
-    """From modes (4, r) to a field on the grid, flat (3 ny nx,)."""
+    """From modes (4 r,) to a field on the grid, flat (3 ny nx,)."""
 
-    def __init__(self, bases: _AxisBases, blocks: list[Floats]) -> None:
-        self._shape = (3, bases.y.shape[1], bases.x.shape[1])
-        self._places = np.argsort(bases.places.ravel())
+    def __init__(self, bases: _Bases, blocks: list[Floats]) -> None:
+        self._places = bases.places.ravel()
         self._blocks = np.array(blocks, np.float32)
-        self._y = np.ascontiguousarray(bases.y, np.float32)
+        self._y = np.ascontiguousarray(bases.y.T, np.float32)
         self._x = np.ascontiguousarray(bases.x.T, np.float32)
 
     def __call__(self, modes: Singles) -> Singles:
-        coefficients = (self._blocks @ modes.reshape(4, -1, 1)).ravel().take(self._places).reshape(self._shape)
-        rows = (self._y @ coefficients).reshape(-1, self._shape[2])
-        return (rows @ self._x).ravel()
+        coefficients = np.zeros(3 * len(self._x) * len(self._y), np.float32)
+        coefficients[self._places] = (self._blocks @ modes.reshape(4, -1, 1)).ravel()
+        columns = coefficients.reshape(-1, len(self._y)).dot(self._y).reshape(len(self._x), -1)
+        field: Singles = columns.T.dot(self._x).ravel()
+        return field
 
 
 class WholeGrid:
@@ -108,12 +138,12 @@ class WholeGrid:
 
 
 class GridModes(Modes):
-    """Eigenmodes in bases that serve up to a power `level` of signals over noise."""
+    """Eigenmodes in bases that serve up to a level."""
 
-    def __init__(self, whole: WholeGrid, level: float) -> None:
+    def __init__(self, whole: WholeGrid, level: Level) -> None:
         self._grid = grid = whole.grid
         self.explained_variance = whole.explained_variance
-        scale = min(level / whole.mean_power, _HEADROOM * whole.largest_scale)
+        scale = min(level.power / whole.mean_power, _HEADROOM * whole.largest_scale)
         weighted: dict[Field, list[Floats]] = {"sensor": [], "traction": [], "displacement": []}
         for eigenvalues, vectors, traction, displacement in whole.classes:
             std = scale / np.sqrt(scale * eigenvalues + 1.0)
@@ -121,41 +151,36 @@ class GridModes(Modes):
             weighted["displacement"].append(displacement * std)
             weighted["sensor"].append(vectors * (std * np.linalg.norm(traction, axis=0)))
 
-        bases = {field: _AxisBases(grid, field, blocks) for field, blocks in weighted.items()}
-        reduced = []
+        bases: dict[Field, _Bases] = {
+            "sensor": _Bases(grid, "sensor", weighted["sensor"], level.signals),
+            "traction": _Bases(grid, "traction", weighted["traction"], level.surface),
+            "displacement": _Bases(grid, "displacement", weighted["displacement"], _DISPLACEMENT_PART * level.surface),
+        }
+        values_of_class: list[Floats] = []
+        rotations: list[Floats] = []
+        surface: dict[Field, list[Floats]] = {"traction": [], "displacement": []}
         for index, (eigenvalues, vectors, traction, displacement) in enumerate(whole.classes):
-            seen = bases["sensor"].reduce(vectors, grid, index)
-            values, rotation = np.linalg.eigh((seen * np.maximum(eigenvalues, 0.0)) @ seen.T)
-            values, rotation = np.maximum(values[::-1], 0.0), rotation[:, ::-1]
+            seen = bases["sensor"].reduce(vectors, index)
+            values, rotation = np.linalg.eigh((seen * eigenvalues) @ seen.T)
             back = seen.T @ rotation
-            reduced.append(
-                (
-                    values,
-                    rotation,
-                    bases["traction"].reduce(traction @ back, grid, index),
-                    bases["displacement"].reduce(displacement @ back, grid, index),
-                )
-            )
-        kept = max(
-            _FEWEST**2,
-            *(
-                _needed(scale**2 / (scale * values + 1.0) * np.sum(traction**2, axis=0), _LEFT_OUT_MODES)
-                for values, _, traction, _ in reduced
-            ),
-        )
-        self.eigenvalues = np.concatenate([values[:kept] for values, *_ in reduced])
+            values_of_class.append(np.maximum(values, 0.0))
+            rotations.append(rotation)
+            surface["traction"].append(bases["traction"].reduce(traction @ back, index))
+            surface["displacement"].append(bases["displacement"].reduce(displacement @ back, index))
+        self.eigenvalues = np.concatenate(values_of_class)
         self._sensor = bases["sensor"]
-        self._rotation = np.array([rotation[:, :kept] for _, rotation, *_ in reduced])
-        self._to_traction = _Synthesis(bases["traction"], [block[:, :kept] for *_, block, _ in reduced])
-        self._to_displacement = _Synthesis(bases["displacement"], [block[:, :kept] for *_, block in reduced])
-        self._x = np.ascontiguousarray(self._sensor.x, np.float32)
-        self._y = np.ascontiguousarray(self._sensor.y.T, np.float32)
+        self._rotation = np.array(rotations)
+        self._to_traction = _Synthesis(bases["traction"], surface["traction"])
+        self._to_displacement = _Synthesis(bases["displacement"], surface["displacement"])
+        self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
+        self._y = np.ascontiguousarray(self._sensor.y, np.float32)
         self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
 
     def project(self, whitened: Singles) -> Singles:
-        rows = (whitened.reshape(-1, self._grid.shape[1]) @ self._x).reshape(3, self._grid.shape[0], -1)
-        coefficients = (self._y @ rows).ravel().take(self._sensor.places)
-        return (self._to_modes @ coefficients[..., None]).ravel()
+        columns = self._x.dot(whitened.reshape(-1, self._grid.shape[1]).T).reshape(-1, self._grid.shape[0])
+        coefficients = columns.dot(self._y).take(self._sensor.places)
+        modes: Singles = (self._to_modes @ coefficients[..., None]).ravel()
+        return modes
 
     def traction(self, modes: Singles) -> Singles:
         return self._to_traction(modes)
@@ -165,8 +190,10 @@ class GridModes(Modes):
 
     def rows(self, signals: NDArray[np.intp]) -> Floats:
         channel, y, x = np.unravel_index(signals, (3, *self._grid.shape))
-        coefficients = np.zeros((signals.size, 3, self._sensor.y.shape[1], self._sensor.x.shape[1]))
-        coefficients[np.arange(signals.size), channel] = self._sensor.y[y][:, :, None] * self._sensor.x[x][:, None, :]
+        coefficients = np.zeros((signals.size, self._sensor.x.shape[1], 3, self._sensor.y.shape[1]))
+        coefficients[np.arange(signals.size), :, channel] = (
+            self._sensor.x[x][:, :, None] * self._sensor.y[y][:, None, :]
+        )
         of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
         rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
         return rows
@@ -206,7 +233,7 @@ def _bounds(grid: Grid, field: Field, parity: tuple[int, int]) -> NDArray[np.int
 def _leading(even: Floats, odd: Floats, left_out: float) -> list[Floats]:
     """Leading eigenvectors of both matrices, as many of each as the one in need of more needs."""
     values, vectors = zip(*(np.linalg.eigh(matrix) for matrix in (even, odd)), strict=True)
-    needed = max(_FEWEST, *(_needed(value[::-1], left_out) for value in values))
+    needed = max(_needed(value[::-1], left_out) for value in values)
     count = min(needed, *(value.size for value in values))
     return [vector[:, ::-1][:, :count] for vector in vectors]
 

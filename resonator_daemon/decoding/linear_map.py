@@ -1,5 +1,6 @@
 """One frame's linear minimum-mean-square estimate out of its eigenmodes: map, error bars, checks."""
 
+import math
 from collections import OrderedDict
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -63,10 +64,9 @@ class LinearMap:
         self._whiten = (1.0 / noise_std).astype(np.float32)
         self._gain_floor = (_GAIN_FLOOR * gain_std) ** 2 / noise_std.size
         scales = tiers[-1].bank.scales[:, None]
-        self._variance = np.maximum(scales * prior_variance - tiers[-1].modes.explained_variance, 0.0)
-        self._std = np.sqrt(self._variance).astype(np.float32)
+        self._std = np.sqrt(np.maximum(scales * prior_variance - tiers[-1].modes.explained_variance, 0.0))
         self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
-        self._widening = np.array([1.0, contact_factor], np.float32)  # outside and under a contact
+        self._contact_factor = contact_factor
         self._border = np.flatnonzero(border)
         self._sound_energy = (SIGNAL_LIMIT / noise_std.max()) ** 2  # below it no signal exceeds the limit
         self._lost: OrderedDict[tuple[float, bytes], LostSignals] = OrderedDict()
@@ -87,7 +87,7 @@ class LinearMap:
             reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
             lost = self._lost_signals(tier, known)
             choice, modes, _ = lost.choose(tier.modes.project(whitened), energy, self._floor(energy))
-            lost_variance = self._variance[choice.scale] + lost.added_variance(choice.scale)
+            lost_variance = self._std[choice.scale] ** 2 + lost.added_variance(choice.scale)
 
         if choice.chi2 > _CHI2_LIMIT:
             left = choice.chi2 * self._floor(energy) * whitened.size / energy
@@ -100,16 +100,14 @@ class LinearMap:
         modes = tier.bank.gain[choice.scale] * modes
         traction = tier.modes.traction(modes)
         pressure = traction[-traction.size // 3 :]
-        excess = choice.excess**0.5
+        excess = math.sqrt(choice.excess)
         threshold = max(_SUPPORT_SHARE * float(pressure.max()), _SIGNIFICANT * excess * self._least_std[choice.scale])
         at_border = pressure.take(self._border).max(initial=0.0) > _BORDER_RATIO * threshold
-        std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance, dtype=np.float32)
-        widened = self._widening.take(pressure > threshold)
-        widened *= excess
-        std = std.reshape(3, -1) * widened
+        std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance)
+        widened = np.where(pressure > threshold, excess * self._contact_factor, excess)
         return Decoded(
             traction_pascal=traction.astype(np.float64).reshape(shape),
-            traction_std_pascal=std.astype(np.float64).reshape(shape),
+            traction_std_pascal=(std.reshape(3, -1) * widened).reshape(shape),
             displacement_m=tier.modes.displacement(modes).astype(np.float64).reshape(shape) if displacement else None,
             border_contact=bool(at_border),
             log_evidence=choice.log_evidence,
@@ -144,7 +142,7 @@ class LinearMap:
     def _prepare(self, signals: Floats) -> tuple[Singles, NDArray[np.bool_] | None, float]:
         """Whitened signals, lost ones 0; which are known, None where all are; their sum of squares."""
         whitened = signals.astype(np.float32) * self._whiten
-        energy = float(whitened @ whitened)
+        energy = float(whitened.dot(whitened))
         if energy <= self._sound_energy:
             return whitened, None, energy
         known = np.abs(signals) <= SIGNAL_LIMIT  # False for NaN

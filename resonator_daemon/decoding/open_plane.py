@@ -99,7 +99,7 @@ class OpenPlaneDecoder:
         modes: dict[float, Modes]
         if grid and query_positions_m is None and np.ptp(depths) == 0.0 and not np.ptp(noise, axis=1).any():
             whole = WholeGrid(prior, grid, float(depths[0]), noise[:, 0], scales)
-            modes = {level: GridModes(whole, level) for level in LEVELS}
+            modes = {level.power: GridModes(whole, level) for level in LEVELS}
         else:
             covariance = SiteCovariance(prior, sites, depths)
             modes = {

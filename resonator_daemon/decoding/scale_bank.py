@@ -44,7 +44,7 @@ class ScaleBank:
         self.gain = (scales[:, None] / power).astype(np.float32)  # (k, r): from modes of the signals to the surface's
         self.explained = 1.0 - 1.0 / power  # (k, r): share of a mode that is not noise
         self._left = (1.0 / power).astype(np.float32)
-        self._left_coarse = np.vstack([self._left[::_STRIDE], np.ones_like(self._left[:1])])
+        self._left_coarse = self._left[::_STRIDE].copy()
         self._log_det = np.log(power).sum(axis=1)
         self._log_det_coarse = self._log_det[::_STRIDE].copy()
         self._log_noise = log_noise
@@ -57,11 +57,11 @@ class ScaleBank:
         """
         mode_energy = modes * modes
         samples = self._log_noise.size
-        left = (self._left_coarse @ mode_energy).astype(np.float64)
-        noise_energy = energy - float(left[-1])
+        noise_energy = energy - float(modes.dot(modes))
         scale = 0
         if self.scales.size > 1:
-            innovation = (left[:-1] + noise_energy) / (samples * floor)
+            left = self._left_coarse.dot(mode_energy).astype(np.float64)
+            innovation = (left + noise_energy) / (samples * floor)
             excess = np.maximum(innovation, 1.0)
             deviance = (self._log_det_coarse + samples * (np.log(excess) + innovation / excess)).tolist()
             best = deviance.index(min(deviance))
@@ -79,7 +79,7 @@ class ScaleBank:
         `log_det` is the logarithm of the determinant of the inverse covariance's part that belongs to the lost ones.
         """
         mode_energy = modes * modes
-        noise_energy = energy - float(mode_energy.sum())
+        noise_energy = energy - float(modes.dot(modes))
         kept = np.delete(self._log_noise, lost)
         constant = 2.0 * float(kept.sum())
         return self._choice(scale, mode_energy, noise_energy, floor, log_det, kept.size, constant)
@@ -94,7 +94,7 @@ class ScaleBank:
         samples: int,
         constant: float,
     ) -> Choice:
-        chi2 = (float(self._left[scale] @ mode_energy) + noise_energy) / (samples * floor)
+        chi2 = (float(self._left[scale].dot(mode_energy)) + noise_energy) / (samples * floor)
         excess = max(chi2, 1.0)
         deviance = float(self._log_det[scale]) + log_det + samples * (math.log(excess) + chi2 / excess)
         deviance += samples * math.log(2.0 * math.pi * floor) + constant

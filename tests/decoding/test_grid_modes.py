@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from resonator_daemon.decoding.covariance import SiteCovariance
-from resonator_daemon.decoding.grid_modes import GridModes, WholeGrid
+from resonator_daemon.decoding.grid_modes import LEVELS, GridModes, WholeGrid
 from resonator_daemon.decoding.modes import DenseModes
 from resonator_daemon.decoding.parity import CLASSES, Grid, parities, unfold
 from resonator_daemon.decoding.prior_tables import StationaryPrior
@@ -48,7 +48,7 @@ def test_reduced_modes_solve_the_dense_system(shape: tuple[int, int]):
     """Any signals, also rough ones, at a scale for which the bases were made."""
     grid = Grid(shape, 4e-4, 3.5e-4)
     whole = WholeGrid(PRIOR, grid, DEPTH, NOISE, SCALES)
-    modes = GridModes(whole, 1e6)
+    modes = GridModes(whole, LEVELS[-1])
     count = shape[0] * shape[1]
     noise = np.repeat(NOISE, count)
     signals, traction, displacement = (
@@ -78,9 +78,16 @@ def test_reduced_modes_solve_the_dense_system(shape: tuple[int, int]):
     assert dense.explained_variance == pytest.approx(np.array(explained), rel=1e-3)
 
 
+def test_faint_signals_need_few_modes():
+    whole = WholeGrid(PRIOR, Grid((32, 32), 4e-4, 4e-4), DEPTH, NOISE, SCALES)
+    sizes = [GridModes(whole, level).eigenvalues.size for level in LEVELS[:3]]
+    assert sizes == sorted(sizes)
+    assert sizes[0] < 800 < sizes[2] < 1500
+
+
 def test_rows_are_those_that_project():
     grid = Grid((8, 10), 4e-4, 4e-4)
-    modes = GridModes(WholeGrid(PRIOR, grid, DEPTH, NOISE, SCALES), 1e4)
+    modes = GridModes(WholeGrid(PRIOR, grid, DEPTH, NOISE, SCALES), LEVELS[1])
     chosen = np.array([0, 17, 95, 239])
     for row, signal in zip(modes.rows(chosen), chosen, strict=True):
         assert modes.project(np.eye(240, dtype=np.float32)[signal]) == pytest.approx(row, abs=1e-6)

@@ -1,6 +1,9 @@
 """The open-plane decoder on contacts whose signals come from closed forms."""
 
+import pickle
 import warnings
+from copy import deepcopy
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -134,7 +137,7 @@ def test_grid_form_and_dense_form_agree(decoders):
                 (one.displacement_m, other.displacement_m, 0.04),
             ):
                 assert np.linalg.norm(a[:, order] - b) < limit * np.linalg.norm(b)
-            assert one.chi2 == pytest.approx(other.chi2, rel=0.08)
+            assert one.chi2 == pytest.approx(other.chi2, rel=0.12)  # the scales are apart by at most one step, of 9 %
 
 
 def test_estimate_std_and_evidence_are_those_of_the_dense_gaussian():
@@ -163,6 +166,27 @@ def test_estimate_std_and_evidence_are_those_of_the_dense_gaussian():
         density = -0.5 * (energy - np.linalg.slogdet(inverse)[1] + known.sum() * np.log(2 * np.pi))
         assert decoded.log_evidence == pytest.approx(density, abs=0.05)
         assert decoded.chi2 == pytest.approx(energy / known.sum(), rel=1e-3)
+
+
+def test_a_stored_and_restored_decoder_decodes_alike(decoders):
+    decoder = decoders(30)
+    frame = frames(scene(), 30, 1)[0]
+    lost = np.where(np.random.default_rng(1).random(frame.shape) < 0.02, np.nan, frame)
+    before = [decoder.decode(signals, displacement=True) for signals in (frame, lost)]
+    restored = pickle.loads(pickle.dumps(decoder))
+    for signals, expected in zip((frame, lost), before, strict=True):
+        decoded = restored.decode(signals, displacement=True)
+        for field in fields(expected):
+            assert np.array_equal(getattr(decoded, field.name), getattr(expected, field.name))
+
+
+def test_a_result_outlives_the_next_frame(decoders):
+    first = decoders(30).decode(frames(scene(), 30, 1)[0], displacement=True)
+    kept = deepcopy(first)
+    decoders(30).decode(frames(scene((3e-3, 1e-3)), 30, 1)[0], displacement=True)
+    assert np.array_equal(first.traction_pascal, kept.traction_pascal)
+    assert np.array_equal(first.traction_std_pascal, kept.traction_std_pascal)
+    assert np.array_equal(first.displacement_m, kept.displacement_m)
 
 
 # --- faults
