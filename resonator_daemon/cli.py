@@ -141,6 +141,12 @@ def _plan_sensors(options: argparse.Namespace) -> None:
         Console(highlight=False).print(plan)
 
 
+def _calibrate_skin(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.calibrate import calibrate_skin
+
+    return calibrate_skin(options.config, options.seconds, as_json=options.json)
+
+
 def _print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value) + "\n")
 
@@ -196,7 +202,10 @@ def _parser() -> argparse.ArgumentParser:
         "resonatord demo --plate quartz16 --seconds 20 --json",
     )
     demo.add_argument(
-        "--plate", action="append", metavar="NAME", help="quartz16 or skin32; repeat it for both (default)"
+        "--plate",
+        action="append",
+        metavar="NAME",
+        help="quartz16, skin32 or fingertip400; repeat it for several (default: the first two)",
     )
     demo.add_argument("--seconds", type=_positive, default=60.0, help="how long, from the first frame (default: 60)")
     demo.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")
@@ -230,6 +239,23 @@ def _parser() -> argparse.ArgumentParser:
     check = add("check", _check, "check a configuration and its plate file", "resonatord check left-index.toml")
     check.add_argument("file", type=Path, metavar="FILE")
     check.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+
+    calibrate = verbs.add_parser("calibrate", help="fit what a plate file says to what a plate publishes")
+    calibrate_verbs = calibrate.add_subparsers(title="verbs", required=True, metavar="VERB")
+    calibrate_skin = calibrate_verbs.add_parser(
+        "skin",
+        help="fit the decoder's prior to a skin and to what touches it",
+        description="Capture signals of a running daemon while the skin is pressed and sheared, fit the correlation "
+        "length and the tangential ratio of the decoder's prior, and print the lines that belong into [skin] of the "
+        "plate file. Exit code 1: too few frames hold load. docs/decoding.md tells more.",
+        epilog="Example: resonatord calibrate skin --config left-index.toml",
+    )
+    calibrate_skin.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
+    calibrate_skin.add_argument(
+        "--seconds", type=_positive, default=20.0, help="how long, from the first frame (default: 20)"
+    )
+    calibrate_skin.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+    calibrate_skin.set_defaults(verb=_calibrate_skin)
 
     plan = verbs.add_parser("plan", help="help with the design of a plate")
     plan_verbs = plan.add_subparsers(title="verbs", required=True, metavar="VERB")

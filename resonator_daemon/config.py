@@ -216,6 +216,19 @@ class Config(Table):
             _check_load(plate, link.baud)
         return link
 
+    @field_validator("decoding", mode="wrap")
+    @classmethod
+    def _method_suits_the_sites(
+        cls, raw: Any, handler: ModelWrapValidatorHandler[Decoding], info: ValidationInfo
+    ) -> Decoding:
+        method = raw.get("method") if isinstance(raw, dict) else None
+        plate = info.data.get("plate")
+        findings = []
+        if method == "fourier" and plate and plate.skin and not plate.grid:
+            sentence = f'needs a [grid], plate {plate.name!r} has scattered sites; use "open-plane"'
+            findings.append(finding(("method",), method, sentence))
+        return check_with(findings, handler, raw)
+
     @field_validator("measurement", mode="wrap")
     @classmethod
     def _whole_frames(
@@ -226,17 +239,13 @@ class Config(Table):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what was asked for and comes with a later version."""
-        decoding = self.decoding
-        notes = []
-        if decoding.method == "open-plane":
-            notes.append('decoding.method = "open-plane": this version decodes with the Fourier decoder instead')
-        if decoding.method != "off" and decoding.contact_physics:
-            notes.append(
-                "decoding.contact_physics = true: this version decodes with the linear Fourier decoder alone, "
-                "without contact physics; friction_coefficient has no effect"
+        """Sentences on what was asked for and has no effect."""
+        if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.skin is not None:
+            return (
+                'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
+                "tractions are those of the linear map",
             )
-        return tuple(notes)
+        return ()
 
 
 def load_config(path: Path) -> Config:

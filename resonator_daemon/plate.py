@@ -106,10 +106,17 @@ class Skin(Table):
     poisson_ratio: Annotated[Number, Field(ge=0, le=0.5)]
     depth_mm: Annotated[Number, Field(gt=0, le=1000)]
     gain_std: Annotated[Number, Field(ge=0, lt=1)] = 0.0
+    # Of the decoder's prior, as `resonatord calibrate skin` finds them.
+    correlation_length_mm: Annotated[Number, Field(gt=0, le=1000)] = 1.0
+    tangential_ratio: Annotated[Number, Field(gt=0, le=100)] = 0.3
 
     @property
     def depth_m(self) -> float:
         return self.depth_mm * 1e-3
+
+    @property
+    def correlation_length_m(self) -> float:
+        return self.correlation_length_mm * 1e-3
 
 
 class Grid(Table):

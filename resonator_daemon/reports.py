@@ -1,15 +1,21 @@
 """Readings to payloads: who measured what when, in the words and units of the MQTT contract."""
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable
 from importlib.metadata import version
 from typing import Any, TypedDict
 
+import numpy as np
+from numpy.typing import NDArray
+
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.config import Config
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
+from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement import contacts as measured
 from resonator_daemon.measurement.chain import ChannelisedReading, SingleToneReading
 from resonator_daemon.measurement.matching import SiteForce as MeasuredForce
@@ -25,6 +31,7 @@ from resonator_daemon.publishing.payloads import (
     Grid,
     Info,
     Lost,
+    Patch,
     Signals,
     SiteForce,
     SiteInfo,
@@ -41,6 +48,8 @@ from resonator_daemon.publishing.topics import (
     SIGNALS,
     Topic,
 )
+
+Floats = NDArray[np.float64]
 
 _NS = 1_000_000_000
 
@@ -147,7 +156,10 @@ class Reporter:
         )
 
     def signals(self, reading: ChannelisedReading, gate_end: Instant) -> Signals:
-        return Signals(**self._measured(SIGNALS, reading, gate_end), signals=reading.signals)
+        p_n, eps_xz, eps_yz = (_median(std) for std in reading.noise_std)
+        return Signals(
+            **self._measured(SIGNALS, reading, gate_end), signals=reading.signals, noise_std=(p_n, eps_xz, eps_yz)
+        )
 
     def decoded(self, reading: ChannelisedReading, gate_end: Instant, frame: DecodedFrame) -> Decoded:
         grid = self._plate.grid
@@ -160,15 +172,33 @@ class Reporter:
             grid=Grid(origin_m=(float(x), float(y)), pitch_m=grid.pitch_m) if grid else None,
         )
 
-    def summary(
-        self, reading: ChannelisedReading, gate_end: Instant, frame: DecodedFrame, decoder: str
-    ) -> DecodedSummary:
+    def summary(self, reading: ChannelisedReading, gate_end: Instant, surface: SurfaceReading) -> DecodedSummary:
+        frame = surface.decoded
         return DecodedSummary(
             **self._measured(DECODED_SUMMARY, reading, gate_end),
-            decoder=decoder,
+            decoder=surface.decoder,
             chi2=float(frame.chi2),
             border_contact=bool(frame.border_contact),
             status=Status(str(frame.status)),
+            reason=str(frame.reason),
+            patches=tuple(_patch(contact) for contact in surface.contacts),
+        )
+
+    def skin_contacts(self, reading: ChannelisedReading, gate_end: Instant, surface: SurfaceReading) -> Contacts:
+        return Contacts(
+            **self._measured(CONTACTS, reading, gate_end),
+            status=Status(str(surface.decoded.status)),
+            contacts=tuple(Contact(**self._skin_contact(contact, gate_end)) for contact in surface.contacts),
+        )
+
+    def skin_event(self, event: SkinEvent, reading: ChannelisedReading, gate_end: Instant) -> ContactEvent:
+        contact = self._skin_contact(event.contact, gate_end)
+        if event.event == "release":
+            del self._since_utc_ns[event.contact.id]
+        return ContactEvent(
+            **self._measured(CONTACT_EVENT, reading, gate_end),
+            event=event.event,
+            contact=EventContact(**contact, peak_newton=event.contact.peak_newton),
         )
 
     def _header(self, topic: Topic[Any], at: Instant) -> _Header:
@@ -216,3 +246,54 @@ class Reporter:
             status=Status(contact.status),
             at_least_newton=contact.at_least_newton,
         )
+
+    def _skin_contact(self, contact: SkinContact, gate_end: Instant) -> _ContactFields:
+        patch = contact.patch
+        nearest = int(np.hypot(*(self._plate.site_positions_m - patch.centroid_m).T).argmin())
+        return _ContactFields(
+            id=contact.id,
+            site=int(self._plate.site_ids[nearest]),
+            position_m=_pair(patch.centroid_m),
+            position_std_m=_pair(patch.centroid_std_m),
+            force_newton=float(patch.force_newton[2]),
+            noise_newton=float(patch.force_std_newton[2]),
+            systematic_newton=math.nan,  # the plate file does not say how well its elastic constants are known
+            since_t_ns=self._since_utc_ns.setdefault(contact.id, gate_end.utc_ns),
+            status=Status.OK,
+            at_least_newton=None,
+        )
+
+
+def _patch(contact: SkinContact) -> Patch:
+    patch, slip = contact.patch, contact.slip
+    return Patch(
+        id=contact.id,
+        centroid_m=_pair(patch.centroid_m),
+        centroid_std_m=_pair(patch.centroid_std_m),
+        area_m2=patch.area_m2,
+        force_newton=_triple(patch.force_newton),
+        force_std_newton=_triple(patch.force_std_newton),
+        moment_newton_m=_triple(patch.moment_newton_m),
+        moment_std_newton_m=_triple(patch.moment_std_newton_m),
+        at_border=patch.at_border,
+        radius_of_curvature_m=contact.radius_of_curvature_m,
+        stick_ratio=slip.stick_ratio if slip else math.nan,
+        slip_margin=slip.slip_margin if slip else math.nan,
+        slip_margin_std=slip.slip_margin_std if slip else math.nan,
+        friction_coefficient=slip.friction_coefficient if slip else math.nan,
+    )
+
+
+def _pair(values: Floats) -> tuple[float, float]:
+    x, y = values.tolist()
+    return x, y
+
+
+def _triple(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if known.size else math.nan

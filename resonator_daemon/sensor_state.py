@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 
 from resonator_daemon.publishing.payloads import Condition
 
+_ALL_READ = "all sites are read"
+_SITE_FORCES = "site forces only: one captured tone per corner gives no field to decode"
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
 
 _CONDITIONS = {
@@ -28,13 +30,16 @@ class SensorState:
 
     def __init__(self, announce: Callable[[Condition, str, int], None], *, site_forces_only: bool) -> None:
         self._announce = announce
-        self._good = (
-            "site forces only: one captured tone per corner gives no field to decode" if site_forces_only else ""
-        )
-        self._good = self._good or "all sites are read"
+        self._good = _SITE_FORCES if site_forces_only else _ALL_READ
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
+
+    def explain(self, note: str) -> None:
+        """Add to the reason of a sensor that is well; "" takes the addition back."""
+        before, self._good = self._good, "; ".join(filter(None, [self._good.split("; ")[0], note]))
+        if self._current == (Condition.ONLINE, before):
+            self._become((Condition.ONLINE, self._good), self._since_utc_ns)
 
     def no_frames(self, reason: str) -> None:
         """Say that nothing comes which could be judged."""

@@ -26,7 +26,8 @@ from resonator_daemon.acquisition.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.config import Config, SerialLink, topic_level
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
@@ -282,17 +283,33 @@ class Service:
             self._stage.offer((reading, frame.gate_end), reading.signals, reading.noise_std)
 
     def _make_stage(self) -> DecodingStage[tuple[ChannelisedReading, Instant]] | None:
-        plate = self._config.plate
-        if self._config.decoding.method == "off" or plate.skin is None or plate.grid is None:
+        skin, wanted = self._config.plate.skin, self._config.decoding
+        if skin is None:
             return None
-        half_space = HalfSpace(plate.skin.youngs_modulus_pascal, plate.skin.poisson_ratio)
-        ny, nx = plate.grid.shape
-        return DecodingStage(half_space, (ny, nx), plate.grid.pitch_m, plate.skin.depth_m, self._decoded)
+        if wanted.method == "off":
+            self._sensor.explain("decoding is off")
+            return None
+        half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
+        return DecodingStage(
+            Skin(
+                half_space,
+                self._config.plate.site_positions_m,
+                skin.depth_m,
+                skin.gain_std,
+                skin.correlation_length_m,
+                skin.tangential_ratio,
+            ),
+            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient),
+            self._decoded,
+            self._sensor.explain,
+        )
 
-    def _decoded(self, origin: tuple[ChannelisedReading, Instant], frame: Decoded) -> None:
-        reading, gate_end = origin
-        self._publish(DECODED, self._reporter.decoded(reading, gate_end, frame))
-        self._publish(DECODED_SUMMARY, self._reporter.summary(reading, gate_end, frame, DecodingStage.name))
+    def _decoded(self, origin: tuple[ChannelisedReading, Instant], surface: SurfaceReading) -> None:
+        for event in surface.events:
+            self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
+        self._publish(DECODED, self._reporter.decoded(*origin, surface.decoded))
+        self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
+        self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
 
     def _set_state(self, topic: Topic[State], condition: Condition, reason: str, since_utc_ns: int) -> None:
         state = self._reporter.state(topic, condition, reason, since_utc_ns)

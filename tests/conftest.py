@@ -1,17 +1,26 @@
-"""Brokers for tests: Mosquitto in a child process and amqtt in this one, each on a free loopback port."""
+"""What all tests share: a cache of their own, and brokers, Mosquitto in a child process and amqtt in this one."""
 
 import os
 import shutil
 import signal
 import socket
 import subprocess
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterator
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
 
 from resonator_daemon.publishing.embedded_broker import embedded_broker
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_cache_at_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Set-ups that the daemon keeps go to a temporary directory, those of child processes too."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        patch.delenv("CACHE_DIRECTORY", raising=False)
+        yield
 
 
 def free_port() -> int:

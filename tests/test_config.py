@@ -81,8 +81,8 @@ def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
     assert (short.mqtt, short.measurement, short.decoding) == (example.mqtt, example.measurement, example.decoding)
 
 
-@pytest.mark.parametrize("plate", ["quartz16", "skin32"])
-def test_both_shipped_plates_need_nothing_but_a_link(tmp_path: Path, plate: str) -> None:
+@pytest.mark.parametrize("plate", ["quartz16", "skin32", "fingertip400"])
+def test_all_shipped_plates_need_nothing_but_a_link(tmp_path: Path, plate: str) -> None:
     assert loaded(tmp_path, f'plate = "{plate}"\nlink = "tcp://[::1]:9"').link == TcpLink("::1", 9)
 
 
@@ -93,16 +93,35 @@ def test_a_broker_with_a_user_and_without_a_port(tmp_path: Path) -> None:
     assert "p%40ss" not in repr(mqtt)
 
 
-def test_what_comes_later_is_noted_not_refused(tmp_path: Path) -> None:
-    plane, physics = loaded(tmp_path, example_config()).notes
-    assert "open-plane" in plane
-    assert "Fourier decoder instead" in plane
-    assert "contact_physics" in physics
-    assert "Fourier" in physics
-    fourier = MINIMAL + '[decoding]\nmethod = "fourier"\ncontact_physics = false\nfriction_coefficient = 0.5\n'
-    config = loaded(tmp_path, fourier)
-    assert (config.notes, config.decoding.friction_coefficient) == ((), 0.5)
-    assert loaded(tmp_path, MINIMAL + '[decoding]\nmethod = "off"\n').notes == ()
+FOURIER = MINIMAL + '[decoding]\nmethod = "fourier"\n'
+
+
+def test_contact_physics_without_effect_is_noted_not_refused(tmp_path: Path) -> None:
+    (note,) = loaded(tmp_path, FOURIER.replace("quartz16", "skin32")).notes
+    assert "contact_physics" in note
+    assert '"open-plane"' in note
+    for quiet in (
+        example_config(),
+        MINIMAL.replace("quartz16", "skin32"),
+        FOURIER,  # of no skin
+        FOURIER.replace("quartz16", "skin32") + "contact_physics = false\n",
+        MINIMAL.replace("quartz16", "skin32") + '[decoding]\nmethod = "off"\n',
+    ):
+        assert loaded(tmp_path, quiet).notes == ()
+
+
+def test_a_friction_coefficient_is_kept(tmp_path: Path) -> None:
+    assert loaded(tmp_path, FOURIER + "friction_coefficient = 0.5\n").decoding.friction_coefficient == 0.5
+
+
+def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> None:
+    """At once with what else is wrong beside it."""
+    method, physics = refusals(tmp_path, FOURIER.replace("quartz16", "fingertip400") + "contact_physics = 1\n")
+    assert physics.startswith("5: decoding.contact_physics: got 1;")
+    assert method.startswith("4: decoding.method: got 'fourier'; needs a [grid], plate 'fingertip400' has scattered")
+    assert method.endswith('use "open-plane"')
+    for served in (FOURIER, FOURIER.replace("quartz16", "skin32"), MINIMAL.replace("quartz16", "fingertip400")):
+        loaded(tmp_path, served)
 
 
 @pytest.mark.parametrize(
@@ -250,9 +269,8 @@ def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
 
 def test_an_unknown_plate_is_told_the_nearest(tmp_path: Path) -> None:
     (message,) = refusals(tmp_path, MINIMAL.replace("quartz16", "skin23"))
-    assert message.startswith(
-        "1: plate: got 'skin23'; no shipped plate and no file is named 'skin23'; allowed: quartz16,"
-    )
+    assert message.startswith("1: plate: got 'skin23'; no shipped plate and no file is named 'skin23'; allowed: ")
+    assert "fingertip400, quartz16, skin32" in message
     assert message.endswith("did you mean skin32?")
     assert refusals(tmp_path, MINIMAL.replace('"quartz16"', "16")) == [
         "1: plate: got 16; must be a string: the name of a shipped plate or a path"

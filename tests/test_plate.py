@@ -143,6 +143,8 @@ def test_a_grid_is_numbered_by_its_order(tmp_path: Path) -> None:
     assert plate.skin
     assert plate.skin.depth_m == pytest.approx(1.5e-3)
     assert plate.skin.gain_std == 0
+    assert plate.skin.correlation_length_m == pytest.approx(1e-3)
+    assert plate.skin.tangential_ratio == 0.3
     assert plate.grid
     assert plate.grid.pitch_m == pytest.approx(4e-4)
     np.testing.assert_array_equal(plate.site_ids, [1, 2, 3, 4, 5, 6])
@@ -321,6 +323,16 @@ def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, e
             "depth_mm = 1.5",
             "depth_mm = 1.5\ngain_std = -0.1",
             "14: skin.gain_std: got -0.1; must be greater than or equal to 0",
+        ),
+        (
+            "depth_mm = 1.5",
+            "depth_mm = 1.5\ncorrelation_length_mm = 0",
+            "14: skin.correlation_length_mm: got 0; must be greater than 0",
+        ),
+        (
+            "depth_mm = 1.5",
+            "depth_mm = 1.5\ntangential_ratio = 101",
+            "14: skin.tangential_ratio: got 101; must be less than or equal to 100",
         ),
         (
             "frame_rate_hz = 100",

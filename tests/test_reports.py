@@ -1,27 +1,21 @@
 """Messages made from readings: names, times and numbers against hand-worked ones, in the words of the wire."""
 
-import json
-import math
 import time
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, get_args
 
-import cbor2
 import numpy as np
 import pytest
+from report_makers import GATE_END, LOST, NAN, Losses, configured, literal, reporter_of
 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import BoardOnline
-from resonator_daemon.config import Config
-from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.measurement.chain import ChannelisedReading, SensorStatus, SingleToneReading
+from resonator_daemon.measurement.chain import SensorStatus, SingleToneReading
 from resonator_daemon.measurement.contacts import Contact, ContactEvent
 from resonator_daemon.measurement.matching import SiteForce
-from resonator_daemon.publishing import payloads
-from resonator_daemon.publishing.codec import decode, encode
-from resonator_daemon.publishing.payloads import Condition, Lost, Message
+from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import HEALTH, STATE_LINK, STATE_SENSOR
 from resonator_daemon.reports import Reporter
 
@@ -49,69 +43,12 @@ frame_rate_hz = 1000
     FORCE_SITE.format(id=number, position=position, f0=f0)
     for number, position, f0 in ((70, [6, 4], 9.996e6), (30, [12.5, 4], 9.992e6), (12, [3, 8], 9.988e6))
 )
-SCATTERED_SKIN = """\
-format = 1
-name = "one-spot"
-outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-force_max_newton = 5
-[counter]
-kind = "channelised"
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.5
-[[sites]]
-id = 5
-position_mm = [1, 0.5]
-""" + "".join(
-    f'[[sites.tones]]\nsignal = "{signal}"\nf0_hz = {[f0] * 4}\nsensitivity = {[k] * 4}\n'
-    for signal, f0, k in (("p_n", 1e6, -1e-11), ("eps_xz", 2e6, 2e-6), ("eps_yz", 3e6, 3e-6))
-)
-
-GATE_END = Instant(1_789_000_000_000_000_123, 42_000)
-NAN = math.nan
-LOST = {"link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "publish_dropped": 5}
-
-
-class Losses:
-    """Losses that grow while messages are made."""
-
-    def __init__(self) -> None:
-        self.now = Lost(**LOST)
-
-    def __call__(self) -> Lost:
-        return self.now
-
-
-def configured(tmp_path: Path, plate: str, **tables: Any) -> Config:
-    if "\n" in plate:
-        path = tmp_path / "plate.toml"
-        path.write_text(plate)
-        plate = str(path)
-    return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
-
-
-def reporter_of(config: Config, losses: Losses | None = None) -> Reporter:
-    reporter = Reporter(config, "9f3c", losses or Losses())
-    reporter.board_boot_id = "51aa"
-    return reporter
 
 
 @pytest.fixture
 def reporter(tmp_path: Path) -> Reporter:
     """For the plate with the sites 70, 30 and 12."""
     return reporter_of(configured(tmp_path, FORCE_PLATE))
-
-
-@pytest.fixture
-def skin_reporter(tmp_path: Path) -> Reporter:
-    return reporter_of(configured(tmp_path, "skin32"))
-
-
-def literal(message: Message) -> dict[str, Any]:
-    payload: dict[str, Any] = json.loads(encode(message))
-    return payload
 
 
 def reading(
@@ -141,25 +78,6 @@ def contact(**change: Any) -> Contact:
         "reason": "",
     }
     return Contact(**(fields | change))
-
-
-def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> ChannelisedReading:
-    return ChannelisedReading(7, 2**63 + 1, window_s, "ok", "", signals, np.ones_like(signals), 0.0)
-
-
-def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> DecodedFrame:
-    values = np.arange(float(math.prod(shape))).reshape(shape)
-    fields: dict[str, Any] = {
-        "traction_pascal": values,
-        "traction_std_pascal": values + 0.5,
-        "displacement_m": -values if displacement else None,
-        "border_contact": np.bool_(True),
-        "log_evidence": -3.0,
-        "chi2": np.float64(1.02),
-        "status": "ok",
-        "reason": "",
-    }
-    return DecodedFrame(**(fields | change))
 
 
 def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
@@ -360,68 +278,3 @@ def test_info_of_a_skin_whose_every_gate_is_a_window(tmp_path: Path) -> None:
     assert len(said["sites"]) == 1024
     assert said["sites"][1]["site"] == 2
     assert said["sites"][1]["position_m"] == pytest.approx([-5.8e-3, -6.2e-3])
-
-
-def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
-    signals = np.random.default_rng(5).normal(size=(3, 1024))
-    signals[1, 7] = NAN
-    payload = encode(skin_reporter.signals(channelised(signals), GATE_END))
-    message = decode(payloads.Signals, payload)
-    np.testing.assert_array_equal(message.signals, signals.astype(np.float32))
-    raw = cbor2.loads(payload)
-    assert raw["t_ns"] == 1_788_999_999_995_000_123
-    assert raw["board_ticks"] == 2**63 + 1
-    assert raw["lost"] == LOST
-
-
-@pytest.mark.parametrize("displacement", [True, False])
-def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displacement: bool) -> None:
-    frame = decoded((3, 32, 32), displacement=displacement)
-    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
-    message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_END, frame)))
-    values = np.arange(3 * 32 * 32, dtype=np.float32).reshape(3, 32, 32)
-    np.testing.assert_array_equal(message.traction_pascal, values)
-    np.testing.assert_array_equal(message.traction_std_pascal, values + 0.5)
-    if displacement:
-        np.testing.assert_array_equal(message.displacement_m, -values)
-    else:
-        assert message.displacement_m is None
-    assert message.t_ns == 1_788_999_999_998_000_123
-    assert message.grid is not None
-    assert message.grid.origin_m == pytest.approx((-6.2e-3, -6.2e-3))  # 15.5 pitches from the middle
-    assert message.grid.pitch_m == pytest.approx(4e-4)
-
-
-def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
-    reporter = reporter_of(configured(tmp_path, SCATTERED_SKIN))
-    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_END, decoded((3, 1), displacement=False))
-    assert message.grid is None
-    assert message.traction_pascal.shape == (3, 1)
-
-
-def test_a_summary_says_how_well_it_went(skin_reporter: Reporter) -> None:
-    frame = decoded((3, 32, 32), displacement=False)
-    said = literal(skin_reporter.summary(channelised(np.zeros((3, 1024))), GATE_END, frame, "fourier"))
-    expected = {"decoder": "fourier", "chi2": 1.02, "border_contact": True, "status": "ok", "patches": []}
-    assert said | expected == said
-    assert said["t_ns"] == "1788999999995000123"
-
-
-@pytest.mark.parametrize("status", ["rejected", "no_signal"])
-def test_a_frame_that_was_not_decoded_says_so(skin_reporter: Reporter, status: str) -> None:
-    frame = decoded((3, 32, 32), displacement=True, status=status, chi2=NAN, border_contact=False)
-    said = literal(skin_reporter.summary(channelised(np.zeros((3, 1024))), GATE_END, frame, "fourier"))
-    assert (said["status"], said["chi2"], said["border_contact"]) == (status, None, False)
-
-
-def test_messages_of_a_skin_count_apart(skin_reporter: Reporter) -> None:
-    measured, frame = channelised(np.zeros((3, 1024))), decoded((3, 32, 32), displacement=False)
-    made = [
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.decoded(measured, GATE_END, frame),
-        skin_reporter.summary(measured, GATE_END, frame, "fourier"),
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.summary(measured, GATE_END, frame, "fourier"),
-    ]
-    assert [message.seq for message in made] == [0, 1, 0, 0, 2, 1]

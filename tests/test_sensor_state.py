@@ -173,3 +173,39 @@ def test_trouble_before_an_outage_does_not_count_after_it() -> None:
     assert sensor.read(5005, "no_signal") == []
     assert sensor.read(5255, "no_signal") == [Condition.STALLED]
     assert sensor.said[-1][2] == T0_NS + 5005 * MS
+
+
+def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back() -> None:
+    sensor = Sensor(site_forces_only=False)
+    sensor.read(0, "ok")
+    for note in ("the decoder is built; step 1", "the decoder is built; step 2", ""):
+        sensor.state.explain(note)
+    plain = sensor.said[0][1]
+    assert [reason for _, reason, _ in sensor.said[1:]] == [
+        f"{plain}; the decoder is built; step 1",
+        f"{plain}; the decoder is built; step 2",
+        plain,
+    ]
+    assert {(condition, since) for condition, _, since in sensor.said} == {(Condition.ONLINE, T0_NS)}
+
+
+def test_the_same_explanation_is_announced_once() -> None:
+    sensor = Sensor(site_forces_only=False)
+    sensor.read(0, "ok")
+    for note in ("", "busy", "busy", "", ""):
+        sensor.state.explain(note)
+    assert len(sensor.said) == 3
+
+
+def test_an_explanation_waits_until_the_sensor_is_well() -> None:
+    sensor = Sensor(site_forces_only=False)
+    sensor.state.explain("before anything was judged")
+    sensor.read(0, "no_signal", "nothing is heard")
+    sensor.state.explain("decoding is off")
+    assert [condition for condition, _, _ in sensor.said] == [Condition.STALLED]
+    sensor.read(100, "ok")
+    sensor.state.explain("decoding is on")  # between the first good reading and the announcement
+    assert sensor.read(350, "ok") == [Condition.ONLINE]
+    assert sensor.said[-1][1].endswith("; decoding is on")
+    assert "off" not in sensor.said[-1][1]
+    assert "judged" not in sensor.said[-1][1]

@@ -1,26 +1,21 @@
 """The whole daemon between an emulated board and a real broker, heard by a plain subscriber."""
 
 import asyncio
-import json
 import threading
 import time
-from collections.abc import AsyncIterator, Iterator
-from contextlib import asynccontextmanager
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import cbor2
 import numpy as np
 import pytest
 from conftest import Amqtt, Mosquitto
-from observer import Observer, observe
+from observer import observe
+from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
-from resonator_daemon.config import load_config
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError
 from resonator_daemon.service import Service
-from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 
 LONG_TOUCH = """
@@ -34,62 +29,6 @@ fall_s = 0.1
 """
 
 
-class Bench:
-    """A folder with a port, a configuration and a truth file, and what runs on them."""
-
-    def __init__(self, folder: Path, broker_url: str) -> None:
-        self.folder = folder
-        self.port = folder / "board"
-        self.truth_path = folder / "truth.jsonl"
-        self.broker_url = broker_url
-
-    def scenario(self, text: str) -> str:
-        path = self.folder / "scenario.toml"
-        path.write_text(text)
-        return str(path)
-
-    @asynccontextmanager
-    async def emulated(self, plate: str = "quartz16", **options: Any) -> AsyncIterator[Emulator]:
-        if "tcp" not in options:
-            options |= {"pty": self.port} if plate == "quartz16" else {"tcp": ("127.0.0.1", 0)}
-        emulator = Emulator(EmulatorOptions(plate, truth=self.truth_path, **options))
-        thread = threading.Thread(target=emulator.run)
-        thread.start()
-        try:
-            yield emulator
-        finally:
-            emulator.stop()
-            await asyncio.to_thread(thread.join)
-
-    def service(self, plate: str = "quartz16", link: str | None = None, name: str | None = "hand") -> Service:
-        config = self.folder / "board.toml"
-        lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
-        lines += [f'name = "{name}"'] if name else []
-        config.write_text("\n".join(lines) + f'\n[mqtt]\nurl = "{self.broker_url}"\n[decoding]\nmethod = "fourier"\n')
-        return Service(load_config(config))
-
-    @asynccontextmanager
-    async def running(self, service: Service) -> AsyncIterator[Service]:
-        task = asyncio.create_task(service.run())
-        try:
-            yield service
-        finally:
-            service.stop()
-            await task
-
-    def truth(self) -> list[dict[str, Any]]:
-        return [json.loads(line) for line in self.truth_path.read_text().splitlines() if line.endswith("}")]
-
-    def windows(self, messages: list[Any]) -> Iterator[tuple[Any, list[dict[str, Any]]]]:
-        """Give each message of forces with the truth of the ten gates that it was measured in."""
-        truth = self.truth()
-        index = {line["board_ticks"]: n for n, line in enumerate(truth)}
-        for message in messages:
-            last = index.get(int(message["board_ticks"]), 0)
-            if last >= 9:
-                yield message, truth[last - 9 : last + 1]
-
-
 @pytest.fixture
 def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
     return Bench(tmp_path, mosquitto.url)
@@ -97,10 +36,6 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
 
 def mean_newton(window: list[dict[str, Any]]) -> float:
     return float(sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window))
-
-
-def events(observer: Observer) -> list[dict[str, Any]]:
-    return observer.payloads("resonator/hand/contacts/event")
 
 
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
@@ -332,48 +267,3 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
         with pytest.raises(IncompatibleBoardError, match="speaks protocol 2, this daemon speaks 1") as refused:
             await bench.service("skin32", f"tcp://127.0.0.1:{port}").run()
     assert refused.value.exit_code == ExitCode.UNAVAILABLE
-
-
-def array_of(value: Any) -> np.ndarray:
-    """Read an RFC 8746 array by hand."""
-    assert value.tag == 40
-    shape, elements = value.value
-    assert elements.tag == 85
-    return np.frombuffer(elements.value, "<f4").reshape(shape)
-
-
-async def test_a_pressed_skin_becomes_traction(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
-    bench = Bench(tmp_path, broker.url)
-    async with (
-        bench.emulated("skin32") as emulator,
-        observe(broker.url) as heard,
-        bench.running(bench.service("skin32", emulator.link.address)) as service,
-    ):
-        await heard.until_count("resonator/hand/decoded", 150)
-        sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
-        assert service.link_account.lost.total == 0
-    assert sensor["reason"] == "all sites are read"
-    truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
-    peak_seen = 0.0
-    for payload in heard.raw("resonator/hand/decoded"):
-        message = cbor2.loads(payload)
-        traction, std = array_of(message["traction_pascal"]), array_of(message["traction_std_pascal"])
-        assert traction.shape == std.shape == array_of(message["displacement_m"]).shape == (3, 32, 32)
-        assert np.isfinite(traction).all()
-        assert (std > 0).all()
-        contacts = truth.get(message["board_ticks"], [])
-        if contacts and contacts[0]["force_newton"][2] > 0.5:
-            x, y = contacts[0]["position_m"]
-            row, column = np.unravel_index(traction[2].argmax(), (32, 32))
-            origin_x, origin_y = message["grid"]["origin_m"]
-            pitch = message["grid"]["pitch_m"]
-            assert abs(origin_x + column * pitch - x) < 1.5e-3
-            assert abs(origin_y + row * pitch - y) < 1.5e-3
-            force = traction[2].sum() * pitch**2
-            assert force == pytest.approx(contacts[0]["force_newton"][2], rel=0.15)
-            peak_seen = max(peak_seen, force)
-    assert peak_seen > 0.5
-    signals = cbor2.loads(heard.raw("resonator/hand/signals")[-1])
-    assert array_of(signals["signals"]).shape == (3, 1024)
-    summary = heard.payloads("resonator/hand/decoded/summary")[-1]
-    assert (summary["decoder"], summary["status"], summary["patches"]) == ("fourier", "ok", [])

@@ -9,6 +9,7 @@ from resonator_daemon.decoding.parity import Grid
 Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
+_CELL_STEPS = 4  # of half a spacing: how finely cells are measured
 
 
 def spacing_m(positions_m: Floats) -> float:
@@ -50,3 +51,27 @@ def at_border(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
         return np.ones(len(places_m), np.bool_)
     inward_m = -(places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
     return np.asarray(inward_m < 0.5 * spacing_m(sites_m), np.bool_)
+
+
+def cell_areas_m2(positions_m: Floats) -> Floats:
+    """Area that each site stands for: what is nearest to it, within the sites' hull or half a spacing of it, (n,)."""
+    half_m = 0.5 * spacing_m(positions_m)
+    step_m = half_m / _CELL_STEPS
+    low, high = positions_m.min(axis=0) - half_m, positions_m.max(axis=0) + half_m
+    sides = np.maximum(np.round((high - low) / step_m).astype(int), 1)
+    steps = (high - low) / sides
+    axes = [begin + (np.arange(side) + 0.5) * step for begin, side, step in zip(low, sides, steps, strict=True)]
+    raster = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    nearest = np.asarray(cKDTree(positions_m).query(raster)[1], np.intp)
+    off = np.abs(raster - positions_m[nearest]).max(axis=1)
+    inside = (off <= half_m) | ~_outside(positions_m, raster)
+    counts = np.bincount(nearest[inside], minlength=len(positions_m))
+    return np.asarray(np.maximum(counts, 1) * steps.prod(), np.float64)  # a cell may lie between the raster's points
+
+
+def _outside(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
+    try:
+        hull = ConvexHull(sites_m)
+    except QhullError:  # all on a line, or fewer than three
+        return np.ones(len(places_m), np.bool_)
+    return np.asarray((places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1) > 0.0, np.bool_)

@@ -28,6 +28,11 @@ class PatchTracker:
     ----------
     patience
         Frames for which a patch may be missing and still keep its id, at least 0.
+
+    Attributes
+    ----------
+    last_id
+        The largest that was given so far; the next one follows it.
     """
 
     def __init__(self, patience: int = 2) -> None:
@@ -35,7 +40,16 @@ class PatchTracker:
             raise ValueError(f"patience is {patience}, must be at least 0")
         self._patience = patience
         self._tracks: dict[int, _Track] = {}
-        self._last_id = 0
+        self.last_id = 0
+
+    @property
+    def ids(self) -> frozenset[int]:
+        """Of all patches that are followed, those that are missing for the moment among them."""
+        return frozenset(self._tracks)
+
+    def clear(self) -> None:
+        """Follow none of the patches before any longer."""
+        self._tracks = {}
 
     def update(self, patches: Sequence[Patch]) -> dict[int, Patch]:
         """Patches of a frame by id, ids counting up from 1; matched so that their moves are least in total."""
@@ -54,8 +68,8 @@ class PatchTracker:
                     found[ids[row]] = patches[int(column)]
             left = [patch for patch in patches if not any(patch is taken for taken in found.values())]
         for patch in left:
-            self._last_id += 1
-            found[self._last_id] = patch
+            self.last_id += 1
+            found[self.last_id] = patch
         for i in ids:
             self._tracks[i].missed += 1
         for i, patch in found.items():

@@ -15,6 +15,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PlainSeriali
 Int64 = Annotated[int, Field(ge=0, lt=2**64), PlainSerializer(str, when_used="json")]
 Float = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
 Vector2 = tuple[Float, Float]
+Vector3 = tuple[Float, Float, Float]
 
 
 def _float32(value: Any) -> NDArray[np.float32]:
@@ -148,6 +149,7 @@ class Signals(Measured):
     """What the sites sense, in the order of the sites: [3 p_n / (2 E), eps_xz, eps_yz]."""
 
     signals: Float32Array
+    noise_std: Vector3  # standard deviation of each of the three, the median over the sites
 
 
 class Grid(Message):
@@ -175,14 +177,37 @@ class Decoded(Measured):
         return self
 
 
+class Patch(Message):
+    """One contact on a skin; components x, y, z, moments about the origin of the plate's coordinates.
+
+    What only a fit of the contact tells is null where the fit does not hold, or the contact slips too little to show.
+    """
+
+    id: int
+    centroid_m: Vector2
+    centroid_std_m: Vector2
+    area_m2: Float
+    force_newton: Vector3
+    force_std_newton: Vector3
+    moment_newton_m: Vector3
+    moment_std_newton_m: Vector3
+    at_border: bool  # part of it may lie beyond the sites
+    radius_of_curvature_m: Float  # of a paraboloid
+    stick_ratio: Float  # radius that sticks over radius of contact
+    slip_margin: Float  # 1 - F_t / (mu F_n)
+    slip_margin_std: Float
+    friction_coefficient: Float  # told, or learnt from slip
+
+
 class DecodedSummary(Measured):
-    """How well the decoder's model explains one frame; patches stay empty in this version."""
+    """What the map shows, in few numbers, and how well the decoder's model explains the frame."""
 
     decoder: str
     chi2: Float
     border_contact: bool
     status: Status
-    patches: tuple[()] = ()
+    reason: str  # empty where there is nothing to say
+    patches: tuple[Patch, ...]
 
 
 class State(Header):

@@ -80,6 +80,32 @@ def test_one_out_of_reach_does_not_push_another_off() -> None:
     assert sorted(found) == [2, 3]
 
 
+def test_those_that_are_missing_for_a_moment_are_followed_on() -> None:
+    tracker = PatchTracker(patience=2)
+    assert tracker.ids == frozenset()
+    tracker.update([patch(0.0), patch(6.0)])
+    for _ in range(2):
+        tracker.update([patch(0.0)])
+        assert tracker.ids == {1, 2}
+    tracker.update([patch(0.0)])
+    assert tracker.ids == {1}
+
+
+def test_after_a_new_start_nothing_is_followed_and_ids_go_on() -> None:
+    tracker = PatchTracker()
+    tracker.update([patch(0.0), patch(6.0)])
+    tracker.clear()
+    assert tracker.ids == frozenset()
+    assert list(tracker.update([patch(0.0)])) == [3]
+    assert tracker.last_id == 3
+
+
+def test_ids_follow_those_of_another() -> None:
+    tracker = PatchTracker()
+    tracker.last_id = 41
+    assert list(tracker.update([patch(0.0)])) == [42]
+
+
 def test_refuses() -> None:
     with pytest.raises(ValueError, match="patience is -1"):
         PatchTracker(-1)

@@ -18,25 +18,27 @@ VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
 ARRAY = bytes.fromhex("d828 82 82 03 02 d855 58 18") + struct.pack("<6f", *VALUES)
 EXPECTED = np.array([[0.0, 1.0], [-2.0, 0.5], [np.inf, 3.0]])
 
-# the header and board_ticks as a map of 8 with "signals" last; 1b is an 8-byte integer, 19 a 2-byte one
+# the header and board_ticks of a map of 9; 1b is an 8-byte integer, 19 a 2-byte one
 LOST = b"\xa5" + b"".join(
     bytes([0x60 + len(key)]) + key + b"\x00"
     for key in (b"link_gap", b"damaged", b"board_overflow", b"host_overrun", b"publish_dropped")
 )
-SIGNALS = (
-    b"\xa8\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
+HEAD = (
+    b"\xa9\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
     + b"\x64t_ns\x1b"
     + (1789000000000000000).to_bytes(8, "big")
     + b"\x68t_unc_ns\x19\xa4\x10\x64lost"
     + LOST
     + b"\x6bboard_ticks\x1b"
     + (2**63).to_bytes(8, "big")
-    + b"\x67signals"
 )
+NOISE_STD = (1e-3, 2e-3, 0.1)
+NOISE = b"\x69noise_std\x83" + b"".join(b"\xfb" + struct.pack(">d", value) for value in NOISE_STD)
+SIGNALS = HEAD + NOISE + b"\x67signals"  # keys may come in any order
 
 
 def signals(array: NDArray[Any]) -> Signals:
-    return Signals(**HEADER, board_ticks=2**63, signals=array)
+    return Signals(**HEADER, board_ticks=2**63, signals=array, noise_std=NOISE_STD)
 
 
 def decoded(shape: tuple[int, ...], displacement: bool = True) -> Decoded:
@@ -52,13 +54,14 @@ def decoded(shape: tuple[int, ...], displacement: bool = True) -> Decoded:
 
 
 def test_bytes_are_those_of_the_standards() -> None:
-    assert encode(signals(EXPECTED)) == SIGNALS + ARRAY
+    assert encode(signals(EXPECTED)) == HEAD + b"\x67signals" + ARRAY + NOISE
 
 
 def test_bytes_of_the_standards_are_read() -> None:
     read = decode(Signals, SIGNALS + ARRAY)
     assert read.t_ns == 1789000000000000000
     assert read.board_ticks == 2**63
+    assert read.noise_std == NOISE_STD
     assert read.signals.dtype == np.float32
     np.testing.assert_array_equal(read.signals, EXPECTED)
 

@@ -20,6 +20,7 @@ from resonator_daemon.publishing.payloads import (
     Forces,
     Lost,
     Message,
+    Patch,
     SiteForce,
     State,
     Status,
@@ -53,6 +54,22 @@ CONTACT_JSON = """
     "noise_newton": 0.0006, "systematic_newton": 0.012, "since_t_ns": "1788999999000000000", "status": "ok",
     "at_least_newton": null
 """
+PATCH: dict[str, Any] = {
+    "id": 3,
+    "centroid_m": (0.001, -0.002),
+    "centroid_std_m": (1e-5, 2e-5),
+    "area_m2": 1.9e-5,
+    "force_newton": (0.1, -0.2, 1.5),
+    "force_std_newton": (0.003, 0.004, 0.005),
+    "moment_newton_m": (1e-3, 2e-3, 3e-5),
+    "moment_std_newton_m": (1e-6, 2e-6, 3e-6),
+    "at_border": True,
+    "radius_of_curvature_m": 0.0056,
+    "stick_ratio": 0.5,
+    "slip_margin": 0.125,
+    "slip_margin_std": 0.01,
+    "friction_coefficient": 0.6,
+}
 
 EXAMPLES = [
     (
@@ -70,9 +87,22 @@ EXAMPLES = [
         """{<header>, "board_ticks": "123456789", "event": "onset", "contact": {<contact>, "peak_newton": 1.3}}""",
     ),
     (
-        DecodedSummary(**MEASURED, decoder="open-plane+contact", chi2=1.02, border_contact=False, status="ok"),
+        DecodedSummary(
+            **MEASURED,
+            decoder="open-plane+contact",
+            chi2=1.02,
+            border_contact=False,
+            status="ok",
+            reason="3 signals lost",
+            patches=(Patch(**PATCH),),
+        ),
         """{<header>, "board_ticks": "123456789", "decoder": "open-plane+contact", "chi2": 1.02,
-           "border_contact": false, "status": "ok", "patches": []}""",
+           "border_contact": false, "status": "ok", "reason": "3 signals lost", "patches": [{
+             "id": 3, "centroid_m": [0.001, -0.002], "centroid_std_m": [1e-5, 2e-5], "area_m2": 1.9e-5,
+             "force_newton": [0.1, -0.2, 1.5], "force_std_newton": [0.003, 0.004, 0.005],
+             "moment_newton_m": [1e-3, 2e-3, 3e-5], "moment_std_newton_m": [1e-6, 2e-6, 3e-6], "at_border": true,
+             "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5, "slip_margin": 0.125, "slip_margin_std": 0.01,
+             "friction_coefficient": 0.6}]}""",
     ),
     (
         State(**HEADER, state="pressed_at_start", reason="release it", since_t_ns=1788999999000000000),
@@ -142,6 +172,17 @@ def test_what_is_not_known_is_null_in_json_and_nan_when_read(unknown: float) -> 
     assert math.isnan(read.force_newton)
     assert math.isnan(read.noise_newton)
     assert read.at_least_newton == 10.0
+
+
+def test_what_no_fit_tells_of_a_patch_is_null() -> None:
+    of_the_fit = ("radius_of_curvature_m", "stick_ratio", "slip_margin", "slip_margin_std", "friction_coefficient")
+    patch = Patch(**PATCH | dict.fromkeys(of_the_fit, math.nan) | {"moment_std_newton_m": (math.nan, 0.0, math.inf)})
+    encoded = encode(patch)
+    said = json.loads(encoded, parse_constant=pytest.fail)
+    assert [said[key] for key in of_the_fit] == [None] * 5
+    assert said["moment_std_newton_m"] == [None, 0.0, None]
+    read = decode(Patch, encoded)
+    assert all(math.isnan(getattr(read, key)) for key in of_the_fit)
 
 
 @given(st.integers(0, 2**64 - 1))

@@ -6,6 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.errors import ExitCode
 
 UNIT = (Path(__file__).parents[2] / "systemd" / "resonatord@.service").read_text()
@@ -43,6 +46,16 @@ def test_no_restart_where_a_person_must_act() -> None:
 
 def test_restarts_never_reach_systemds_limit() -> None:
     assert 5 * float(setting("RestartSec")) > 10  # systemd gives a unit up at more than 5 starts in 10 s
+
+
+def test_a_user_without_a_home_keeps_its_set_ups_where_systemd_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert setting("DynamicUser") == "yes"
+    directory = tmp_path / setting("CacheDirectory")
+    monkeypatch.setenv("CACHE_DIRECTORY", str(directory))
+    assert cached("anything", lambda: 5) == 5
+    assert len(list(directory.iterdir())) == 1
 
 
 def test_command_runs_and_refuses_a_missing_configuration(tmp_path: Path) -> None:

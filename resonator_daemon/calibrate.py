@@ -1,0 +1,181 @@
+"""`resonatord calibrate skin`: capture what a running daemon publishes of a skin, and fit the decoder's prior to it."""
+
+import asyncio
+import json
+import sys
+from collections.abc import Callable
+from contextlib import aclosing
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.config import Config, Mqtt, load_config
+from resonator_daemon.decoding.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.plate import Plate, Skin
+from resonator_daemon.publishing.payloads import Signals
+from resonator_daemon.publishing.subscriber import subscribe
+from resonator_daemon.publishing.topics import SIGNALS, TOPICS
+
+Floats = NDArray[np.float64]
+Tell = Callable[[str], None]
+
+FEWEST_FRAMES: Final = 5  # with load
+_REACH_S: Final = 5.0
+_FIRST_FRAME_S: Final = 10.0
+_SPACING_NS: Final = 200_000_000  # closer frames of one touch say the same again
+_TELL_NS: Final = 1_000_000_000
+
+
+class BrokerUnreachableError(OperatorError):
+    """No broker listens where the configuration says."""
+
+    exit_code = ExitCode.UNAVAILABLE
+
+
+@dataclass
+class Capture:
+    """Frames of one plate, spaced in time."""
+
+    plate: str | None  # its name in the topics; None until one is heard
+    frames: list[Floats] = field(default_factory=list)  # (3, n) each
+    noise_std: list[Floats] = field(default_factory=list)  # (3,) each
+    loaded: int = 0
+
+    def take(self, message: Signals, count: int) -> None:
+        """Keep a frame whose noise is known."""
+        frame, noise = message.signals.reshape(3, -1).astype(np.float64), np.array(message.noise_std)
+        if frame.shape[1] != count:
+            raise ConfigError(f"plate {self.plate!r} publishes {frame.shape[1]} sites, the plate file has {count}")
+        if not ((noise > 0.0) & np.isfinite(noise)).all():
+            return
+        self.frames.append(frame)
+        self.noise_std.append(noise)
+        self.loaded += int(has_load(frame[None], noise)[0])
+
+
+def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitCode:
+    """Capture for some seconds, fit, and print what belongs into the plate file.
+
+    Raises
+    ------
+    OperatorError
+        The configuration cannot be used or its plate has no skin; no broker can be reached.
+    """
+    config = load_config(config_path)
+    skin = config.plate.skin
+    if skin is None:
+        raise ConfigError(f"plate {config.plate.name!r} has no [skin]: there is nothing to calibrate")
+    capture = asyncio.run(_capture(config, seconds, _tell))
+    found: PriorFit | None = None
+    if capture.loaded >= FEWEST_FRAMES:
+        found = _fit(config.plate, skin, capture)
+    if as_json:
+        captured = {"plate": capture.plate, "frames": len(capture.frames), "frames_with_load": capture.loaded}
+        sys.stdout.write(json.dumps({**captured, "fit": _as_json(found) if found else None}) + "\n")
+    elif found:
+        sys.stdout.write("\n".join([*_lines(found), _gain(found)]) + "\n")
+    if found is None:
+        _tell(
+            f"{capture.loaded} of {len(capture.frames)} frames hold load, must be at least {FEWEST_FRAMES}: "
+            + ("press and shear the skin while they are captured" if capture.frames else _silence(config))
+        )
+    return ExitCode.DONE if found else ExitCode.FAILED
+
+
+async def _capture(config: Config, seconds: float, tell: Tell) -> Capture:
+    """Frames at least 0.2 s apart by their own time, for some seconds from the first one."""
+    await _reach(config.mqtt)
+    capture = Capture(config.name)
+    first_ns = next_ns = told_ns = 0
+    try:
+        topics = (TOPICS[SIGNALS.path],)
+        async with asyncio.timeout(_FIRST_FRAME_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
+            async for plate, _, message in messages:
+                if not isinstance(message, Signals) or plate != (capture.plate or plate):
+                    continue
+                if capture.plate is None or not first_ns:
+                    capture.plate, first_ns = plate, message.t_ns
+                    limit.reschedule(asyncio.get_running_loop().time() + seconds)
+                    tell(f"plate {plate!r}: press and shear the skin here and there, for {seconds:g} s")
+                if message.t_ns >= next_ns:
+                    next_ns = message.t_ns + _SPACING_NS
+                    capture.take(message, len(config.plate.site_ids))
+                if message.t_ns >= told_ns:
+                    told_ns = message.t_ns + _TELL_NS
+                    elapsed_s = (message.t_ns - first_ns) * 1e-9
+                    tell(f"{elapsed_s:3.0f} s: {len(capture.frames)} frames, {capture.loaded} with load")
+    except TimeoutError:
+        pass
+    return capture
+
+
+async def _reach(broker: Mqtt) -> None:
+    """Open a connection once: a subscriber would wait for a broker for ever."""
+    try:
+        async with asyncio.timeout(_REACH_S):
+            _, writer = await asyncio.open_connection(broker.host, broker.port)
+    except (OSError, TimeoutError) as error:
+        where = f"{broker.host}:{broker.port}"
+        raise BrokerUnreachableError(f"no broker at {where} ({error or 'no answer'}); see mqtt.url") from None
+    writer.close()
+
+
+def _fit(plate: Plate, skin: Skin, capture: Capture) -> PriorFit:
+    half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
+    noise_std = np.median(capture.noise_std, axis=0)
+
+    def progress(tried: int, length_m: float, ratio: float) -> None:
+        _tell(f"fit {tried}: correlation length {length_m * 1e3:.2f} mm, tangential ratio {ratio:.2f}")
+
+    try:
+        return fit_prior(
+            half_space,
+            plate.site_positions_m,
+            skin.depth_m,
+            np.array(capture.frames),
+            noise_std,
+            gain_std=skin.gain_std,
+            progress=progress,
+        )
+    except ValueError as error:  # the plate file's skin is none that signals can come from
+        raise ConfigError(f"plate {plate.name!r}: {error}") from error
+
+
+def _as_json(found: PriorFit) -> dict[str, float | None]:
+    """Null for the infinite error of what the frames do not bound."""
+    return {key: value if np.isfinite(value) else None for key, value in asdict(found).items()}
+
+
+def _lines(found: PriorFit) -> list[str]:
+    length_mm, length_std_mm = found.correlation_length_m * 1e3, found.correlation_length_std_m * 1e3
+    return [
+        f"correlation_length_mm = {length_mm:.3g}    # {_error(length_std_mm)}",
+        f"tangential_ratio = {found.tangential_ratio:.3g}    # {_error(found.tangential_ratio_std)}",
+    ]
+
+
+def _error(std: float) -> str:
+    return f"± {std:.2g}" if np.isfinite(std) else "not bounded by these frames; press and shear in more ways"
+
+
+def _gain(found: PriorFit) -> str:
+    usual = f"{USUAL_LENGTH_M * 1e3:g} mm and {USUAL_RATIO:g}"
+    used = f"# {found.frames_used} frames with load"
+    if found.log_evidence_gain < 1.0:
+        return f"{used}: no likelier than with the defaults, {usual}."
+    return f"{used}: e^{found.log_evidence_gain:.0f} times as likely as with the defaults, {usual}."
+
+
+def _silence(config: Config) -> str:
+    name = config.name or "+"
+    return f"nothing usable was published as {config.mqtt.prefix}/{name}/{SIGNALS.path}; is `resonatord run` running?"
+
+
+def _tell(line: str) -> None:
+    sys.stderr.write(f"{line}\n")
+    sys.stderr.flush()

@@ -1,0 +1,75 @@
+"""Keeps what takes seconds to set up in the user's cache directory, under a hash of all that it depends on."""
+
+import contextlib
+import hashlib
+import logging
+import os
+import pickle
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import scipy
+
+log = logging.getLogger(__name__)
+
+Built = TypeVar("Built")
+
+_KEPT = 4  # files of some 80 MB
+_CODE = Path(__file__).parent, Path(__file__).parent.parent / "elastic"
+
+
+def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
+    """Return what `build` returned for the same data, code and libraries, or let it build.
+
+    Whatever is wrong with the cache only costs the time to build.
+    """
+    path = _directory() / f"{_hash(depends_on)}.pickle"
+    try:
+        built: Built = pickle.loads(path.read_bytes())
+    except FileNotFoundError:
+        pass
+    except Exception as error:  # noqa: BLE001  a damaged pickle may raise anything
+        log.warning("cached set-up %s is of no use and is made anew: %s", path, error)
+    else:
+        with contextlib.suppress(OSError):  # where it may only be read
+            path.touch()
+        return built
+    built = build()
+    try:
+        _keep(path, built)
+    except OSError as error:
+        log.info("set-up is not cached: %s", error)
+    return built
+
+
+def _directory() -> Path:
+    """Return systemd's choice, else that of the XDG Base Directory Specification."""
+    if given := os.environ.get("CACHE_DIRECTORY"):
+        return Path(given.split(":")[0])
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    return (Path(base) if os.path.isabs(base) else Path(os.path.expanduser("~/.cache"))) / "resonatord"
+
+
+def _hash(depends_on: Any) -> str:
+    digest = hashlib.sha256(pickle.dumps((depends_on, np.__version__, scipy.__version__), protocol=5))
+    for path in sorted(source for folder in _CODE for source in folder.glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]
+
+
+def _keep(path: Path, built: object) -> None:
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
+        try:
+            pickle.dump(built, part, protocol=5)
+            part.flush()
+            os.replace(part.name, path)
+        except BaseException:
+            os.unlink(part.name)
+            raise
+    by_age = sorted(path.parent.glob("*.pickle"), key=lambda file: file.stat().st_mtime)
+    for file in by_age[:-_KEPT]:
+        file.unlink(missing_ok=True)

@@ -1,0 +1,32 @@
+"""What decoders need to know of a skin, and of what a user wants of them."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """Sites under an elastic half-space, and what is known of its loads beforehand."""
+
+    half_space: HalfSpace
+    site_positions_m: Floats  # (n, 2); those of a grid row by row, x running first
+    depth_m: float
+    gain_std: float = 0.0
+    correlation_length_m: float = 1e-3
+    tangential_ratio: float = 0.3
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """How to decode; contact physics rests on the open-plane decoder alone."""
+
+    method: Literal["open-plane", "fourier"] = "open-plane"
+    contact_physics: bool = True
+    friction_coefficient: float | None = None  # None: not known

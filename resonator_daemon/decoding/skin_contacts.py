@@ -1,0 +1,158 @@
+"""Contacts on a skin over time: which patch is which, its forces, onset and release, margin to slip."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.linear_map import SIGNAL_LIMIT
+from resonator_daemon.decoding.partial_slip import PartialSlip
+from resonator_daemon.decoding.patch_tracks import PatchTracker
+from resonator_daemon.decoding.patches import Patch
+from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.decoding.slip import SlipWatch
+
+Floats = NDArray[np.float64]
+
+_ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
+_SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
+_RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
+_FRICTION_STD = 0.03  # relative, of a coefficient that was told: friction changes, and models are wrong
+_FRICTION_LEARNED = 0.1  # relative standard deviation at which an estimate begins to bound shear
+
+
+@dataclass(frozen=True)
+class SkinContact:
+    """One contact in one frame."""
+
+    id: int
+    patch: Patch
+    slip: PartialSlip | None  # None: nothing was fitted
+    radius_of_curvature_m: float  # NaN where it is not known
+    peak_newton: float  # of the normal force so far
+
+
+@dataclass(frozen=True)
+class SkinEvent:
+    """A contact begins, ends or slips; of one that ends, the contact as it was seen last."""
+
+    event: Literal["onset", "release", "incipient_slip", "gross_slip"]
+    contact: SkinContact
+
+
+@dataclass
+class _Life:
+    last: SkinContact
+    frames: int = 0  # in a row in which it was significant
+    announced: bool = False
+
+
+class SkinContacts:
+    """Follows the contacts of one skin.
+
+    Parameters
+    ----------
+    skin
+    noise_std
+        Of the signals, gain errors aside, (3, n).
+    friction_coefficient
+        None where it is not known: then slip teaches it.
+
+    Attributes
+    ----------
+    tracker
+        Numbers the contacts.
+    friction_estimate
+        What slip has taught so far, None where it has not.
+    """
+
+    def __init__(self, skin: Skin, noise_std: Floats, friction_coefficient: float | None) -> None:
+        sites_m = skin.site_positions_m
+        self._noise_std = noise_std
+        self._gain_std = skin.gain_std
+        self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
+        self._model = DiscModel(
+            skin.half_space, sites_m, skin.depth_m, _RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
+        )
+        known = friction_coefficient
+        self._friction = None if known is None else Friction(known, _FRICTION_STD * known)
+        self.tracker = PatchTracker()
+        self.friction_estimate: float | None = None
+        self._lives: dict[int, _Life] = {}
+        self.reset()
+
+    def reset(self) -> tuple[SkinEvent, ...]:
+        """End all contacts: what follows has nothing in common with what was."""
+        ended = tuple(SkinEvent("release", life.last) for life in self._lives.values() if life.announced)
+        self.tracker.clear()
+        self._lives = {}
+        self._watch = SlipWatch(self._model, self._friction)
+        return ended
+
+    def update(
+        self, signals: Floats, patches: Sequence[Patch]
+    ) -> tuple[tuple[SkinContact, ...], tuple[SkinEvent, ...]]:
+        """Contacts and events of a frame (3, n) and the patches that were found in it."""
+        found = self.tracker.update(patches)
+        for missing in self._lives.keys() - found.keys():
+            self._lives[missing].frames = 0
+        real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
+        sound = signals[np.abs(signals) <= SIGNAL_LIMIT]
+        rms = np.linalg.norm(sound) / np.sqrt(max(sound.size, 1))
+        noise_std = np.hypot(self._noise_std, self._gain_std * rms)
+        slips, slip_events = self._watch.update(signals, noise_std, {i: _start(patch) for i, patch in real.items()})
+        self.friction_estimate = _learned(slips) or self.friction_estimate
+        contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
+        events = self._follow(contacts)
+        events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
+        return tuple(contacts.values()), tuple(events)
+
+    def _is_real(self, contact: int, patch: Patch) -> bool:
+        """Whether a patch is a contact: significant in some frames in a row, and from then on while it is tracked."""
+        if contact not in self._lives:
+            self._lives[contact] = _Life(SkinContact(contact, patch, None, np.nan, 0.0))
+        life = self._lives[contact]
+        significant = patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2]
+        life.frames = life.frames + 1 if significant else 0
+        return life.announced or life.frames >= _ONSET_FRAMES
+
+    def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
+        curvature_m = np.nan
+        if slip is not None and np.isfinite(slip.radius_m):
+            # a^3 = 3 F R (1 - nu^2) / (4 E) of a paraboloid (Johnson, Contact Mechanics, section 4.2)
+            curvature_m = self._curvature * slip.radius_m**3 / float(slip.force_newton[2])
+        force = float(patch.force_newton[2])
+        return SkinContact(contact, patch, slip, curvature_m, max(self._lives[contact].last.peak_newton, force))
+
+    def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:
+        """Onsets and releases; lives whose patch is no longer tracked end."""
+        events = []
+        for i, contact in contacts.items():
+            life = self._lives[i]
+            life.last = contact
+            if not life.announced:
+                life.announced = True
+                events.append(SkinEvent("onset", contact))
+        for i in [i for i in self._lives if i not in self.tracker.ids]:
+            life = self._lives.pop(i)
+            if life.announced:
+                events.append(SkinEvent("release", life.last))
+        return events
+
+
+def _start(patch: Patch) -> ContactStart:
+    return ContactStart((float(patch.centroid_m[0]), float(patch.centroid_m[1])), patch.radius_m)
+
+
+def _learned(slips: Mapping[int, PartialSlip]) -> float | None:
+    """Largest coefficient of those that are known well: too small a bound does far more harm than too large a one."""
+    known = [
+        slip.friction_coefficient
+        for slip in slips.values()
+        if slip.friction_coefficient_std < _FRICTION_LEARNED * slip.friction_coefficient
+    ]
+    return max(known, default=None)

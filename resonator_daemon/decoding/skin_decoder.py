@@ -1,0 +1,118 @@
+"""From the signals of a skin to what happens on its surface: map, contacts and events, by the decoder that fits it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.layout import as_grid
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
+from resonator_daemon.decoding.surface_readers import surface_reader
+
+Floats = NDArray[np.float64]
+
+_NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
+_NOISY = 3.0  # times a signal's usual noise: it counts as lost
+_NOISE_STEP = 1.0 / 32.0  # of an octave: what noise is rounded to, so that a set-up can be found again
+
+
+@dataclass(frozen=True)
+class SurfaceReading:
+    """One frame, read."""
+
+    decoder: str
+    decoded: Decoded
+    contacts: tuple[SkinContact, ...] = ()
+    events: tuple[SkinEvent, ...] = ()
+
+
+class SkinDecoder:
+    """Decodes the frames of one skin in the order of time.
+
+    Parameters
+    ----------
+    skin
+    wanted
+        Contact physics needs the open-plane decoder. ValueError for what cannot be decoded so.
+    noise_std
+        Standard deviation of the noise of the dimensionless signals, (3, n), as `rounded_noise` makes it.
+    progress
+        Told what is being set up.
+
+    Attributes
+    ----------
+    name
+        What decodes: the method, "+contact" with contact physics, or "template".
+    shape
+        Of the places of the map, (ny, nx) or (n,).
+    contacts
+        That are followed.
+    """
+
+    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
+        self._noise_std = noise_std
+        self._reader = surface_reader(skin, wanted, noise_std, progress)
+        progress("contact shapes")
+        self.contacts = SkinContacts(skin, noise_std, wanted.friction_coefficient)
+        self.name = self._reader.name
+        self.shape = self._reader.shape
+
+    def fits(self, noise_std: Floats) -> bool:
+        """Whether the decoder still serves signals of such noise, (3, n); a channel that is not heard cannot tell."""
+        ratios = noise_std / self._noise_std
+        medians = np.array(
+            [np.median(row[known]) for row, known in zip(ratios, _known(noise_std), strict=True) if known.any()]
+        )
+        return bool((np.maximum(medians, 1.0 / medians) < _NOISE_CHANGE).all())
+
+    def reset(self) -> tuple[SkinEvent, ...]:
+        """Forget the frames before; returns how their contacts end."""
+        if self._reader.physics is not None:
+            self._reader.physics.reset()
+        return self.contacts.reset()
+
+    def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
+        """Take the place of another: returns how its contacts end, and numbers those to come on from there."""
+        self.contacts.tracker.last_id = other.contacts.tracker.last_id
+        return other.reset()
+
+    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+        """Read a frame; both arrays (3, n). What is far noisier than usual, or of unknown noise, counts as lost."""
+        frame = np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
+        decoded, patches = self._reader.read(frame)
+        reading = SurfaceReading(self.name, decoded, *self.contacts.update(frame, patches))
+        if self._reader.physics is not None:
+            self._reader.physics.friction_estimate = self.contacts.friction_estimate
+        return reading
+
+    @property
+    def rebuild_wanted(self) -> bool:
+        """Whether `rebuild` has something to do."""
+        return self._reader.physics is not None and self._reader.physics.rebuild_wanted
+
+    def rebuild(self) -> None:
+        """Follow a contact that has moved; in another thread than `decode`."""
+        if self._reader.physics is not None:
+            self._reader.physics.rebuild()
+
+
+def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:
+    """Noise to build a decoder for, out of that of a frame, (3, n); None while a channel is not heard.
+
+    On a grid it is the channel's median, because equal noise lets the grid's symmetry work; elsewhere each signal's
+    own, the median where that is not known.
+    """
+    known = _known(noise_std)
+    if not known.any(axis=1).all():
+        return None
+    median = np.array([[np.median(row[keep])] for row, keep in zip(noise_std, known, strict=True)])
+    on_grid = as_grid(skin.site_positions_m) is not None
+    chosen = np.broadcast_to(median, noise_std.shape) if on_grid else np.where(known, noise_std, median)
+    return np.asarray(np.exp2(np.round(np.log2(chosen) / _NOISE_STEP) * _NOISE_STEP), np.float64)
+
+
+def _known(noise_std: Floats) -> NDArray[np.bool_]:
+    return np.isfinite(noise_std) & (noise_std > 0.0)

@@ -1,0 +1,252 @@
+"""Contacts over time on a small skin: onset, release, forces, curvature and slip against the loads they come from."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from skin_scenes import DEPTH_M, FRICTION, NOISE, NU, RADIUS_M, SITES, SITES_M, SKIN, E, noisy, press
+
+from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding.layout import cell_areas_m2
+from resonator_daemon.decoding.patches import PatchFinder
+from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
+from resonator_daemon.decoding.surface_readers import with_net_load
+
+Floats = NDArray[np.float64]
+
+FINDER = PatchFinder(SITES_M, cell_areas_m2(SITES_M), DEPTH_M)
+NOTHING = np.zeros((3, SITES))
+CURVATURE_M = 4.0 * RADIUS_M**3 * E / (3.0 * (1.0 - NU**2))  # that gives RADIUS_M at a newton, by Hertz
+
+
+class Rig(NamedTuple):
+    """Decoders of the small skin, which take some time to set up."""
+
+    linear: OpenPlaneDecoder
+    physics: ContactDecoder
+    contacts: SkinContacts
+
+
+@pytest.fixture(scope="module")
+def built() -> Rig:
+    linear = OpenPlaneDecoder(SKIN.half_space, SITES_M, DEPTH_M, NOISE)
+    return Rig(linear, ContactDecoder(linear), SkinContacts(SKIN, NOISE, None))
+
+
+@pytest.fixture
+def rig(built: Rig) -> Rig:
+    """Nothing is left of the test before but the ids that were given."""
+    built.contacts.reset()
+    built.physics.reset()
+    built.contacts.friction_estimate = None
+    return built
+
+
+class Followed(NamedTuple):
+    contacts: tuple[SkinContact, ...]
+    events: tuple[SkinEvent, ...]
+
+
+def follow(rig: Rig, frames: Iterable[Floats], *, physics: bool = True, seed: int = 1) -> list[Followed]:
+    """What each frame, noise added, shows."""
+    random, followed = np.random.default_rng(seed), []
+    for frame in frames:
+        signals = noisy(frame, random)
+        decoded = (rig.physics if physics else rig.linear).decode(signals)
+        patches = FINDER.find(decoded.traction_pascal, decoded.traction_std_pascal)
+        if physics:
+            patches = [with_net_load(patch, rig.physics, SITES) for patch in patches]
+        followed.append(Followed(*rig.contacts.update(signals, patches)))
+    return followed
+
+
+def told(followed: list[Followed]) -> list[tuple[int, str]]:
+    return [(number, event.event) for number, frame in enumerate(followed) for event in frame.events]
+
+
+@pytest.mark.parametrize("physics", [True, False], ids=["contact physics", "linear"])
+def test_a_press_sets_on_at_its_second_frame_and_is_released_once(rig: Rig, physics: bool) -> None:
+    followed = follow(rig, [NOTHING] * 5 + [press(0.3)] * 8 + [NOTHING] * 8, physics=physics)
+    events = told(followed)
+    assert [event for _, event in events] == ["onset", "release"]
+    assert events[0][0] == 6
+    assert 13 < events[1][0] <= 16
+    assert [len(frame.contacts) for frame in followed[6:13]] == [1] * 7
+    (ids,) = {frozenset(contact.id for contact in frame.contacts) for frame in followed[6:13]}
+    assert {event.contact.id for frame in followed for event in frame.events} == ids
+    assert all(not frame.contacts for frame in followed[:6] + followed[13:])
+
+
+@pytest.mark.parametrize("frames", [[1, 0, 0, 0], [1, 0, 1, 0, 1, 0]], ids=["once", "every other"])
+def test_what_lasts_a_single_frame_is_no_contact(rig: Rig, frames: list[int]) -> None:
+    followed = follow(rig, [press() if pressed else NOTHING for pressed in frames * 3])
+    assert told(followed) == []
+    assert not any(frame.contacts for frame in followed)
+
+
+def test_noise_alone_is_no_contact(rig: Rig) -> None:
+    followed = follow(rig, [NOTHING] * 500, seed=2)
+    assert not any(frame.contacts or frame.events for frame in followed)
+
+
+@pytest.mark.parametrize(("significance", "expected"), [(5.0, []), (7.0, ["onset"])])
+def test_a_patch_is_a_contact_from_six_standard_deviations_of_its_force(
+    rig: Rig, significance: float, expected: list[str]
+) -> None:
+    traction, std = np.zeros((3, SITES)), np.ones((3, SITES))
+    traction[2, [SITES // 2, SITES // 2 + 1]] = 1e3
+    (patch,) = FINDER.find(traction, std)
+    std *= patch.force_newton[2] / patch.force_std_newton[2] / significance
+    patches = FINDER.find(traction, std)
+    events = [event for _ in range(3) for event in rig.contacts.update(NOTHING, patches)[1]]
+    assert [event.event for event in events] == expected
+
+
+@pytest.mark.parametrize(("physics", "tolerance"), [(True, 0.01), (False, 0.02)], ids=["contact physics", "linear"])
+def test_net_force_moment_and_centre(rig: Rig, physics: bool, tolerance: float) -> None:
+    force, centre_m = np.array([0.2, -0.1, 1.0]), np.array([0.7e-3, -0.2e-3])
+    followed = follow(rig, [press(1.0, tuple(centre_m), shear_newton=(0.2, -0.1))] * 10, physics=physics)
+    patches = [frame.contacts[0].patch for frame in followed[2:]]
+    found = np.mean([patch.force_newton for patch in patches], axis=0)
+    np.testing.assert_allclose(found, force, atol=tolerance)
+    assert (np.abs(found - force) < 3.0 * np.mean([patch.force_std_newton for patch in patches], axis=0)).all()
+    np.testing.assert_allclose(np.mean([patch.centroid_m for patch in patches], axis=0), centre_m, atol=3e-5)
+    x, y = centre_m
+    moment = np.array([y * force[2], -x * force[2], x * force[1] - y * force[0]])
+    np.testing.assert_allclose(np.mean([patch.moment_newton_m for patch in patches], axis=0), moment, atol=3e-5)
+    assert not patches[0].at_border
+
+
+def test_contact_physics_tells_forces_far_better_than_the_map(rig: Rig) -> None:
+    std = {}
+    for physics in (True, False):
+        (contact,) = follow(rig, [press()] * 3, physics=physics)[-1].contacts
+        std[physics] = contact.patch.force_std_newton[2]
+        rig.contacts.reset()
+    assert std[True] < 0.3 * std[False]
+
+
+def test_two_contacts_at_once(rig: Rig) -> None:
+    centres_mm, forces = ((-2.3, 0.2), (2.3, -0.3)), (1.0, 0.5)
+    both = sum(press(force, (x * 1e-3, y * 1e-3)) for (x, y), force in zip(centres_mm, forces, strict=True))
+    assert isinstance(both, np.ndarray)
+    followed = follow(rig, [both] * 4 + [press(0.5, (2.3e-3, -0.3e-3))] * 4)
+    assert told(followed) == [(1, "onset"), (1, "onset"), (6, "release")]
+    for contact, (x, y), force in zip(followed[3].contacts, centres_mm, forces, strict=True):
+        np.testing.assert_allclose(contact.patch.force_newton, [0.0, 0.0, force], atol=0.02 * force)
+        np.testing.assert_allclose(contact.patch.centroid_m, [x * 1e-3, y * 1e-3], atol=5e-5)
+        assert contact.radius_of_curvature_m == pytest.approx(CURVATURE_M, rel=0.03)
+    first, second = followed[3].contacts
+    assert first.id != second.id
+    assert followed[6].events[0].contact.id == first.id
+    assert [contact.id for contact in followed[-1].contacts] == [second.id]
+
+
+@pytest.mark.parametrize("radius_m_at_1_newton", [0.9e-3, RADIUS_M])
+@pytest.mark.parametrize("normal_newton", [0.6, 1.0])
+def test_radius_of_curvature_does_not_depend_on_the_force(
+    rig: Rig, radius_m_at_1_newton: float, normal_newton: float
+) -> None:
+    scene = press(normal_newton, (0.2e-3, 0.1e-3), radius_m_at_1_newton=radius_m_at_1_newton)
+    found = [frame.contacts[0].radius_of_curvature_m for frame in follow(rig, [scene] * 12)[2:]]
+    truth_m = 4.0 * radius_m_at_1_newton**3 * E / (3.0 * (1.0 - NU**2))  # 4 a^3 E / (3 F (1 - nu^2)), a^3 ~ F
+    assert np.mean(found) == pytest.approx(truth_m, rel=0.02)
+
+
+def test_the_peak_is_that_of_the_contacts_life(rig: Rig) -> None:
+    loads = [0.3] * 3 + [1.0] * 3 + [0.4] * 3
+    followed = follow(rig, [press(load) for load in loads] + [NOTHING] * 4)
+    first, last = followed[2].contacts[0], followed[8].contacts[0]
+    assert first.peak_newton == pytest.approx(0.3, rel=0.05)
+    assert last.patch.force_newton[2] == pytest.approx(0.4, rel=0.05)
+    assert last.peak_newton == pytest.approx(1.0, rel=0.03)
+    (release,) = [event for frame in followed for event in frame.events if event.event == "release"]
+    assert release.contact.peak_newton == last.peak_newton
+
+
+def ramp(frames: int = 40, hold: int = 6) -> list[Floats]:
+    """A press of 1 N whose shear grows until it slides; the margin falls below 0.3 at 72 %, and to 0 at the end."""
+    shears = np.append(np.linspace(0.0, FRICTION, frames), [FRICTION] * hold)
+    return [press(1.0, shear_newton=(0.6 * shear, 0.8 * shear)) for shear in shears]
+
+
+@pytest.mark.parametrize("told_friction", [None, FRICTION])
+def test_slip_is_announced_as_it_sets_in_then_as_it_is_whole(rig: Rig, told_friction: float | None) -> None:
+    contacts = SkinContacts(SKIN, NOISE, told_friction)
+    followed = follow(rig._replace(contacts=contacts), ramp(), seed=4)
+    events = told(followed)
+    assert [event for _, event in events] == ["onset", "incipient_slip", "gross_slip"]
+    assert 0.7 * 39 < events[1][0] <= 0.7 * 39 + 6  # within 0.1 of the margin that is announced
+    assert events[2][0] >= 39 - 3
+    sliding = followed[-1].contacts[0].slip
+    assert sliding is not None
+    assert sliding.slip_margin < 0.1
+
+
+def test_friction_that_was_told_gives_a_margin_where_nothing_slips(rig: Rig) -> None:
+    std = {}
+    for told_friction in (None, FRICTION):
+        contacts = SkinContacts(SKIN, NOISE, told_friction)
+        slip = follow(rig._replace(contacts=contacts), [press(1.0, shear_newton=(0.1, 0.0))] * 4)[-1].contacts[0].slip
+        assert slip is not None
+        std[told_friction] = slip.slip_margin_std
+    assert slip.slip_margin == pytest.approx(1.0 - 0.1 / FRICTION, abs=0.03)
+    assert std[FRICTION] < 0.02
+    assert not std[None] < 0.1  # or not a number
+
+
+def test_friction_that_slip_has_taught_is_kept(rig: Rig) -> None:
+    follow(rig, ramp()[:10])
+    assert rig.contacts.friction_estimate is None  # 0.1 N of shear: nothing slips that could tell
+    follow(rig, ramp()[10:])
+    assert rig.contacts.friction_estimate == pytest.approx(FRICTION, rel=0.05)
+    follow(rig, [NOTHING] * 4)
+    assert rig.contacts.friction_estimate == pytest.approx(FRICTION, rel=0.05)  # kept beyond the contact
+
+
+@pytest.mark.parametrize("missing", [1, 2, 3])
+def test_a_contact_outlives_two_frames_that_show_nothing(rig: Rig, missing: int) -> None:
+    followed = follow(rig, [press()] * 3 + [np.full((3, SITES), np.nan)] * missing + [press()] * 3)
+    assert not any(frame.contacts for frame in followed[3 : 3 + missing])
+    events = [event for _, event in told(followed)]
+    assert events == (["onset"] if missing < 3 else ["onset", "release", "onset"])
+
+
+def test_a_new_start_ends_contacts_and_goes_on_with_their_numbers(rig: Rig) -> None:
+    (contact,) = follow(rig, [press()] * 3)[-1].contacts
+    (event,) = rig.contacts.reset()
+    assert (event.event, event.contact) == ("release", contact)
+    assert rig.contacts.reset() == ()
+    followed = follow(rig, [press()] * 2)
+    assert told(followed) == [(1, "onset")]
+    assert followed[1].contacts[0].id == contact.id + 1
+    follow(rig, [press(0.5, (2.3e-3, 0.0))])
+    assert len(rig.contacts.reset()) == 1  # the other had not been announced
+
+
+def gain_errors(linear: OpenPlaneDecoder, skin: Skin, *, glitch: bool = False) -> SkinContact:
+    """The contact of a press whose signals have gains that are off by 10 % rms."""
+    random = np.random.default_rng(5)
+    contacts = SkinContacts(skin, NOISE, None)
+    for _ in range(3):
+        signals = noisy(press() * (1.0 + 0.1 * random.standard_normal((3, SITES))), random)
+        if glitch:
+            signals[1, 5] = 1e6
+        decoded = linear.decode(signals)
+        followed, _ = contacts.update(signals, FINDER.find(decoded.traction_pascal, decoded.traction_std_pascal))
+    return followed[0]
+
+
+def test_gain_errors_count_as_noise_of_the_fit(rig: Rig) -> None:
+    skin = Skin(SKIN.half_space, SITES_M, DEPTH_M, gain_std=0.1)
+    deaf, warned = gain_errors(rig.linear, SKIN), gain_errors(rig.linear, skin)
+    hit = gain_errors(rig.linear, skin, glitch=True)
+    assert deaf.slip is not None
+    assert warned.slip is not None
+    assert hit.slip is not None
+    assert deaf.slip.chi2 > 3.0
+    assert 0.5 < warned.slip.chi2 < 1.6
+    assert hit.slip.radius_std_m == pytest.approx(warned.slip.radius_std_m, rel=0.1)  # a lost signal is no rms

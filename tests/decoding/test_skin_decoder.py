@@ -1,0 +1,255 @@
+"""The decoder of one skin: which one it is, what counts as lost, which noise it is built for, and what it passes on."""
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, E, grid, noisy, press
+
+from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, rounded_noise
+from resonator_daemon.elastic import HalfSpace
+
+Floats = NDArray[np.float64]
+
+SHAPE, SITES = (12, 12), 144
+HALF_SPACE = HalfSpace(E, NU)
+SKIN = Skin(HALF_SPACE, grid(SHAPE), DEPTH_M)
+SCATTERED = replace(SKIN, site_positions_m=grid(SHAPE) + np.random.default_rng(0).uniform(-1e-4, 1e-4, (SITES, 2)))
+# Powers of two, which rounding keeps.
+NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)
+LINEAR, PHYSICS, FOURIER = Wanted(contact_physics=False), Wanted(), Wanted("fourier")
+
+
+def build(skin: Skin, wanted: Wanted, said: list[str] | None = None) -> SkinDecoder:
+    return SkinDecoder(skin, wanted, NOISE, [].append if said is None else said.append)
+
+
+@pytest.fixture(scope="module")
+def linear() -> SkinDecoder:
+    return build(SKIN, LINEAR)
+
+
+@pytest.fixture(scope="module")
+def physics_built() -> SkinDecoder:
+    return build(SKIN, PHYSICS)
+
+
+@pytest.fixture
+def physics(physics_built: SkinDecoder) -> SkinDecoder:
+    """Nothing is left of the test before."""
+    physics_built.reset()
+    return physics_built
+
+
+def frame(seed: int = 0, skin: Skin = SKIN) -> Floats:
+    signals = press(sites_m=skin.site_positions_m, shear_newton=(0.3, 0.0))
+    return noisy(signals, np.random.default_rng(seed), NOISE)
+
+
+def test_each_is_called_by_what_decodes_and_tells_what_it_sets_up(linear: SkinDecoder, physics: SkinDecoder) -> None:
+    assert (linear.name, linear.shape) == ("open-plane", SHAPE)
+    assert (physics.name, physics.shape) == ("open-plane+contact", SHAPE)
+    said: list[str] = []
+    fourier = build(SKIN, FOURIER, said)
+    assert (fourier.name, fourier.shape) == ("fourier", SHAPE)  # contact physics needs the other one
+    assert said[0] == "fourier decoder of 144 sites"
+    assert len(said) == 2
+    scattered = build(SCATTERED, PHYSICS, said)
+    assert (scattered.name, scattered.shape) == ("open-plane+contact", (SITES,))
+    assert said[2:4] == ["open-plane decoder of 144 sites", "contact physics"]
+
+
+@pytest.mark.parametrize("stretch", [(1.0, 1.5), None], ids=["oblong", "scattered"])
+def test_the_fourier_decoder_needs_a_square_grid(stretch: tuple[float, float] | None) -> None:
+    sites_m = SCATTERED.site_positions_m if stretch is None else SKIN.site_positions_m * stretch
+    with pytest.raises(ValueError, match='"fourier" needs a square grid, 144 sites form none'):
+        build(replace(SKIN, site_positions_m=sites_m), FOURIER)
+
+
+TOLD = replace(SKIN, gain_std=0.05, correlation_length_m=0.7e-3, tangential_ratio=0.8)
+
+
+def test_what_is_known_of_the_skin_reaches_the_open_plane_decoder() -> None:
+    for skin, wanted, expected in (
+        (
+            TOLD,
+            LINEAR,
+            OpenPlaneDecoder(
+                HALF_SPACE,
+                TOLD.site_positions_m,
+                DEPTH_M,
+                NOISE,
+                gain_std=0.05,
+                correlation_length_m=0.7e-3,
+                tangential_ratio=0.8,
+            ),
+        ),
+        (
+            TOLD,
+            FOURIER,
+            FourierDecoder(
+                HALF_SPACE,
+                SHAPE,
+                PITCH_M,
+                DEPTH_M,
+                NOISE.reshape(3, *SHAPE),
+                correlation_length_m=0.7e-3,
+                tangential_ratio=0.8,
+            ),
+        ),
+    ):
+        decoded = build(skin, wanted).decode(frame(), NOISE).decoded
+        direct = expected.decode(frame().reshape(3, *SHAPE), displacement=True)
+        assert decoded.traction_pascal.shape == (3, *SHAPE)
+        assert decoded.displacement_m is not None
+        assert direct.displacement_m is not None
+        np.testing.assert_allclose(decoded.traction_pascal, direct.traction_pascal, rtol=1e-5, atol=1e-2)
+        np.testing.assert_allclose(decoded.traction_std_pascal, direct.traction_std_pascal, rtol=1e-5)
+        np.testing.assert_allclose(decoded.displacement_m, direct.displacement_m, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize("noise", [3.1, np.nan, np.inf], ids=["3.1 times the usual", "unknown", "infinite"])
+def test_a_signal_far_noisier_than_usual_counts_as_lost(linear: SkinDecoder, noise: float) -> None:
+    signals, noise_std = frame(), NOISE.copy()
+    noise_std[1, 70] *= noise
+    noise_std[2, :] *= 1.4  # still of use
+    signals[1, 70] = 1.0  # nonsense, as such a noise allows
+    lost = linear.decode(signals, noise_std).decoded
+    assert lost.reason.startswith("1 of 432 signals lost")
+    expected = signals.copy()
+    expected[1, 70] = np.nan
+    np.testing.assert_array_equal(lost.traction_pascal, linear.decode(expected, NOISE).decoded.traction_pascal)
+    noise_std[1, 70] = 2.9 * NOISE[1, 70]
+    assert linear.decode(signals, noise_std).decoded.reason == ""
+
+
+@pytest.mark.parametrize(
+    ("factors", "fits"),
+    [
+        ((1.0, 1.0, 1.0), True),
+        ((1.45, 0.7, 1.0), True),
+        ((1.0, 1.0, 1.55), False),
+        ((1.0, 0.64, 1.0), False),
+        ((np.nan, 1.2, 1.0), True),  # nothing is heard of it: a frame to flag, no reason to build anew
+        ((np.inf, 1.0, 1.0), True),
+        ((np.nan, np.nan, np.nan), True),
+        ((np.nan, 1.0, 2.0), False),
+    ],
+)
+def test_it_fits_until_a_channels_noise_has_changed(
+    linear: SkinDecoder, factors: tuple[float, ...], fits: bool
+) -> None:
+    noise_std = NOISE * np.array(factors)[:, None]
+    noise_std[:, :60] = np.nan
+    noise_std[:, 60:70] *= 100.0  # less than half of those that are known
+    assert linear.fits(noise_std) == fits
+
+
+def test_noise_to_build_for_is_the_median_on_a_grid() -> None:
+    small = replace(SKIN, site_positions_m=grid((2, 2)))
+    # Medians of what is known in each channel, by hand: 2 of 1 2 5, 4 of 4 4 8, and 8 between 4 and 12.
+    noise_std = np.array([[1.0, 5.0, 2.0, np.nan], [4.0, 4.0, np.inf, 8.0], [0.0, 4.0, 12.0, -1.0]])
+    np.testing.assert_allclose(rounded_noise(small, noise_std), np.tile([[2.0], [4.0], [8.0]], 4), rtol=1e-12)
+
+
+def test_noise_to_build_for_is_each_signals_own_elsewhere_and_the_median_where_unknown() -> None:
+    scattered = replace(SKIN, site_positions_m=np.array([[0.0, 0.0], [1.0, 0.1], [0.2, 1.0], [1.3, 1.2]]) * 1e-3)
+    noise_std = np.array([[1.0, 4.0, 2.0, np.nan], [4.0, 4.0, np.inf, 8.0], [1.0, 2.0, 4.0, 8.0]])
+    expected = [[1.0, 4.0, 2.0, 2.0], [4.0, 4.0, 4.0, 8.0], [1.0, 2.0, 4.0, 8.0]]
+    np.testing.assert_allclose(rounded_noise(scattered, noise_std), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("unknown", [np.nan, np.inf, 0.0])
+@pytest.mark.parametrize("skin", [SKIN, SCATTERED], ids=["grid", "scattered"])
+def test_there_is_none_while_a_channel_is_not_heard(skin: Skin, unknown: float) -> None:
+    noise_std = NOISE.copy()
+    noise_std[1] = unknown
+    assert rounded_noise(skin, noise_std) is None
+
+
+def test_noise_is_rounded_finely_and_the_same_for_what_hardly_differs() -> None:
+    random = np.random.default_rng(3)
+    noise_std = np.exp(random.uniform(-9.0, -1.0, (3, SITES)))
+    rounded = rounded_noise(SCATTERED, noise_std)
+    assert rounded is not None
+    ratio = rounded / noise_std
+    assert 0.5 * (2.0 ** (1 / 64) - 1.0) < np.abs(ratio - 1.0).max() <= 2.0 ** (1 / 64) - 1.0
+    np.testing.assert_array_equal(rounded_noise(SCATTERED, rounded * random.uniform(0.995, 1.005, (3, SITES))), rounded)
+
+
+def test_contact_physics_waits_for_the_other_thread_then_solves(physics: SkinDecoder, linear: SkinDecoder) -> None:
+    first = physics.decode(frame(), NOISE).decoded
+    assert physics.rebuild_wanted
+    physics.rebuild()
+    assert not physics.rebuild_wanted
+    solved = physics.decode(frame(), NOISE).decoded
+    synchronous = ContactDecoder(OpenPlaneDecoder(HALF_SPACE, SKIN.site_positions_m, DEPTH_M, NOISE), None).decode(
+        frame()
+    )
+    assert solved.chi2 == pytest.approx(float(synchronous.chi2), rel=0.01)
+    assert first.chi2 == pytest.approx(float(linear.decode(frame(), NOISE).decoded.chi2), rel=1e-3)
+    scale = np.abs(synchronous.traction_pascal).max()
+    np.testing.assert_allclose(solved.traction_pascal.reshape(3, -1), synchronous.traction_pascal, atol=0.02 * scale)
+    physics.reset()
+    assert physics.decode(frame(), NOISE).decoded.chi2 == first.chi2  # it waits again
+
+
+def test_without_contact_physics_there_is_nothing_to_rebuild(linear: SkinDecoder) -> None:
+    linear.decode(frame(), NOISE)
+    assert not linear.rebuild_wanted
+    linear.rebuild()
+
+
+def test_friction_that_was_told_bounds_shear() -> None:
+    """A sliding contact contradicts a coefficient of a fifth of its own; its own it does not."""
+    sliding = press(sites_m=SKIN.site_positions_m, shear_newton=(FRICTION, 0.0))
+    status = {}
+    for friction in (FRICTION, FRICTION / 5.0):
+        decoder = build(SKIN, Wanted(friction_coefficient=friction))
+        for seed in range(3):
+            decoded = decoder.decode(noisy(sliding, np.random.default_rng(seed), NOISE), NOISE).decoded
+            decoder.rebuild()
+        status[friction] = str(decoded.status), "friction coefficient 0.1 contradicted" in decoded.reason
+    assert status == {FRICTION: ("ok", False), FRICTION / 5.0: ("constraint_dropped", True)}
+
+
+def test_frames_give_contacts_and_a_new_start_ends_them(physics: SkinDecoder) -> None:
+    readings = []
+    for seed in range(3):
+        readings.append(physics.decode(frame(seed), NOISE))
+        physics.rebuild()
+    assert [[event.event for event in reading.events] for reading in readings] == [[], ["onset"], []]
+    (contact,) = readings[2].contacts
+    np.testing.assert_allclose(contact.patch.force_newton, [0.3, 0.0, 1.0], atol=0.03)
+    assert physics.decode(np.full((3, SITES), np.nan), NOISE).decoded.status == "no_signal"
+    (event,) = physics.reset()
+    assert (event.event, event.contact) == ("release", contact)
+    assert physics.reset() == ()
+    assert physics.decode(frame(), NOISE).contacts == ()
+
+
+def test_a_successor_goes_on_counting_and_tells_how_contacts_end(linear: SkinDecoder, physics: SkinDecoder) -> None:
+    for seed in range(2):
+        (*_, last) = physics.decode(frame(seed), NOISE).contacts or [None]
+    assert last is not None
+    successor = pickle.loads(pickle.dumps(linear))
+    successor.reset()
+    (event,) = successor.succeed(physics)
+    assert (event.event, event.contact.id) == ("release", last.id)
+    for seed in range(2):
+        contacts = successor.decode(frame(seed), NOISE).contacts
+    assert [contact.id for contact in contacts] == [last.id + 1]
+
+
+def test_it_survives_being_kept_in_a_file(physics: SkinDecoder) -> None:
+    kept = pickle.loads(pickle.dumps(physics, protocol=5))
+    for decoder in (physics, kept):
+        decoder.decode(frame(), NOISE)
+        decoder.rebuild()
+    ours, theirs = (decoder.decode(frame(1), NOISE) for decoder in (physics, kept))
+    np.testing.assert_array_equal(ours.decoded.traction_pascal, theirs.decoded.traction_pascal)
+    assert len(ours.contacts) == len(theirs.contacts) == 1

@@ -1,0 +1,81 @@
+"""What the tests of the whole daemon share: a folder with a board, a configuration and the truth."""
+
+import asyncio
+import json
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from observer import Observer
+
+from resonator_daemon.config import load_config
+from resonator_daemon.service import Service
+from simulators.emulator import Emulator, EmulatorOptions
+
+
+class Bench:
+    """A folder with a port, a configuration and a truth file, and what runs on them."""
+
+    def __init__(self, folder: Path, broker_url: str) -> None:
+        self.folder = folder
+        self.port = folder / "board"
+        self.truth_path = folder / "truth.jsonl"
+        self.broker_url = broker_url
+
+    def scenario(self, text: str) -> str:
+        path = self.folder / "scenario.toml"
+        path.write_text(text)
+        return str(path)
+
+    @asynccontextmanager
+    async def emulated(self, plate: str = "quartz16", **options: Any) -> AsyncIterator[Emulator]:
+        if "tcp" not in options:
+            options |= {"pty": self.port} if plate == "quartz16" else {"tcp": ("127.0.0.1", 0)}
+        emulator = Emulator(EmulatorOptions(plate, truth=self.truth_path, **options))
+        thread = threading.Thread(target=emulator.run)
+        thread.start()
+        try:
+            yield emulator
+        finally:
+            emulator.stop()
+            await asyncio.to_thread(thread.join)
+
+    def service(
+        self,
+        plate: str = "quartz16",
+        link: str | None = None,
+        name: str | None = "hand",
+        decoding: str = 'method = "fourier"',
+    ) -> Service:
+        config = self.folder / "board.toml"
+        lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
+        lines += [f'name = "{name}"'] if name else []
+        config.write_text("\n".join(lines) + f'\n[mqtt]\nurl = "{self.broker_url}"\n[decoding]\n{decoding}\n')
+        return Service(load_config(config))
+
+    @asynccontextmanager
+    async def running(self, service: Service) -> AsyncIterator[Service]:
+        task = asyncio.create_task(service.run())
+        try:
+            yield service
+        finally:
+            service.stop()
+            await task
+
+    def truth(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.truth_path.read_text().splitlines() if line.endswith("}")]
+
+    def windows(self, messages: list[Any]) -> Iterator[tuple[Any, list[dict[str, Any]]]]:
+        """Give each message of forces with the truth of the ten gates that it was measured in."""
+        truth = self.truth()
+        index = {line["board_ticks"]: n for n, line in enumerate(truth)}
+        for message in messages:
+            last = index.get(int(message["board_ticks"]), 0)
+            if last >= 9:
+                yield message, truth[last - 9 : last + 1]
+
+
+def events(observer: Observer) -> list[dict[str, Any]]:
+    return observer.payloads("resonator/hand/contacts/event")

@@ -1,0 +1,195 @@
+"""`resonatord calibrate skin` as a user meets it: with a plate that publishes, without load, without broker or skin."""
+
+import asyncio
+import json
+import sys
+import tomllib
+from asyncio.subprocess import PIPE
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import Mosquitto, free_port
+from numpy.typing import NDArray
+
+from resonator_daemon import calibrate as calibrate_module
+from resonator_daemon.config import Mqtt, load_config
+from resonator_daemon.plate import load_plate
+from resonator_daemon.publishing.payloads import Lost, Signals, State
+from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.topics import SIGNALS
+from simulators.half_space_fields import hertz_fields
+
+Floats = NDArray[np.float64]
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "calibrate", "skin")
+TIMEOUT_S = 60
+HEADER = {"daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_unc_ns": 42_000, "lost": Lost(), "board_ticks": None}
+FRAME_NS = 250_000_000
+NOISE = 2e-4
+PLATE = """\
+format = 1
+name = "small"
+outline_mm = [[-2, -2], [2, -2], [2, 2], [-2, 2]]
+transducers_mm = [[-2, -2], [2, -2], [2, 2], [-2, 2]]
+force_max_newton = 5
+[counter]
+kind = "channelised"
+[skin]
+youngs_modulus_pascal = 2e5
+poisson_ratio = 0.5
+depth_mm = 1.0
+[grid]
+shape = [7, 7]
+pitch_mm = 0.5
+signals = ["p_n", "eps_xz", "eps_yz"]
+f0_hz = 100e6
+spacing_hz = 3250
+order = [3, 21, 1]
+sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
+"""
+
+
+def write_config(directory: Path, url: str, plate: str = "small.toml", name: str = 'name = "left"') -> str:
+    (directory / "small.toml").write_text(PLATE)
+    path = directory / "board.toml"
+    path.write_text(f'{name}\nplate = "{plate}"\nlink = "tcp://127.0.0.1:9"\n[mqtt]\nurl = "{url}"\n')
+    return str(path)
+
+
+async def calibrate(*arguments: str) -> tuple[int | None, str, str]:
+    """Exit code, stdout and stderr."""
+    process = await asyncio.create_subprocess_exec(*COMMAND, *arguments, stdout=PIPE, stderr=PIPE)
+    try:
+        async with asyncio.timeout(TIMEOUT_S):
+            said, told = await process.communicate()
+    finally:
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
+    return process.returncode, said.decode(), told.decode()
+
+
+def pressed(frame: int, directory: Path) -> Floats:
+    """A sheared press that wanders, every other frame; noise in all."""
+    rng = np.random.default_rng(frame)
+    noise = NOISE * rng.standard_normal((3, 49))
+    if frame % 2:
+        return noise
+    sites_m = load_plate(str(directory / "small.toml")).site_positions_m
+    fields = hertz_fields(sites_m - rng.uniform(-1e-3, 1e-3, 2), 1e-3, [1e-3], 2e5, 0.5)[0]
+    force = np.array([*rng.uniform(-0.2, 0.2, 2), 0.5])
+    return np.asarray(np.einsum("f,fsn->sn", force, fields) * np.array([[1.5 / 2e5], [1.0], [1.0]]) + noise)
+
+
+@asynccontextmanager
+async def plate(url: str, frames: list[Floats], name: str = "left", noise: float = NOISE) -> AsyncIterator[None]:
+    """A plate that publishes these frames again and again, a quarter of a second apart by their own time."""
+    publisher = Publisher(
+        Mqtt(url=url),
+        name,
+        lambda reason: State(seq=0, t_ns=0, state="offline", reason=reason, since_t_ns=None, **HEADER),
+    )
+
+    async def publish() -> None:
+        for seq in range(100_000):
+            signals = frames[seq % len(frames)].reshape(3, 7, -1).astype(np.float32)
+            message = Signals(seq=seq, t_ns=seq * FRAME_NS, signals=signals, noise_std=(noise,) * 3, **HEADER)
+            publisher.publish(SIGNALS, message)
+            await asyncio.sleep(0.01)
+
+    tasks = [asyncio.create_task(publisher.run()), asyncio.create_task(publish())]
+    yield
+    tasks[1].cancel()
+    await publisher.close()
+    await asyncio.wait(tasks)
+
+
+async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    config = write_config(tmp_path, mosquitto.url)
+    async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(20)]):
+        code, said, told = await calibrate("--config", config, "--seconds", "0.8")
+    assert code == 0, told
+    assert "Traceback" not in told
+    assert "plate 'left': press and shear the skin here and there, for 0.8 s" in told
+    assert "with load" in told
+    assert "fit 2: correlation length" in told
+    assert said.count("\n") == 3
+    assert "±" in said
+    assert "frames with load: e^" in said
+    (tmp_path / "small.toml").write_text(PLATE.replace("[grid]", said + "[grid]"))  # as the user would
+    found, skin = tomllib.loads(said), load_plate(str(tmp_path / "small.toml")).skin
+    assert skin is not None
+    assert skin.correlation_length_m == pytest.approx(1e-3 * found["correlation_length_mm"])
+    assert 0.2 < skin.correlation_length_mm < 5.0
+    assert 0.02 < skin.tangential_ratio < 2.0
+
+
+async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    config = write_config(tmp_path, mosquitto.url, name="")  # the topics then bear the board's serial number
+    async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(20)]):
+        code, said, _ = await calibrate("--config", config, "--seconds", "0.8", "--json")
+    assert code == 0
+    assert said.count("\n") == 1
+    found = json.loads(said, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
+    assert found["plate"] == "left"
+    assert abs(found["frames"] - 2 * found["frames_with_load"]) <= 1
+    fit = found["fit"]
+    assert fit["frames_used"] == found["frames_with_load"]
+    assert fit["frames_used"] + fit["frames_without_load"] == found["frames"]
+    assert 0.2e-3 < fit["correlation_length_m"] < 5e-3
+    assert fit["log_evidence_gain"] >= 0.0
+
+
+async def test_nobody_presses(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    config = write_config(tmp_path, mosquitto.url)
+    async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(1, 20, 2)]):
+        code, said, told = await calibrate("--config", config, "--seconds", "0.5", "--json")
+    assert code == 1
+    found = json.loads(said)
+    assert found["fit"] is None
+    assert found["frames"] > 5
+    assert f"0 of {found['frames']} frames hold load, must be at least 5: press and shear the skin" in told
+
+
+async def test_frames_without_known_noise_are_passed_over(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    config = write_config(tmp_path, mosquitto.url)
+    async with plate(mosquitto.url, [pressed(0, tmp_path)], noise=float("nan")):
+        code, _, told = await calibrate("--config", config, "--seconds", "0.3")
+    assert code == 1
+    assert "0 of 0 frames hold load" in told
+    assert "nothing usable was published as resonator/left/signals" in told
+
+
+async def test_silence(mosquitto: Mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another plate publishes, this one does not."""
+    monkeypatch.setattr(calibrate_module, "_FIRST_FRAME_S", 0.5)
+    config = load_config(Path(write_config(tmp_path, mosquitto.url)))
+    async with plate(mosquitto.url, [pressed(0, tmp_path)], name="right"):
+        capture = await calibrate_module._capture(config, 20.0, pytest.fail)
+    assert capture.frames == []
+
+
+async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    config = write_config(tmp_path, mosquitto.url)
+    async with plate(mosquitto.url, [np.zeros((3, 42))]):
+        code, said, told = await calibrate("--config", config)
+    assert (code, said) == (78, "")
+    assert "plate 'left' publishes 42 sites, the plate file has 49" in told
+
+
+async def test_what_cannot_work_is_said_at_once(tmp_path: Path) -> None:
+    port = free_port()
+    code, said, told = await calibrate("--config", write_config(tmp_path, f"mqtt://127.0.0.1:{port}"))
+    assert (code, said) == (69, "")
+    assert f"no broker at 127.0.0.1:{port} (" in told
+    assert told.count("\n") == 1
+    code, _, told = await calibrate("--config", write_config(tmp_path, "mqtt://127.0.0.1:9", "quartz16"))
+    assert code == 78
+    assert "'quartz16' has no [skin]: there is nothing to calibrate" in told
+    code, _, told = await calibrate("--config", str(tmp_path / "none.toml"))
+    assert code == 78
+    assert "Traceback" not in told
+    assert (await calibrate())[0] == 2
