@@ -5,9 +5,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from resonator_daemon.demo.truth import TruthLine, TruthTable, surface_traction
-from resonator_daemon.publishing.payloads import ContactEvent, Decoded, Forces, Header, Health, Lost, Message
+from resonator_daemon.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
+from resonator_daemon.publishing.payloads import (
+    ContactEvent,
+    Decoded,
+    DecodedSummary,
+    Forces,
+    Header,
+    Health,
+    Lost,
+    Message,
+)
 
 ONSET_NEWTON = 0.020  # a touch counts from here
 FOUND_WITHIN_NS = 50_000_000
@@ -32,6 +42,7 @@ class Accuracy:
     found: int = 0
     sites_right: int = 0
     force_error_newton_rms: float | None = None
+    position_error_m_rms: float | None = None
     traction_error: float | None = None
 
 
@@ -44,15 +55,19 @@ class PlateScore:
         Of the emulated board.
     window_frames
         Gates in one window of the `forces` topic.
+    site_positions_m
+        (n, 2): where the traction of scattered sites is compared with the truth, point by point.
     """
 
-    def __init__(self, truth: TruthTable, window_frames: int) -> None:
+    def __init__(self, truth: TruthTable, window_frames: int, site_positions_m: NDArray[np.float64]) -> None:
         self._truth = truth
         self._window_frames = window_frames
-        self._waiting: list[tuple[Forces | Decoded, int]] = []
+        self._site_positions_m = site_positions_m
+        self._waiting: list[tuple[Forces | Decoded | DecodedSummary, int]] = []
         self._onsets: list[tuple[int, int]] = []  # arrival, site
         self._touches: dict[int, TrueTouch] = {}
         self._force_errors: list[tuple[int, float, float]] = []  # touch, true force, error
+        self._position_errors: list[tuple[int, float, float]] = []  # touch, true force, distance
         self._traction_errors: list[tuple[float, float, float]] = []  # net force, squared error, squared truth
         self._lines_seen = 0
         self._begin_ns = 0
@@ -68,6 +83,7 @@ class PlateScore:
         self._begin_ns = now_ns
         self.latency_ms.clear()
         self._force_errors.clear()
+        self._position_errors.clear()
         self._traction_errors.clear()
         self.decoded_frames = 0
         self._lost_before = self._lost
@@ -89,7 +105,7 @@ class PlateScore:
         if isinstance(message, Header):
             self._lost = message.lost
         match message:
-            case Forces():
+            case Forces() | DecodedSummary():
                 self._waiting.append((message, arrived_ns))
             case Decoded():
                 self.decoded_frames += 1
@@ -113,6 +129,9 @@ class PlateScore:
                 still_waiting.append((message, arrived_ns))
                 continue
             self._newest_sequence = window[-1].sequence
+            if isinstance(message, DecodedSummary):
+                self._compare_patches(message, window[0])
+                continue
             self.latency_ms.append((arrived_ns - window[-1].t_ns) / 1e6)
             if isinstance(message, Forces):
                 self._compare_forces(message, window)
@@ -131,19 +150,18 @@ class PlateScore:
             sites = [site for at, site in self._onsets if abs(at - crossed_ns) <= FOUND_WITHIN_NS]
             result.found += bool(sites)
             result.sites_right += touch.site in sites
-        squares = [
-            error**2
-            for touch, true, error in self._force_errors
-            if true > COUNTED_SHARE * self._touches[touch].peak_newton
-        ]
-        if squares:
-            result.force_error_newton_rms = math.sqrt(sum(squares) / len(squares))
+        result.force_error_newton_rms = self._rms(self._force_errors)
+        result.position_error_m_rms = self._rms(self._position_errors)
         if self._traction_errors:
             force, error, truth = np.array(self._traction_errors).T
             counted = force > COUNTED_SHARE * force.max()
             if truth[counted].sum() > 0:
                 result.traction_error = math.sqrt(error[counted].sum() / truth[counted].sum())
         return result
+
+    def _rms(self, errors: list[tuple[int, float, float]]) -> float | None:
+        counted = [error for touch, true, error in errors if true > COUNTED_SHARE * self._touches[touch].peak_newton]
+        return float(np.sqrt(np.mean(np.square(counted)))) if counted else None
 
     def _follow_touches(self, line: TruthLine) -> None:
         for contact in line.contacts:
@@ -167,11 +185,24 @@ class PlateScore:
             if not math.isnan(error):  # what is not known is said so by its status, and is no error of the force
                 self._force_errors.append((touch, true, error))
 
+    def _compare_patches(self, message: DecodedSummary, line: TruthLine) -> None:
+        """Compare each true contact with the patch nearest to it."""
+        for contact in line.contacts if message.patches else ():
+            away_m = [math.dist(patch.centroid_m, contact["position_m"]) for patch in message.patches]
+            nearest = int(np.argmin(away_m))
+            true_newton = contact["force_newton"][2]
+            error_newton = message.patches[nearest].force_newton[2] - true_newton
+            self._force_errors.append((contact["id"], true_newton, error_newton))
+            self._position_errors.append((contact["id"], true_newton, away_m[nearest]))
+
     def _compare_tractions(self, message: Decoded, line: TruthLine) -> None:
-        if message.grid is None or np.isnan(message.traction_pascal).any():  # not known, as its status says
+        if np.isnan(message.traction_pascal).any():  # not known, as its status says
             return
-        ny, nx = message.traction_pascal.shape[-2:]
-        truth = surface_traction(line, (ny, nx), message.grid.pitch_m)
+        if message.grid is None:
+            truth = site_traction(line, self._site_positions_m)
+        else:
+            ny, nx = message.traction_pascal.shape[-2:]
+            truth = surface_traction(line, (ny, nx), message.grid.pitch_m)
         error = np.asarray(message.traction_pascal, np.float64) - truth
         force = float(np.linalg.norm(line.net_force_newton))
         self._traction_errors.append((force, float(np.sum(error**2)), float(np.sum(truth**2))))

@@ -8,7 +8,7 @@ from typing import Any, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.contact import pixel_tractions
+from simulators.contact import pixel_tractions, point_tractions
 from simulators.scenario import FRICTION_COEFFICIENT
 from simulators.skin_plate import RADIUS_M_AT_1_NEWTON
 
@@ -75,5 +75,15 @@ def surface_traction(line: TruthLine, shape: tuple[int, int], pitch_m: float) ->
             FRICTION_COEFFICIENT,
             shape,
             pitch_m,
+        )
+    return traction
+
+
+def site_traction(line: TruthLine, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the traction (3, n) that the line's contacts exert at points (n, 2) of the surface."""
+    traction = np.zeros((3, len(positions_m)))
+    for contact in line.contacts:
+        traction += point_tractions(
+            contact["force_newton"], contact["position_m"], RADIUS_M_AT_1_NEWTON, FRICTION_COEFFICIENT, positions_m
         )
     return traction

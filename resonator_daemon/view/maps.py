@@ -15,6 +15,8 @@ from rich.style import Style
 Line = list[Segment]
 Point = tuple[float, float]
 
+OUTSIDE_PASCAL: Final = -math.inf  # of a pixel that is not on the plate
+
 # Viridis: perceptually uniform, its lightness rises all the way, and safe for the colour-blind.
 _VIRIDIS: Final = (
     *((68, 1, 84), (71, 45, 123), (59, 82, 139), (44, 114, 142), (33, 145, 140)),
@@ -116,16 +118,22 @@ def _border(outline_m: tuple[Point, ...], rows: int, columns: int) -> NDArray[np
     (x0, y0), (x1, y1) = np.min(outline_m, axis=0), np.max(outline_m, axis=0)
     x = x0 + (x1 - x0) * (np.arange(-1, columns + 1) + 0.5) / columns
     y = (y1 - (y1 - y0) * (np.arange(-1, rows + 1) + 0.5) / rows)[:, np.newaxis]
-    inside = np.zeros((rows + 2, columns + 2), np.bool_)
-    for (xa, ya), (xb, yb) in zip(outline_m, (*outline_m[1:], outline_m[0]), strict=True):
-        if ya != yb:  # even-odd rule: a ray to the right crosses the edge
-            inside ^= ((ya > y) != (yb > y)) & (x < xa + (y - ya) * (xb - xa) / (yb - ya))
+    inside = inside_outline(outline_m, x, y)
     around = np.pad(inside, 1)
     near = np.zeros_like(inside)
     for down in range(3):
         for right in range(3):
             near |= around[down : down + rows + 2, right : right + columns + 2]
     return near & ~inside
+
+
+def inside_outline(outline_m: tuple[Point, ...], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Tell which places, x and y broadcast, lie within a polygon."""
+    inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), np.bool_)
+    for (xa, ya), (xb, yb) in zip(outline_m, (*outline_m[1:], outline_m[0]), strict=True):
+        if ya != yb:  # even-odd rule: a ray to the right crosses the edge
+            inside ^= ((ya > y) != (yb > y)) & (x < xa + (y - ya) * (xb - xa) / (yb - ya))
+    return inside
 
 
 def pooling(shape: tuple[int, int], rows: int, columns: int) -> int:
@@ -137,16 +145,16 @@ def pooling(shape: tuple[int, int], rows: int, columns: int) -> int:
 def traction_map(traction_pascal: NDArray[np.floating], full_pascal: float, pool: int, *, colours: bool) -> list[Line]:
     """Draw a traction (ny, nx), two pixels in a character: from 0, dark, to the full value; "?" is unknown.
 
-    Without colours characters that are more and more dense take their place.
+    Without colours characters that are more and more dense take their place. Pixels outside the plate stay empty.
     """
     pooled = _pooled(np.asarray(traction_pascal, np.float64), pool)
     if len(pooled) % 2:
-        pooled = np.vstack([pooled, np.full((1, pooled.shape[1]), -math.inf)])
+        pooled = np.vstack([pooled, np.full((1, pooled.shape[1]), OUTSIDE_PASCAL)])
     with np.errstate(invalid="ignore"):
         scaled = np.clip(np.nan_to_num(pooled / full_pascal, nan=0.0), 0.0, 1.0)
     levels = np.rint(scaled * (_LEVELS - 1)).astype(int)
     levels[np.isnan(pooled)] = _UNKNOWN
-    levels[pooled == -math.inf] = _OUTSIDE
+    levels[pooled == OUTSIDE_PASCAL] = _OUTSIDE
     cell = _coloured if colours else _dense
     pairs = zip(levels[::-2].tolist(), levels[-2::-2].tolist(), strict=True)
     return [list(Segment.simplify(map(cell, upper, lower))) for upper, lower in pairs]
@@ -188,8 +196,12 @@ def _pooled(values: NDArray[np.float64], pool: int) -> NDArray[np.float64]:
 def _coloured(upper: int, lower: int) -> Segment:
     if _UNKNOWN in (upper, lower):
         return Segment("?", _PLAIN)
+    if upper == lower == _OUTSIDE:
+        return Segment(" ", _PLAIN)
     if upper == _OUTSIDE:
         return Segment("▄", Style.from_color(_colour(lower)))
+    if lower == _OUTSIDE:
+        return Segment("▀", Style.from_color(_colour(upper)))
     return Segment("▀", Style.from_color(_colour(upper), _colour(lower)))
 
 
@@ -197,7 +209,7 @@ def _coloured(upper: int, lower: int) -> Segment:
 def _dense(upper: int, lower: int) -> Segment:
     if _UNKNOWN in (upper, lower):
         return Segment("?", _PLAIN)
-    level = (max(upper, 0) + lower) / 2
+    level = (max(upper, 0) + max(lower, 0)) / 2
     return Segment(_DENSITY[round(level * (len(_DENSITY) - 1) / (_LEVELS - 1))], _PLAIN)
 
 

@@ -30,7 +30,7 @@ class Truth:
     """What an emulator knows of its plate, to be shown beside what was measured."""
 
     contacts: tuple[TrueContact, ...]
-    traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), y upwards, positive where pressed
+    traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), y upwards, or at the sites (n,); positive where pressed
     latency_ms: tuple[float, float] | None  # from touch to subscriber: median and 99 %
 
 

@@ -1,4 +1,4 @@
-"""A decoded skin: a map of the normal traction, and the forces that it sums up to."""
+"""A decoded skin: a map of the normal traction, and the forces and slip of its contacts."""
 
 import math
 from collections.abc import Sequence
@@ -11,9 +11,11 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY
+from resonator_daemon.publishing.payloads import Patch, Status
+from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO
 from resonator_daemon.view.maps import Line, pooling, round_scale, scale_bar, traction_map
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
+from resonator_daemon.view.scattered import as_pixels
 from resonator_daemon.view.words import UNKNOWN, newtons, pascals, quantity
 
 Floats = NDArray[np.floating]
@@ -22,8 +24,8 @@ Vector3 = tuple[float, float, float]
 _GAP: Final = 2
 _SCALE_COLUMNS: Final = 10
 _NOISE_OF_SCALE: Final = 1 / 8  # how far up the scale the noise of an untouched skin goes
-_NOTHING_KNOWN: Final = (math.nan, math.nan, math.nan)
 _SHEAR_MIN_NEWTON: Final = 5e-3  # below, noise decides the direction
+_KNOWN: Final = (Status.OK, Status.CONSTRAINT_DROPPED)  # statuses of a surface that is known
 
 
 class SurfacePanel:
@@ -32,15 +34,16 @@ class SurfacePanel:
     def __init__(self, view: PlateView, truth: Truth | None, now_utc_ns: int, *, colours: bool) -> None:
         self._decoded = view.current(DECODED, now_utc_ns)
         self._summary = view.current(DECODED_SUMMARY, now_utc_ns)
+        self._info = view.last(INFO)
         self._truth = truth
         self._colours = colours
         self._maps: dict[str, Floats] = {}
         highest = [0.0]
-        if self._decoded is not None and self._decoded.grid is not None:
-            self._maps["measured"] = self._decoded.traction_pascal[2]
+        if self._decoded is not None:
+            self._add_map("measured", self._decoded.traction_pascal[2])
             highest.append(_max_known(self._decoded.traction_std_pascal[2]) / _NOISE_OF_SCALE)
         if truth is not None and truth.traction_z_pascal is not None:
-            self._maps["true"] = truth.traction_z_pascal
+            self._add_map("true", truth.traction_z_pascal)
         self._full_pascal = round_scale(max(highest + [_max_known(traction) for traction in self._maps.values()]))
 
     def maps(self, rows: int, columns_max: int) -> list[list[Line]]:
@@ -55,41 +58,58 @@ class SurfacePanel:
         return blocks
 
     def text(self) -> list[RenderableType]:
-        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
-        table.add_column("over the map")
-        forces = {"measured": self._net_newton()}
-        if self._truth is not None:
-            forces["true"] = _sum_newton(self._truth.contacts)
-        for name in forces:
-            table.add_column(name, no_wrap=True)
-        table.add_row("normal force", *(newtons(z) for _, _, z in forces.values()))
-        table.add_row("shear force", *(newtons(math.hypot(x, y)) for x, y, _ in forces.values()))
-        table.add_row("  towards", *(_direction(x, y) for x, y, _ in forces.values()))
-        parts: list[RenderableType] = [table, Text(self._fit())]
+        parts: list[RenderableType] = [self._table(), Text(self._fit())]
         if self._maps:
             bar = ((cell.text, cell.style or "") for cell in scale_bar(_SCALE_COLUMNS, colours=self._colours))
             parts.append(Text.assemble("f_z 0 ", *bar, f" {pascals(self._full_pascal)}"))
         return parts
 
     def words(self) -> str:
-        """Return the forces in one line."""
-        x, y, z = self._net_newton()
-        return f"normal force {newtons(z)}, shear force {newtons(math.hypot(x, y))}; {self._fit()}"
+        """Return the contacts in one line."""
+        return f"{self._contacts()}; {self._fit()}"
+
+    def _table(self) -> RenderableType:
+        """One column a contact: forces, direction of the shear, margin to slip; the true sum beside them."""
+        patches = self._summary.patches if self._summary else ()
+        forces = [patch.force_newton for patch in patches]
+        table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
+        table.add_column("contact" if patches else self._contacts())
+        for patch in patches:
+            table.add_column(str(patch.id), no_wrap=True)
+        if self._truth is not None:
+            forces.append(_sum_newton(self._truth.contacts))
+            table.add_column("true", no_wrap=True)
+        table.add_row("normal", *(newtons(z) for _, _, z in forces))
+        table.add_row("shear", *(newtons(math.hypot(x, y)) for x, y, _ in forces))
+        table.add_row("towards", *(_direction(x, y) for x, y, _ in forces))
+        table.add_row("margin", *map(_margin, patches))
+        return table
+
+    def _contacts(self) -> str:
+        if self._summary is None or self._summary.status not in _KNOWN:
+            return "contacts unknown"
+        told = [
+            f"contact {patch.id} {newtons(z)} normal, {newtons(math.hypot(x, y))} shear, slip margin {_margin(patch)}"
+            for patch in self._summary.patches
+            for x, y, z in (patch.force_newton,)
+        ]
+        return ", ".join(told) or "no contact"
 
     def _fit(self) -> str:
         if self._decoded is None or self._summary is None:
             return "surface unknown: nothing decoded arrives"
         border = "reaches the border, expect errors there" if self._summary.border_contact else "clear of the border"
         chi2 = quantity(self._summary.chi2, ".2f", "")
-        return f"status {self._summary.status}, {self._summary.decoder} chi2 {chi2}, {border}"
+        because = f" ({self._summary.reason})" if self._summary.reason else ""
+        return f"status {self._summary.status}{because}, {self._summary.decoder} chi2 {chi2}, {border}"
 
-    def _net_newton(self) -> Vector3:
-        """Integrate the traction over the map; NaN where a pixel is unknown."""
-        if self._decoded is None or self._decoded.grid is None:
-            return _NOTHING_KNOWN
-        area_m2 = self._decoded.grid.pitch_m**2
-        x, y, z = (area_m2 * float(np.sum(component, dtype=np.float64)) for component in self._decoded.traction_pascal)
-        return x, y, z
+    def _add_map(self, name: str, traction_pascal: Floats) -> None:
+        """Add a map (ny, nx), or one of scattered sites (n,) once it is known where they are."""
+        if traction_pascal.ndim == 2:
+            self._maps[name] = traction_pascal
+        elif self._info is not None and len(self._info.sites) == len(traction_pascal):
+            positions_m = tuple(site.position_m for site in self._info.sites)
+            self._maps[name] = as_pixels(traction_pascal, self._info.outline_m, positions_m)
 
 
 def _sum_newton(contacts: Sequence[TrueContact]) -> Vector3:
@@ -105,3 +125,9 @@ def _direction(x_newton: float, y_newton: float) -> str:
     if not math.hypot(x_newton, y_newton) >= _SHEAR_MIN_NEWTON:
         return UNKNOWN
     return f"{round(math.degrees(math.atan2(y_newton, x_newton)))}°"
+
+
+def _margin(patch: Patch) -> str:
+    if not math.isfinite(patch.slip_margin):
+        return UNKNOWN
+    return f"{patch.slip_margin:.2f} ± {quantity(patch.slip_margin_std, '.2f', '')}"

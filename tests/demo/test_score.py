@@ -16,11 +16,13 @@ from resonator_daemon.publishing.payloads import (
     ContactEvent,
     Contacts,
     Decoded,
+    DecodedSummary,
     EventContact,
     Forces,
     Grid,
     Health,
     Lost,
+    Patch,
     SiteForce,
 )
 
@@ -54,13 +56,16 @@ def touch(
     return {"id": id, "site": site, "position_m": position_m, "force_newton": [*shear, f_z], "radius_m": None}
 
 
+SITES_M = np.array([[0.0, 0.0], [1.5e-3, 0.0], [0.0, -2.0e-3], [4e-3, 4e-3]])
+
+
 class Run:
     """A plate's truth file and score."""
 
     def __init__(self, path: Path, window_frames: int) -> None:
         self._path = path
         self._truth = TruthTable(path)
-        self.score = PlateScore(self._truth, window_frames)
+        self.score = PlateScore(self._truth, window_frames, SITES_M)
         self.frames = 0
 
     def truth(self, *contacts: dict[str, Any]) -> int:
@@ -128,6 +133,24 @@ class Run:
             grid=Grid(origin_m=(0.0, 0.0), pitch_m=PITCH_M) if grid else None,
         )
         self.score.take(message, arrived_ns)
+
+    def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
+        """Take the summary of frame `number`: centroids and normal forces."""
+        told = tuple(
+            Patch.model_construct(id=id, centroid_m=centroid_m, force_newton=(0.3, 0.0, newton))
+            for id, (centroid_m, newton) in enumerate(patches, 1)
+        )
+        message = DecodedSummary(
+            **HEADER,
+            board_ticks=TICKS * (number + 1),
+            decoder="open-plane+contact",
+            chi2=1.0,
+            border_contact=False,
+            status="ok",
+            reason="",
+            patches=told,
+        )
+        self.score.take(message, FAR_NS)
 
     def result(self, until_ns: int = FAR_NS) -> Accuracy:
         self.score.join()
@@ -379,8 +402,8 @@ def test_each_decoded_frame_is_compared_with_its_own_gate(run: Run) -> None:
 def test_a_map_that_is_not_known_is_no_error_but_was_received(run: Run) -> None:
     run.decoded(run.truth(skin_touch(1.0)), np.full((3, *SHAPE), math.nan))
     assert run.result().traction_error is None
+    run.decoded(run.truth(skin_touch(1.0)), np.full((3, 4), math.nan), grid=False)
     run.decoded(run.truth(skin_touch(1.0)), np.zeros((3, *SHAPE)))
-    run.decoded(run.truth(skin_touch(1.0)), np.zeros((3, 5)), grid=False)
     assert run.result().traction_error == pytest.approx(1.0)
     assert run.score.decoded_frames == 3
 
@@ -388,6 +411,43 @@ def test_a_map_that_is_not_known_is_no_error_but_was_received(run: Run) -> None:
 def test_an_untouched_run_has_no_traction_error(run: Run) -> None:
     run.decoded(run.truth(), np.full((3, *SHAPE), 1e5))
     assert run.result().traction_error is None
+
+
+def test_a_map_of_scattered_sites_is_compared_point_by_point(run: Run) -> None:
+    number = run.truth(skin_touch(1.0, shear=(0.2, 0.0)))
+    a, p_0 = 2.5e-3, 1.5 / (math.pi * 2.5e-3**2)
+    c = a * (1 - 0.2 / 0.5) ** (1 / 3)
+    r = np.linalg.norm(SITES_M, axis=1)
+    pressure, stuck = (np.sqrt(np.maximum(1 - (r / radius) ** 2, 0.0)) for radius in (a, c))
+    true = p_0 * np.array([0.5 * (pressure - stuck * c / a), np.zeros(4), pressure])  # Cattaneo and Mindlin
+    assert true[2].tolist() == pytest.approx([p_0, 0.8 * p_0, 0.6 * p_0, 0.0])
+    run.decoded(number, true, grid=False)
+    assert run.result().traction_error == pytest.approx(0.0, abs=1e-6)
+    run.decoded(number, true + np.array([[0.0], [3e3], [0.0]]), grid=False)
+    assert run.result().traction_error == pytest.approx(math.sqrt(4 * 3e3**2 / (2 * np.sum(true**2))), rel=1e-5)
+
+
+# Contacts of a skin: normal force and centroid of the patch nearest to each true contact, above 5 % of its peak.
+
+
+def test_patches_are_compared_with_the_contacts_they_are_nearest_to(run: Run) -> None:
+    run.truth(skin_touch(1.0, id=1, position_m=(-2e-3, 0.0)), skin_touch(0.5, id=2, position_m=(3e-3, 1e-3)))
+    run.patches(0, ((3e-3, 1.03e-3), 0.52), ((-2.04e-3, 0.0), 0.97))
+    result = run.result()
+    assert result.force_error_newton_rms == pytest.approx(math.sqrt((0.02**2 + 0.03**2) / 2))
+    assert result.position_error_m_rms == pytest.approx(math.sqrt((0.03**2 + 0.04**2) / 2) * 1e-3)
+    assert result.latency_ms == []  # of a skin it is that of `decoded`
+
+
+def test_weak_contacts_and_frames_without_patches_are_no_error_of_the_patches(run: Run) -> None:
+    run.ramp(0.049, 1.0, 1.0)
+    run.patches(0, ((9e-3, 0.0), 0.5))
+    run.patches(1)
+    assert run.result().position_error_m_rms is None
+    run.patches(2, ((1e-4, 0.0), 1.0))
+    assert run.result().position_error_m_rms == pytest.approx(1e-4)
+    run.score.begin(0)
+    assert run.result().position_error_m_rms is None
 
 
 # What came before `begin` belongs to the set-up.

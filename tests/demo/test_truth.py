@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from resonator_daemon.demo.truth import TruthLine, TruthTable, surface_traction
+from resonator_daemon.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
 
 T0_NS = 1_789_000_000_000_000_123
 
@@ -158,3 +158,13 @@ def test_the_tractions_of_two_contacts_add_up() -> None:
 
 def test_without_contact_there_is_no_traction() -> None:
     np.testing.assert_array_equal(surface_traction(line_of(), SHAPE, PITCH_M), np.zeros((3, NY, NX)))
+
+
+def test_at_points_the_traction_is_what_its_mean_over_small_pixels_tends_to() -> None:
+    line = line_of(touch((0.2, -0.1, 0.8), (1.7e-3, -0.6e-3)), touch((0.0, 0.0, 0.3), (-2e-3, 1e-3)))
+    fine_m = 2e-5
+    x, y = np.meshgrid((np.arange(500) - 249.5) * fine_m, (np.arange(400) - 199.5) * fine_m)
+    pixels = surface_traction(line, (400, 500), fine_m).reshape(3, -1)
+    points = site_traction(line, np.stack([x, y], axis=-1).reshape(-1, 2))
+    assert np.linalg.norm(points - pixels) < 4e-3 * np.linalg.norm(pixels)  # but for the pixels on the rims
+    assert points[2].max() > 1e4

@@ -125,6 +125,17 @@ def test_an_odd_number_of_rows_leaves_the_upper_half_of_the_first_line_empty() -
     assert text_of([second]) == ["▀▀"]
 
 
+def test_pixels_outside_the_plate_are_empty() -> None:
+    outside = -math.inf
+    traction = np.array([[outside, 0.0, 0.0, outside], [outside, 1.0, outside, 1.0]])  # the lower row first
+    (line,) = traction_map(traction, 1.0, 1, colours=True)
+    cells = [(letter, segment.style) for segment in line for letter in segment.text]
+    assert [letter for letter, _ in cells] == [" ", "▀", "▄", "▀"]
+    assert [style.bgcolor is None for _, style in cells] == [True, False, True, True]
+    assert [tuple(style.color.triplet) for _, style in cells[1:]] == [BRIGHT, DARK, BRIGHT]
+    assert text_of(traction_map(traction, 1.0, 1, colours=False)) == [" = ="]
+
+
 def test_unknown_pixels_are_question_marks() -> None:
     traction = np.zeros((4, 3))
     traction[0, 2] = math.nan

@@ -14,6 +14,7 @@ from view_messages import (
     forces,
     health,
     info,
+    patch,
     site_force,
     state,
     summary,
@@ -25,6 +26,7 @@ from resonator_daemon.view.terminal import render, summary_line
 
 SITES = {7: (-0.0005, 0.002), 13: (0.007, 0.0066)}
 PIXEL_M2 = 4e-4**2
+PRESSED = patch(3, (0.433, 0.25, 1.0), slip_margin=0.416, slip_margin_std=0.023)
 
 
 def quartz16(*messages: tuple[str, Message]) -> PlateView:
@@ -63,7 +65,7 @@ def skin_tractions() -> np.ndarray:
 
 
 def skin32(*messages: tuple[str, Message]) -> PlateView:
-    default = (("decoded", decoded(skin_tractions())), ("decoded/summary", summary()))
+    default = (("decoded", decoded(skin_tractions())), ("decoded/summary", summary(PRESSED)))
     return quartz16(*(messages or default))
 
 
@@ -133,7 +135,7 @@ def test_what_is_old_is_not_shown_as_present() -> None:
     assert text.count("unknown (was online)") == 3
     text = words(page(skin32(), at_ns=NOW_NS + 10 * S))
     assert "surface unknown: nothing decoded arrives" in text
-    assert "normal force -" in text
+    assert "contacts unknown" in text
 
 
 def test_states_come_with_reason_and_duration_unless_online() -> None:
@@ -175,24 +177,44 @@ def test_losses_are_told_by_cause() -> None:
     assert "losses unknown" in page(PlateView("left"))
 
 
-def test_net_forces_are_integrals_over_the_map() -> None:
+def beside_the_map(text: str, columns: int = 34) -> str:
+    return words(" ".join(line[columns:] for line in text.splitlines()[3:]))
+
+
+def test_each_contact_is_a_column_and_the_truth_another() -> None:
     truth = Truth((TrueContact(None, (0.002, 0.003), (0.4, 0.0, 1.5)),), skin_tractions()[2], (12.1, 17.9))
-    text = page(skin32(), truth=truth)
-    by_name = {line: words(text[text.index(line) :].split("\n")[0]) for line in ("normal", "shear", "towards")}
-    assert by_name["normal"] == "normal force 1.000 N 1.500 N"
-    assert by_name["shear"] == "shear force 500.0 mN 400.0 mN"
-    assert by_name["towards"] == "towards 30° 0°"
-    assert "over the map measured true" in words(text)
-    assert "status ok, fourier chi2 1.02, clear of the border" in words(text)
+    beside = beside_the_map(page(skin32(), truth=truth), columns=68)
+    table = "contact 3 true normal 1.000 N 1.500 N shear 500.0 mN 400.0 mN towards 30° 0°"
+    assert f"{table} margin 0.42 ± 0.02" in beside
+    assert "status ok, open-plane+contact chi2 1.02, clear of the border" in beside
+    two = ("decoded/summary", summary(PRESSED, patch(5, (0.0, -0.05, 0.2))))
+    beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), two)))
+    assert "contact 3 5 normal 1.000 N 200.0 mN shear 500.0 mN 50.0 mN towards 30° -90°" in beside
+    assert "margin 0.42 ± 0.02 - status" in beside
+
+
+def test_an_untouched_skin_is_told_from_an_unknown_one() -> None:
+    surface = ("decoded", decoded(skin_tractions() * 0.0))
+    untouched = beside_the_map(page(skin32(surface, ("decoded/summary", summary()))))
+    assert untouched.startswith("no contact normal shear towards margin status ok")
+    unknown = beside_the_map(page(skin32(surface, ("decoded/summary", summary(status="no_signal")))))
+    assert unknown.startswith("contacts unknown normal")
+
+
+def test_contact_physics_that_was_given_up_is_said_with_its_reason() -> None:
+    dropped = summary(PRESSED, status="constraint_dropped", reason="friction coefficient 0.4 contradicted")
+    beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), ("decoded/summary", dropped))))
+    assert "normal 1.000 N" in beside
+    assert "status constraint_dropped (friction coefficient 0.4 contradicted), open-plane+contact" in beside
 
 
 def test_doubts_about_the_surface_are_said() -> None:
     nothing = ("decoded", decoded(np.full((3, 32, 32), math.nan)))
     poor = ("decoded/summary", summary(border_contact=True, status="rejected", chi2=math.nan))
     text = page(skin32(nothing, poor))
-    beside = words(" ".join(line[34:] for line in text.splitlines()[3:]))
-    assert "status rejected, fourier chi2 -, reaches the border, expect errors there" in beside
-    assert "normal force - shear force - towards -" in beside
+    beside = beside_the_map(text)
+    assert "status rejected, open-plane+contact chi2 -, reaches the border, expect errors there" in beside
+    assert "contacts unknown normal shear towards margin status" in beside
     assert "?" * 32 in text
     assert "nan" not in text
 
@@ -217,13 +239,33 @@ def test_the_noise_of_an_untouched_skin_stays_dark() -> None:
     assert set(shown) <= set(" .:-")
 
 
-def test_scattered_points_have_no_map_and_no_integral() -> None:
-    scattered = decoded(np.ones((3, 5, 5))).model_copy(
-        update={"grid": None, "traction_pascal": np.ones((3, 25), np.float32)}
-    )
-    text = words(page(skin32(("decoded", scattered), ("decoded/summary", summary()))))
-    assert "normal force - shear force -" in text
+SCATTERED = {number: ((number % 5 - 2) * 4e-3, (number // 5 - 2) * 4e-3) for number in range(25)}
+
+
+def scattered(traction_z_pascal: np.ndarray) -> tuple[str, Message]:
+    traction = np.zeros((3, 1, traction_z_pascal.size))
+    traction[2] = traction_z_pascal
+    flat = {"traction_pascal": traction[:, 0], "traction_std_pascal": np.full((3, traction_z_pascal.size), 1.0)}
+    return "decoded", decoded(traction).model_copy(update={"grid": None, **flat})
+
+
+def test_scattered_sites_have_a_map_of_the_nearest_within_the_outline() -> None:
+    pressed = np.zeros(25)
+    pressed[4] = 1e4  # at (8, -8) mm: its cell is the lower right corner, 4 mm of 20 each way
+    surface = scattered(pressed)
+    truth = Truth((), pressed, None)
+    text = page(skin32(("info", info(SCATTERED)), surface, ("decoded/summary", summary())), truth=truth)
+    rows = [line[:66] for line in text.splitlines()[3:20]]
+    assert [len(row.rstrip()) for row in rows[:13]] == [0] * 13
+    assert [(row[:32].strip(" "), row[34:].strip(" ")) for row in rows[13:16]] == [("@" * 6, "@" * 6)] * 3
+    assert words(rows[16]) == "measured true"
+    assert "f_z 0 .:-=+*#%@ 10 kPa" in words(text)
+
+
+def test_scattered_sites_have_no_map_before_their_places_are_known() -> None:
+    text = page(skin32(scattered(np.ones(25)), ("decoded/summary", summary(PRESSED))))
     assert "f_z" not in text
+    assert "normal 1.000 N" in words(text)
 
 
 def test_an_unknown_pixel_does_not_spoil_the_scale() -> None:
@@ -278,5 +320,5 @@ def test_summary_lines() -> None:
         "thumb: daemon online   link online   sensor online; site 7 1.000 N ± 0.6 ± 12 mN; status ok;"
     )
     line = summary_line(skin32(), NOW_NS)
-    assert "; normal force 1.000 N, shear force 500.0 mN; status ok, fourier chi2 1.02" in line
+    assert "; contact 3 1.000 N normal, 500.0 mN shear, slip margin 0.42 ± 0.02; status ok, open-plane+contact" in line
     assert "\n" not in line

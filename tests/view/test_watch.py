@@ -192,7 +192,11 @@ def test_json_line_has_arrays_as_lists_and_null_for_what_is_not_known() -> None:
     assert message["displacement_m"] is None
     assert message["t_ns"] == "1789000000000000000"
     header = {key: value for key, value in decoded(surface) if key in Signals.model_fields}
-    line = json_line("left", "signals", Signals(**header, signals=np.float32([[0.5, math.nan]] * 3)))
+    line = json_line(
+        "left",
+        "signals",
+        Signals(**header, signals=np.float32([[0.5, math.nan]] * 3), noise_std=(1e-4, 1e-4, math.nan)),
+    )
     assert json.loads(line)["message"]["signals"] == [[0.5, None]] * 3
     line = json_line("left", "forces", forces(site_force(7, math.nan)))
     assert json.loads(line)["message"]["sites"][0]["force_newton"] is None

@@ -1,5 +1,6 @@
 """Messages made by hand, as a plate could publish them."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from resonator_daemon.publishing.payloads import (
     Info,
     Lost,
     MessageAccount,
+    Patch,
     SiteForce,
     SiteInfo,
     State,
@@ -107,7 +109,34 @@ def decoded(traction_pascal: NDArray[np.float64], std_pascal: float = 100.0) -> 
     )
 
 
-def summary(*, border_contact: bool = False, status: str = "ok", chi2: float = 1.02) -> DecodedSummary:
+def patch(id: int, force_newton: tuple[float, float, float], **changes: Any) -> Patch:
+    fields: dict[str, Any] = {
+        "centroid_m": (0.0018, 0.0034),
+        "centroid_std_m": (1e-5, 1e-5),
+        "area_m2": 1.9e-5,
+        "force_std_newton": (1e-3, 1e-3, 2e-3),
+        "moment_newton_m": (0.0, 0.0, 0.0),
+        "moment_std_newton_m": (0.0, 0.0, 0.0),
+        "at_border": False,
+        "radius_of_curvature_m": math.nan,
+        "stick_ratio": math.nan,
+        "slip_margin": math.nan,
+        "slip_margin_std": math.nan,
+        "friction_coefficient": math.nan,
+    }
+    return Patch(id=id, force_newton=force_newton, **{**fields, **changes})
+
+
+def summary(
+    *patches: Patch, border_contact: bool = False, status: str = "ok", reason: str = "", chi2: float = 1.02
+) -> DecodedSummary:
     return DecodedSummary(
-        **header(), board_ticks=1, decoder="fourier", chi2=chi2, border_contact=border_contact, status=status
+        **header(),
+        board_ticks=1,
+        decoder="open-plane+contact",
+        chi2=chi2,
+        border_contact=border_contact,
+        status=status,
+        reason=reason,
+        patches=patches,
     )
