@@ -4,54 +4,51 @@ A linear decoder finds the support; inside it the traction is the least-squares 
 Without a support the same bounds would do harm: a carpet of small pushes would balance the load.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.decoding.cone_admm import project_on_cone
 from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.hypothesis import UNKNOWN_FRICTION, Bounds, Hypothesis, Solved, examine, solve
 from resonator_daemon.decoding.net_load import NetLoad, net_load
 from resonator_daemon.decoding.pixels import PixelLattice
-from resonator_daemon.decoding.support import BLOB_PEAK, connected, load_support, raw_support
+from resonator_daemon.decoding.support import connected, load_support
 from resonator_daemon.decoding.support_search import Frame, LinearDecoder, Located, SupportSearch
+from resonator_daemon.elastic import SurfaceCompliance
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-UNKNOWN_FRICTION = 3.0  # a coefficient that no dry contact reaches
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one
 _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
-_COLD, _WARM, _CONVERGED = 12, 2, 60  # iterations
-_STEPS = 4  # of finding out why a solution does not explain the signals
-_BOUNDS_COST = 0.1  # in chi2: what bounds that hold never cost
+_COLD, _WARM = 12, 1  # iterations
+_MOVED = 0.75  # pixels, after which the other thread follows
 _STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
-_SHAPE_ERROR = 0.03  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
+_SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
+_KNOWN_FRICTION = 0.87  # of both, where the friction coefficient is known
 _RETRY_FRAMES = 100  # after which bounds that were given up are tried again
-
-Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
 
 
 @dataclass(frozen=True)
-class _Solved:
-    """What one frame's iterations led to, on the n pixels of its problem."""
+class _Request:
+    """What `rebuild` is to do."""
 
     frame: Frame
-    located: Located
-    inside: Mask  # pixels that may carry load, (n,)
-    traction: Singles  # (3, n)
-    multiplier: Singles
-    chi2: float
+    hypothesis: Hypothesis  # to renew
+    suspect: bool  # the frame contradicts it
 
-    def on(self, located: Located) -> tuple[Singles, Singles]:
-        """Traction and multiplier on the pixels of another problem."""
-        if located is self.located:
-            return self.traction, self.multiplier
-        whole = np.zeros((2, 3, located.solved.size), np.float32)
-        whole[..., self.located.problem.pixels] = self.traction, self.multiplier
-        return tuple(whole[..., located.problem.pixels])
+
+@dataclass(frozen=True)
+class _Found:
+    """What `rebuild` did."""
+
+    request: _Request
+    hypothesis: Hypothesis
+    solved: Solved | None
 
 
 class ContactDecoder:
@@ -90,13 +87,16 @@ class ContactDecoder:
         self._to_places = self._lattice.to_places(places)
         self._nearest = self._lattice.nearest(places)
         self._search = SupportSearch(linear_decoder, self._lattice)
+        compliance = SurfaceCompliance(linear_decoder.half_space, self._lattice.shape, self._lattice.pitch_m)
+        self._displacement = compliance.convolution((0, 1, 2), (0, 1, 2), self._lattice.shape)
         self._count = len(sites)
         self.reset()
 
     def reset(self) -> None:
         """Forget the frames before: the next one starts cold."""
-        self._wanted: Frame | None = None
-        self._located: Located | None = None
+        self._wanted: _Request | None = None
+        self._found: deque[_Found] = deque(maxlen=1)
+        self._hypothesis = self._fresh(None)
         self._release()
 
     @property
@@ -118,7 +118,7 @@ class ContactDecoder:
         signals
             Shape (..., 3, n), or (..., 3, ny, nx) for a grid; dimensionless; the leading axis is time.
         displacement
-            Also the surface displacement, of the linear map.
+            Also the surface displacement that the traction shown causes, alone on the plane.
 
         Returns
         -------
@@ -161,23 +161,29 @@ class ContactDecoder:
 
     def rebuild(self) -> bool:
         """Compute the matrices that the newest frame asked for, if any did; may run in a thread of its own."""
-        frame, self._wanted = self._wanted, None
-        if frame is None:
+        request, self._wanted = self._wanted, None
+        if request is None:
             return False
-        self._rebuilt(frame)
+        located = self._search.locate(request.frame, request.hypothesis.missed, request.hypothesis.located)
+        renewed = replace(request.hypothesis, located=located)
+        solved: Solved | None = solve(request.frame, located, self._friction(renewed.bounds), None, _COLD)
+        if request.suspect:
+            renewed, solved = examine(self._search, request.frame, renewed, self._friction, solved)
+        self._found.append(_Found(request, renewed, solved))
         return True
 
     def _release(self) -> None:
         """Forget the contact, and what was found out about it."""
-        self._last: _Solved | None = None
+        self._last: Solved | None = None
         self._reconsider()
 
     def _reconsider(self) -> None:
-        """Trust the support and the bounds again."""
-        self._missed = np.zeros(self._lattice.shape, np.bool_)
-        self._bounds: Bounds = "all"
-        self._reason = ""
+        """Trust the linear map and the bounds again."""
+        self._hypothesis = self._fresh(self._hypothesis.located)
         self._age = 0
+
+    def _fresh(self, located: Located | None) -> Hypothesis:
+        return Hypothesis(located, np.zeros(self._lattice.shape, np.bool_))
 
     def _decode(self, signals: Floats, displacement: bool) -> Decoded:
         linear = self._linear.decode(signals, displacement=displacement)
@@ -192,126 +198,112 @@ class ContactDecoder:
         self._age += 1
         if self._age > _RETRY_FRAMES:
             self._reconsider()
-        if self._bounds != "none":
+        self._adopt()
+        if not self._is_dropped():
             frame = self._search.frame(signals, linear)
-            located = self._ready(frame)
-            if located is None:
-                self._last = None
-                return self._masked(linear, frame)
-            self._last = self._solve(frame, located, linear, _COLD if self._last is None else _WARM)
-            if self._last.chi2 > frame.chi2_limit + located.model_chi2(frame):
-                self._last = self._examine(self._last, linear)
+            self._last = self._solve(frame)
             if self._last is not None:
                 return self._shown(self._last, linear)
-        return replace(linear, status="constraint_dropped", reason=self._reason)
+            if not self._is_dropped():
+                return self._masked(linear, frame)
+        self._last = None
+        return replace(linear, status="constraint_dropped", reason=self._hypothesis.reason)
 
-    def _friction(self) -> float:
+    def _is_dropped(self) -> bool:
+        return self._hypothesis.bounds == "none"
+
+    def _friction(self, bounds: Bounds) -> float:
         told = self._told_friction
         if told is None and self._friction_estimate is not None:
             told = _ESTIMATE_MARGIN * self._friction_estimate
-        return UNKNOWN_FRICTION if told is None or self._bounds != "all" else min(told, UNKNOWN_FRICTION)
+        return UNKNOWN_FRICTION if told is None or bounds != "all" else min(told, UNKNOWN_FRICTION)
 
-    def _ready(self, frame: Frame) -> Located | None:
-        """Matrices that serve this frame; asks for new ones before a moving contact leaves them."""
-        located = self._located
-        support = raw_support(frame.pressure)
-        serves = located is not None and self._search.fits(located, frame, support)
-        if located is not None and serves:
-            if not (support & ~located.nearby).any():
-                return located
-            needed = load_support(frame.pressure)
-            if not (needed & ~located.nearby).any():
-                return located
-            serves = not (
-                frame.pressure[needed & ~(located.solved | located.nearby)] > BLOB_PEAK * frame.pressure.max()
-            ).any()
-        if not self._background:
-            return self._rebuilt(frame)
-        self._wanted = frame
-        return located if serves else None
+    def _adopt(self) -> None:
+        """Take over what the other thread has found."""
+        if not self._found:
+            return
+        found = self._found.pop()
+        if found.request.hypothesis is not self._hypothesis:  # it was forgotten meanwhile
+            self._hypothesis = replace(self._hypothesis, located=found.hypothesis.located)
+            return
+        if found.hypothesis.bounds != self._hypothesis.bounds:
+            self._age = 0
+        self._hypothesis = found.hypothesis
+        if found.request.suspect or self._last is None:
+            self._last = found.solved
 
-    def _rebuilt(self, frame: Frame) -> Located:
-        self._located = self._search.locate(frame, self._missed)
-        return self._located
-
-    def _solve(self, frame: Frame, located: Located, linear: Decoded, iterations: int) -> _Solved:
-        """Traction in the friction cone, from where the frame before ended."""
-        problem, friction = located.problem, self._friction()
-        inside = located.allowed(raw_support(frame.pressure)).ravel()[problem.pixels]
-        if self._last is None:
-            traction = project_on_cone(self._search.on_pixels(linear)[:, problem.pixels], friction) * inside
-            multiplier = np.zeros_like(traction)
-        else:
-            traction, multiplier = self._last.on(located)
-        right_side = problem.right_side(frame.rows)
-        traction, multiplier = problem.constrained(right_side, friction, inside, traction, multiplier, iterations)
-        return _Solved(
-            frame, located, inside, traction, multiplier, problem.chi2(frame.rows, traction) / frame.noise_floor
-        )
-
-    def _examine(self, solved: _Solved, linear: Decoded) -> _Solved | None:
-        """Where too much is left of the signals: iterate, grow the support, give bounds up. None: all of them."""
-        frame, located = solved.frame, solved.located
-        for _ in range(_STEPS):
-            self._last = solved = self._solve(frame, located, linear, _CONVERGED)
-            by_pixels = located.model_chi2(frame)
-            if solved.chi2 <= frame.chi2_limit + by_pixels:
-                return solved
-            problem = located.problem
-            free = problem.linear(problem.right_side(frame.rows), solved.inside, solved.traction)
-            chi2 = problem.chi2(frame.rows, free) / frame.noise_floor
-            if chi2 > frame.chi2_limit + by_pixels:
-                self._missed = self._missed | self._search.missed_load(frame, problem, free)
-                if not (self._missed & ~located.found).any():
-                    break
-                self._reason = "load beside the support, found in what that left of the signals"
-                if self._background:
-                    self._wanted = frame
-                    return solved
-                located = self._rebuilt(frame)
-            elif solved.chi2 <= chi2 + _BOUNDS_COST * frame.excess + by_pixels:
-                return solved
-            elif self._bounds == "all" and self._friction() < UNKNOWN_FRICTION:
-                what = f"friction coefficient {self._friction():.3g} contradicted"
-                self._give_up("cone", f"{what}, chi2 {solved.chi2:.3g} for {chi2:.3g}; bound by {UNKNOWN_FRICTION:.0f}")
-            else:
-                what = f"a load that only presses contradicted, chi2 {solved.chi2:.3g} for {chi2:.3g}"
-                self._give_up("none", f"{what}; the linear map is shown")
+    def _solve(self, frame: Frame) -> Solved | None:
+        """Traction of a frame; None while there are no matrices for it, or when all bounds are given up."""
+        located = self._hypothesis.located
+        fit = "unfit" if located is None else self._search.fit(located, frame)
+        if self._background:
+            if located is None or fit != "good" or np.hypot(*located.moved(frame)) > _MOVED:
+                self._wanted = _Request(frame, self._hypothesis, suspect=False)
+            if fit == "unfit":
                 return None
-        self._give_up("none", f"no load on the support explains the signals, chi2 {chi2:.3g}; the linear map is shown")
-        return None
-
-    def _give_up(self, bounds: Bounds, reason: str) -> None:
-        self._bounds, self._reason, self._age = bounds, reason, 0
+        elif fit != "good":
+            located = self._search.locate(frame, self._hypothesis.missed, located)
+            self._hypothesis = replace(self._hypothesis, located=located)
+        if located is None:
+            return None
+        friction = self._friction(self._hypothesis.bounds)
+        solved = solve(frame, located, friction, self._last, _COLD if self._last is None else _WARM)
+        if solved.is_sound:
+            return solved
+        if self._background:
+            self._wanted = _Request(frame, self._hypothesis, suspect=True)
+            return solved
+        bounds = self._hypothesis.bounds
+        self._hypothesis, examined = examine(self._search, frame, self._hypothesis, self._friction, solved)
+        if self._hypothesis.bounds != bounds:
+            self._age = 0
+        return examined
 
     def _masked(self, linear: Decoded, frame: Frame) -> Decoded:
         """Linear map cut to support and cone, while there are no matrices."""
+        friction, support = self._friction(self._hypothesis.bounds), load_support(frame.pressure).ravel()
+        shape = linear.traction_pascal.shape
         places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
-        keep = load_support(frame.pressure).ravel()[self._nearest]
-        traction = project_on_cone(places, self._friction()) * keep
-        return replace(linear, traction_pascal=traction.astype(np.float64).reshape(linear.traction_pascal.shape))
+        traction = project_on_cone(places, friction) * support[self._nearest]
+        on_pixels = project_on_cone(frame.traction, friction) * support
+        return replace(
+            linear,
+            traction_pascal=traction.astype(np.float64).reshape(shape),
+            displacement_m=None if linear.displacement_m is None else self._displaced(on_pixels).reshape(shape),
+        )
 
-    def _shown(self, solved: _Solved, linear: Decoded) -> Decoded:
+    def _shown(self, solved: Solved, linear: Decoded) -> Decoded:
         """As the linear decoder would return it, of the traction found."""
         problem, shape = solved.located.problem, linear.traction_pascal.shape
         noise_std = solved.frame.noise_std / problem.noise_std
         size = np.sqrt(np.sum(solved.traction**2, axis=0))
         whole = np.zeros((2, 3, solved.located.solved.size), np.float32)
         whole[0][:, problem.pixels] = solved.traction
-        whole[1][:, problem.pixels] = solved.inside * np.hypot(
+        is_known = self._friction(self._hypothesis.bounds) < UNKNOWN_FRICTION
+        factor = (_KNOWN_FRICTION if is_known else 1.0) * solved.inside
+        whole[1][:, problem.pixels] = factor * np.hypot(
             _STD_FACTOR * noise_std * solved.located.std_pascal, _SHAPE_ERROR * size
         )
-        traction = (self._to_places @ whole[0].T).T.astype(np.float64)
         std = whole[1][:, self._nearest]
         std = np.where(std > 0.0, std, linear.traction_std_pascal.reshape(3, -1))
         return replace(
             linear,
-            traction_pascal=traction.reshape(shape),
+            traction_pascal=self._at_places(whole[0]).reshape(shape),
             traction_std_pascal=std.reshape(shape),
+            displacement_m=None if linear.displacement_m is None else self._displaced(whole[0]).reshape(shape),
             chi2=solved.chi2,
-            status="ok" if self._bounds == "all" else "constraint_dropped",
-            reason="; ".join(filter(None, [str(linear.reason), self._reason])),
+            status="ok" if self._hypothesis.bounds == "all" else "constraint_dropped",
+            reason="; ".join(filter(None, [str(linear.reason), self._hypothesis.reason])),
         )
+
+    def _displaced(self, traction: Singles) -> Floats:
+        """Displacement of the places (3, m) under a traction on the pixels (3, ny nx)."""
+        pixels = traction.astype(np.float64).reshape(3, *self._lattice.shape)
+        return self._at_places(self._displacement(pixels).reshape(3, -1))
+
+    def _at_places(self, pixels: Floats | Singles) -> Floats:
+        """From fields on the pixels, (3, ny nx) to (3, m)."""
+        return np.asarray((self._to_places @ pixels.T).T, np.float64)
 
 
 def _refuse_friction(name: str, value: float) -> None:

@@ -42,6 +42,16 @@ def dilated(mask: Mask, times: int = 1) -> Mask:
     return mask
 
 
+def swept(mask: Mask, steps: NDArray[np.float64]) -> Mask:
+    """With what it passes on its way by `steps` pixels (y, x)."""
+    passed = mask.copy()
+    count = int(np.rint(np.abs(steps).max()))
+    for step in range(1, count + 1):
+        dy, dx = (int(shift) for shift in np.rint(steps * step / count))
+        passed |= ndimage.shift(mask, (dy, dx), order=0, prefilter=False)
+    return passed
+
+
 def count_blobs(mask: Mask) -> int:
     return int(ndimage.label(mask, _EIGHT)[1])
 

@@ -1,7 +1,8 @@
-"""The inverse problem of a load on a known support: exponential prior inside, nothing outside.
+"""The inverse problem of a load on a known support: exponential prior inside, 0 around.
 
 Unknown are the tractions of n pixels in units of the prior's standard deviation. Their log density given the signals is
-b' g - 1/2 g' H g, H = A' A / s + C^-1; C is the correlation exp(-d / l), times the tangential ratio for shear.
+b' g - 1/2 g' H g, H = A' A / s + C^-1; C is the correlation exp(-d / l), given 0 around, times the tangential ratio for
+shear.
 """
 
 from typing import TypeVar
@@ -35,6 +36,8 @@ class SupportProblem:
         Of those pixels, (pixels, 2).
     support
         Pixels that may carry load, (pixels,).
+    around
+        Pixels that are known to carry none, near enough to tell something about those that do, (pixels,).
     std_pascal
         Prior standard deviation of f_z.
     noise_std
@@ -50,6 +53,7 @@ class SupportProblem:
         kernel: Singles,
         centres_m: Floats,
         support: Mask,
+        around: Mask,
         std_pascal: float,
         noise_std: float,
         correlation_length_m: float,
@@ -66,8 +70,9 @@ class SupportProblem:
         if lost is not None:
             rows = lost.kernel(rows)
         self._rows: Singles = np.ascontiguousarray(rows * np.float32(std_pascal))
-        correlation = np.exp(-cdist(centres_m[self.pixels], centres_m[self.pixels]) / correlation_length_m)
-        precision = _inverse(correlation).astype(np.float32)
+        both = centres_m[np.concatenate([self.pixels, np.flatnonzero(around)])]
+        correlation = np.exp(-cdist(both, both) / correlation_length_m)
+        precision = _inverse(correlation)[:count, :count].astype(np.float32)  # given that there is 0 around
         self._hessian: Singles = (self._rows @ self._rows.T) / np.float32(noise_std**2)
         for component, ratio in enumerate((tangential_ratio, tangential_ratio, 1.0)):
             block = slice(component * count, (component + 1) * count)

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,7 +12,7 @@ from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.pixels import PixelLattice
 from resonator_daemon.decoding.signal_rows import LostRows, SignalRows
 from resonator_daemon.decoding.site_kernel import site_kernel
-from resonator_daemon.decoding.support import count_blobs, dilated, load_support
+from resonator_daemon.decoding.support import BLOB_PEAK, count_blobs, dilated, load_support, raw_support, swept
 from resonator_daemon.decoding.support_problem import SupportProblem
 from resonator_daemon.elastic import HalfSpace
 
@@ -24,7 +24,11 @@ _SIGNAL_LIMIT = 10.0  # as the linear decoder's: beyond it a signal is lost
 _GAIN_FLOOR = 1.5  # as the linear decoder's
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
-_LEEWAY = 2  # pixels by which the solved support exceeds the one found
+_LEAD = 1.3  # of what a contact moved between two problems: how far the solved support goes ahead of it ...
+_MOST_LEAD = 3.0  # ... in pixels
+_AROUND = 2  # pixels beside it that are known to carry no load
+_FLICKER = 0.05  # of the solved support: how much of a load's may lie beside it before matrices are due
+_FARTHEST = 4.0  # pixels of such a move; more is another contact
 _REACH = 8  # pixels beyond the linear map in which a contact at its border is looked for
 _MISSED_REACH = 6  # pixels around the place of a missed load that may carry it
 _LIGHT = 0.2  # of such a load's peak: what belongs to it
@@ -33,7 +37,12 @@ _MODEL_ERROR = 0.19  # of the signals, by a traction that is even over each pixe
 _MODEL_EXPONENT = -0.75  # ... to this power
 _NOTICED = 6.0  # standard deviations by which a pressure that was missed shows
 _CLOSE = 0.6  # of its peak: where it may be
-_DRIFT = 1.3  # factor by which the prior's standard deviation over the noise's may change
+_DRIFT = 1.3  # factor by which the prior's standard deviation over the noise's may change before matrices are due ...
+_TINY = 1e-30
+_STALE = 2.0  # ... and until which the old ones serve
+
+
+Fit = Literal["good", "due", "unfit"]  # of a problem for a frame: due, serves but should be followed by another
 
 
 class LinearDecoder(Protocol):
@@ -65,12 +74,20 @@ class Frame:
 
     rows: Singles  # of the whitened signals
     known: Mask | None  # (3 n,), None where all are
-    pressure: Singles  # of the linear map on the pixels, (ny, nx); 0 where it does not reach
+    traction: Singles  # of the linear map on the pixels, (3, ny nx); 0 where it does not reach
+    support: Mask  # where its pressure says that load may be, quick and rough, (ny, nx)
+    centre: Floats  # of that pressure, in pixels (y, x)
     noise_floor: float  # noise variance that is reckoned with, over the declared one
     excess: float  # of the linear map's residual over that, at least 1
     snr: float  # of amplitudes
     chi2_limit: float  # what a load of the right support and bounds leaves of the rows, at most
     row_share: float  # of rows in signals
+
+    @property
+    def pressure(self) -> Singles:
+        """Of the linear map, (ny, nx)."""
+        pressure: Singles = self.traction[2].reshape(self.support.shape)
+        return pressure
 
     @property
     def noise_std(self) -> float:
@@ -84,8 +101,8 @@ class Located:
 
     found: Mask  # all masks (ny, nx)
     lasting: Mask  # part of it that the linear map cannot show
-    nearby: Mask  # where the support may move before new matrices are due
     solved: Mask  # pixels of the problem
+    centre: Floats  # of the frame that it was made for
     problem: SupportProblem
     std_pascal: Singles  # of the problem's pixels, (3, n)
     level: float  # prior standard deviation that the linear map gives, over the noise's
@@ -95,9 +112,14 @@ class Located:
         """Mean square residual that the pixels' error adds."""
         return (self.model_error * frame.snr) ** 2 / frame.row_share
 
-    def allowed(self, support: Mask) -> Mask:
-        """Pixels that may carry load in a frame with this support."""
-        return (support | self.lasting) & self.solved
+    def inside(self, frame: Frame) -> Mask:
+        """Which of the problem's pixels may carry load in a frame, (n,)."""
+        return (frame.support | self.lasting).ravel()[self.problem.pixels]
+
+    def moved(self, frame: Frame) -> Floats:
+        """Pixels (y, x) by which the load has moved since; 0 where it must be another one."""
+        steps = frame.centre - self.centre
+        return steps if np.hypot(*steps) < _FARTHEST else np.zeros(2)
 
 
 class SupportSearch:
@@ -125,8 +147,11 @@ class SupportSearch:
         self._centres_m = lattice.centres_m
         self._from_places = lattice.from_places(places)
         self._unmapped = (np.diff(self._from_places.indptr) == 0).reshape(lattice.shape)
+        self._mapped = ~self._unmapped
         self._edge = dilated(self._unmapped) & ~self._unmapped
         self._pressure_power = np.einsum("pr,pr->p", self._rows.kernel[2], self._rows.kernel[2])
+        ny, nx = (np.arange(count, dtype=np.float32) for count in lattice.shape)
+        self._moments = np.stack([np.ones_like(ny), ny]), np.stack([np.ones_like(nx), nx], axis=1)
         self._lost: tuple[bytes, LostRows] | None = None
 
     def frame(self, signals: Floats, linear: Decoded) -> Frame:
@@ -141,12 +166,17 @@ class SupportSearch:
         power = float(whitened @ whitened) / np.count_nonzero(sound)
         floor = 1.0 + self._gain_floor * power
         rows = self._rows.project(whitened)
-        pressure = self._from_places @ linear.traction_pascal[2].ravel().astype(np.float32)
+        places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
+        traction = np.ascontiguousarray((self._from_places @ places.T).T)
+        pressure = traction[2].reshape(self._lattice.shape)
+        support = raw_support(pressure)
         excess, snr = max(float(linear.chi2), 1.0), max(power / floor - 1.0, 0.0) ** 0.5
         return Frame(
             rows if lost is None else lost.signals(rows),
             known,
-            pressure.reshape(self._lattice.shape),
+            traction,
+            support,
+            self._centre(pressure * support),
             floor,
             excess,
             snr,
@@ -154,11 +184,11 @@ class SupportSearch:
             rows.size / flat.size,
         )
 
-    def locate(self, frame: Frame, missed: Mask) -> Located:
+    def locate(self, frame: Frame, missed: Mask, before: Located | None) -> Located:
         """Find the pixels that carry load, and build the problem on them.
 
         Beyond the linear map's reach, and around pixels where load was missed, they are read off the least-squares
-        traction on all pixels there.
+        traction on all pixels there. Where the load has moved since the problem `before`, it is expected to move on.
         """
         seen = load_support(frame.pressure)
         around = dilated(missed, _MISSED_REACH) & ~dilated(seen)
@@ -176,12 +206,14 @@ class SupportSearch:
                 light = np.where(around, pressure, 0.0)
                 grown = dilated(light > _LIGHT * light.max())
                 found |= grown | seen
-        solved = dilated(found, _LEEWAY)
+        solved = found
+        if before is not None:
+            solved = swept(found, np.clip(_LEAD * before.moved(frame), -_MOST_LEAD, _MOST_LEAD))
         problem = self._problem(frame, solved, std_pascal)
         model_error = _MODEL_ERROR * (np.count_nonzero(found) / count_blobs(found)) ** _MODEL_EXPONENT
         lasting = found & self._unmapped | grown
         return Located(
-            found, lasting, dilated(found | seen), solved, problem, problem.std(), level / frame.noise_std, model_error
+            found, lasting, solved, frame.centre, problem, problem.std(), level / frame.noise_std, model_error
         )
 
     def _free_pressure(self, frame: Frame, wide: Mask, std_pascal: float) -> Singles:
@@ -207,31 +239,40 @@ class SupportSearch:
             return np.zeros(self._lattice.shape, np.bool_)
         return dilated((score > _CLOSE * best).reshape(self._lattice.shape))
 
-    def on_pixels(self, linear: Decoded) -> Singles:
-        """Linear map of the traction on the pixels, (3, pixels)."""
-        places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
-        return np.asarray((self._from_places @ places.T).T, np.float32)
-
-    def fits(self, located: Located, frame: Frame, support: Mask) -> bool:
-        """Whether a problem's prior, noise and lost signals are those of a frame, too."""
-        ratio = self._prior_std_pascal(frame, support) / frame.noise_std / located.level
+    def fit(self, located: Located, frame: Frame) -> Fit:
+        """Whether a problem's prior, noise and lost signals do for a frame, and its pixels for the load."""
+        drift = self._prior_std_pascal(frame, frame.support) / frame.noise_std / located.level
         lost = None if frame.known is None else self._lost_rows(frame.known)
-        return 1.0 / _DRIFT < ratio < _DRIFT and located.problem.lost is lost
+        if located.problem.lost is not lost or not 1.0 / _STALE < drift < _STALE:
+            return "unfit"
+        most = _FLICKER * located.problem.pixels.size
+        if np.count_nonzero(frame.support & ~located.solved) > most:
+            outside = load_support(frame.pressure) & ~located.solved
+            if np.count_nonzero(outside) > most:
+                heavy = float(frame.pressure[outside].max()) > BLOB_PEAK * float(frame.pressure.max())
+                return "unfit" if heavy else "due"
+        return "good" if 1.0 / _DRIFT < drift < _DRIFT else "due"
 
     def _prior_std_pascal(self, frame: Frame, support: Mask) -> float:
-        return _prior_std_pascal(frame.pressure[support & ~self._unmapped], frame.snr)
+        return _prior_std_pascal(frame.pressure[support & self._mapped], frame.snr)
 
     def _problem(self, frame: Frame, support: Mask, std_pascal: float) -> SupportProblem:
         return SupportProblem(
             self._rows.kernel,
             self._centres_m,
             support.ravel(),
+            (dilated(support, _AROUND) & ~support).ravel(),
             std_pascal,
             frame.noise_std,
             self._correlation_length_m,
             self._tangential_ratio,
             None if frame.known is None else self._lost_rows(frame.known),
         )
+
+    def _centre(self, weight: Singles) -> Floats:
+        """In pixels (y, x)."""
+        (total, x), (y, _) = self._moments[0] @ weight @ self._moments[1]
+        return np.array([y, x], np.float64) / max(float(total), _TINY)
 
     def _lost_rows(self, known: Mask) -> LostRows:
         key = known.tobytes()
@@ -241,4 +282,4 @@ class SupportSearch:
 
 
 def _prior_std_pascal(pressure: Singles, snr: float) -> float:
-    return math.sqrt(_PRIOR_VARIANCE / (1.0 + snr / _PRIOR_SNR) * float(np.mean(pressure**2)))
+    return math.sqrt(_PRIOR_VARIANCE / (1.0 + snr / _PRIOR_SNR) * float(pressure @ pressure) / max(pressure.size, 1))

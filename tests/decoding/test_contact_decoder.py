@@ -1,5 +1,7 @@
 """Tests of the decoder with contact physics: closed-form contacts on skin32's grid and on irregular sites."""
 
+import pickle
+
 import numpy as np
 import pytest
 from sheared_contact import DEPTH_M, PITCH_M, YOUNGS_PASCAL, grid_positions, noise_std, scene
@@ -74,19 +76,32 @@ def test_traction_obeys_the_bounds(told):
     assert (np.hypot(f_x, f_y) <= 0.5 * f_z * (1.0 + 1e-5)).all()
 
 
+@pytest.fixture(scope="module")
+def varied():
+    """Eight contacts of several sizes, away from the border."""
+    rng = np.random.default_rng(9)
+    low, high = (-2.5e-3, -2.5e-3, 1.5e-3, 0.2, 0.0), (2.5e-3, 2.5e-3, 3e-3, 0.9, 2.0 * np.pi)
+    return [
+        scene((x, y), radius_m=radius_m, stick_ratio=ratio, direction=direction)
+        for x, y, radius_m, ratio, direction in rng.uniform(low, high, (8, 5))
+    ]
+
+
+@pytest.mark.parametrize("friction", ["told", "untold"])
 @pytest.mark.parametrize("decibel", [11, 20, 30, 40])
-def test_standard_deviation_belongs_to_the_map(untold, decibel):
+def test_standard_deviation_belongs_to_the_map(request, varied, friction, decibel):
+    decoder = request.getfixturevalue(friction)
     inside, outside = [], []
-    for seed, centre_m in enumerate([(0.0, 0.0), (1.5e-3, -2e-3), (-2e-3, 1e-3)]):
-        signals, truth = frame_of(scene(centre_m, direction=float(seed)), decibel, seed)
-        untold.reset()
-        decoded = untold.decode(signals)
+    for seed, contact in enumerate(varied):
+        signals, truth = frame_of(contact, decibel, seed)
+        decoder.reset()
+        decoded = decoder.decode(signals)
         z = np.abs(decoded.traction_pascal - truth) / decoded.traction_std_pascal
         inside.append(z[:, truth[2] > 0.0].ravel())
         outside.append(z[:, truth[2] == 0.0].ravel())
     inside, outside = np.concatenate(inside), np.concatenate(outside)
-    assert 0.60 <= np.mean(inside < 1.0) <= 0.84
-    assert 0.92 <= np.mean(inside < 2.0) <= 0.985
+    assert 0.60 <= np.mean(inside < 1.0) <= 0.80
+    assert 0.92 <= np.mean(inside < 2.0) <= 0.98
     assert np.mean(outside < 1.0) >= 0.68
     assert np.mean(outside < 2.0) >= 0.95
 
@@ -107,7 +122,7 @@ def test_net_load_has_no_bias_and_an_honest_error(told, decibel):
         assert np.abs(load.moment_newton_m[2]) < 5.0 * load.moment_std_newton_m[2]
     assert (np.abs(np.mean(off, axis=0)) <= 0.01).all()
     z = np.array(z)
-    assert 0.45 <= np.sqrt(np.mean(z[:, 2] ** 2)) <= 1.7
+    assert 0.5 <= np.sqrt(np.mean(z[:, 2] ** 2)) <= 1.7
     assert 0.6 <= np.sqrt(np.mean(z[:, :2] ** 2)) <= 1.6
 
 
@@ -252,6 +267,7 @@ def test_background_cuts_the_linear_map_until_the_matrices_are_there(linear, tol
     assert (np.hypot(masked[0], masked[1]) <= 0.5 * masked[2] * (1.0 + 1e-5)).all()
     assert decoder.rebuild()
     told.reset()
+    told.decode(signals)  # as the other thread has
     np.testing.assert_array_equal(decoder.decode(signals).traction_pascal, told.decode(signals).traction_pascal)
     assert not decoder.rebuild_wanted
     far, truth = frame_of(scene((4e-3, 3e-3)), 20)
@@ -341,3 +357,97 @@ def test_background_leaves_the_growth_of_the_support_to_the_other_thread(linear)
     assert not decoder.rebuild_wanted
     assert decoded.status == "ok"
     assert error(decoded.traction_pascal, truth) < 0.8 * before
+
+
+def indentation_m(offset_m, radius_m, peak_pascal):
+    """Normal displacement under and beside a Hertz pressure (Johnson, Contact Mechanics, eqs 3.41a and 3.42a)."""
+    r = np.hypot(*offset_m.T)
+    inside = np.minimum(r, radius_m)
+    under = np.pi * (2.0 * radius_m**2 - inside**2)
+    far = np.maximum(r, radius_m)
+    beside = 2.0 * ((2.0 * radius_m**2 - far**2) * np.arcsin(radius_m / far) + radius_m * np.sqrt(far**2 - radius_m**2))
+    factor = (1.0 - 0.5**2) / YOUNGS_PASCAL * peak_pascal / (4.0 * radius_m)
+    return factor * np.where(r <= radius_m, under, beside)
+
+
+def test_displacement_is_that_of_the_traction_shown(linear, told):
+    centre_m = (1e-3, -5e-4)
+    contact = scene(centre_m)
+    signals, truth = frame_of(contact, 40)
+    scale = truth[2].max() / contact.traction[2].max()
+    expected = scale * indentation_m(grid_positions() - centre_m, 2.5e-3, 1.5 / np.pi / 2.5e-3**2)
+    told.reset()
+    decoded = told.decode(signals, displacement=True)
+    assert decoded.displacement_m.shape == (3, 32, 32)
+    assert error(decoded.displacement_m[2].ravel(), expected) < 0.005
+    plain = linear.decode(signals, displacement=True).displacement_m[2].ravel()
+    assert error(decoded.displacement_m[2].ravel(), expected) < 0.3 * error(plain, expected)
+    waiting = ContactDecoder(linear, 0.5, background=True).decode(signals, displacement=True)
+    assert error(waiting.displacement_m[2].ravel(), expected) < 0.05
+    assert told.decode(signals).displacement_m is None
+
+
+def test_a_restored_decoder_goes_on_the_same(told):
+    frames = np.array([frame_of(scene((4e-4 * k, 0.0)), 20, k)[0] for k in range(3)])
+    told.reset()
+    told.decode(frames[0])
+    restored = pickle.loads(pickle.dumps(told))
+    for frame in frames[1:]:
+        ours, theirs = (decoder.decode(frame, displacement=True) for decoder in (told, restored))
+        np.testing.assert_array_equal(theirs.traction_pascal, ours.traction_pascal)
+        np.testing.assert_array_equal(theirs.displacement_m, ours.displacement_m)
+
+
+@pytest.fixture(scope="module")
+def slide():
+    """At 200 frames/s and 12 mm/s, under rising shear."""
+    return [scene((-1.5e-3 + 6e-5 * k, 0.0), stick_ratio=1.0 - 0.018 * k) for k in range(50)]
+
+
+@pytest.mark.parametrize(("decibel", "limit"), [(20, 0.105), (30, 0.082)])
+def test_matrices_that_come_late_follow_a_sliding_contact(linear, slide, decibel, limit):
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    errors, cut = [], 0
+    for k, contact in enumerate(slide):
+        signals, truth = frame_of(contact, decibel, k)
+        errors.append(error(decoder.decode(signals).traction_pascal, truth))
+        cut += decoder.net_load(truth[2] > 0.0, (0.0, 0.0)) is None
+        if k % 18 == 0:  # a rebuild and the rest after it take 90 ms
+            decoder.rebuild()
+    assert np.mean(errors) <= limit
+    assert cut <= 10
+
+
+def test_a_contact_that_rests_wants_no_new_matrices(linear):
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    contact, wanted = scene(), 0
+    decoder.decode(frame_of(contact, 20)[0])
+    decoder.rebuild()
+    for seed in range(1, 30):
+        decoder.decode(frame_of(contact, 20, seed)[0])
+        wanted += decoder.rebuild()
+    assert wanted <= 2
+
+
+def test_the_other_thread_gives_bounds_up_too(linear):
+    signals, _ = frame_of(full_slip(0.65), 20)
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    for _ in range(3):
+        decoder.decode(signals)
+        decoder.rebuild()
+    decoded = decoder.decode(signals)
+    assert decoded.status == "constraint_dropped"
+    assert "friction coefficient 0.5 contradicted" in decoded.reason
+
+
+def test_what_is_found_about_a_contact_that_has_ended_is_forgotten(linear):
+    signals, _ = frame_of(full_slip(0.65), 20)
+    decoder = ContactDecoder(linear, 0.5, background=True)
+    decoder.decode(signals)
+    decoder.rebuild()
+    decoder.decode(signals)
+    decoder.decode(np.zeros_like(signals))
+    assert decoder.rebuild()
+    still, _ = frame_of(scene(), 20)
+    decoded = decoder.decode(still)
+    assert (decoded.status, decoded.reason) == ("ok", "")

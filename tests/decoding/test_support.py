@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.decoding.support import connected, count_blobs, dilated, load_support, raw_support
+from resonator_daemon.decoding.support import connected, count_blobs, dilated, load_support, raw_support, swept
 
 
 def drawn(*rows):
@@ -43,3 +43,13 @@ def test_blobs_meet_at_corners():
     seed = np.zeros_like(mask)
     seed[1, 1] = seed[2, 0] = True
     np.testing.assert_array_equal(connected(mask, seed), drawn("9...", ".9..", "....") > 0)
+
+
+def test_a_swept_mask_covers_the_way_and_ends_at_the_border():
+    mask = drawn(".....", "99...", ".....", ".....") > 0
+    there = drawn(".....", "9999.", ".....", ".....") > 0
+    np.testing.assert_array_equal(swept(mask, np.array([0.0, 2.0])), there)
+    slanting = drawn(".....", "99...", ".99..", "..99.") > 0
+    np.testing.assert_array_equal(swept(mask, np.array([2.0, 2.0])), slanting)
+    np.testing.assert_array_equal(swept(mask, np.array([-0.4, 0.2])), mask)
+    np.testing.assert_array_equal(swept(mask, np.array([0.0, -1.0])), mask)

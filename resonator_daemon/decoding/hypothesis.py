@@ -1,0 +1,118 @@
+"""What frames have told of a contact so far, and the test of it against a frame that it does not explain."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.cone_admm import project_on_cone
+from resonator_daemon.decoding.support_search import Frame, Located, SupportSearch
+
+Singles = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
+
+UNKNOWN_FRICTION = 3.0  # a coefficient that no dry contact reaches
+_CONVERGED = 60  # iterations
+_STEPS = 4  # of finding out why a solution does not explain the signals
+_BOUNDS_COST = 0.1  # in chi2: what bounds that hold never cost
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Where a contact may be and which bounds it obeys."""
+
+    located: Located | None
+    missed: Mask  # pixels (ny, nx) around load that the linear map does not show
+    bounds: Bounds = "all"
+    reason: str = ""  # why it is not what the linear map and the friction coefficient say
+
+
+@dataclass(frozen=True)
+class Solved:
+    """What one frame's iterations led to, on the n pixels of its problem."""
+
+    frame: Frame
+    located: Located
+    inside: Mask  # pixels that may carry load, (n,)
+    traction: Singles  # (3, n)
+    multiplier: Singles
+    chi2: float
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether it explains the signals."""
+        return self.chi2 <= self.frame.chi2_limit + self.located.model_chi2(self.frame)
+
+    def on(self, located: Located) -> tuple[Singles, Singles]:
+        """Traction and multiplier on the pixels of another problem."""
+        if located is self.located:
+            return self.traction, self.multiplier
+        whole = np.zeros((2, 3, located.solved.size), np.float32)
+        whole[..., self.located.problem.pixels] = self.traction, self.multiplier
+        return tuple(whole[..., located.problem.pixels])
+
+
+def solve(frame: Frame, located: Located, friction: float, before: Solved | None, iterations: int) -> Solved:
+    """Traction in the friction cone, from where the frame before ended or from the linear map."""
+    problem, inside = located.problem, located.inside(frame)
+    if before is None:
+        traction = project_on_cone(frame.traction[:, problem.pixels], friction) * inside
+        multiplier = np.zeros_like(traction)
+    else:
+        traction, multiplier = before.on(located)
+    right_side = problem.right_side(frame.rows)
+    traction, multiplier = problem.constrained(right_side, friction, inside, traction, multiplier, iterations)
+    chi2 = problem.chi2(frame.rows, traction) / frame.noise_floor
+    return Solved(frame, located, inside, traction, multiplier, chi2)
+
+
+def examine(
+    search: SupportSearch,
+    frame: Frame,
+    hypothesis: Hypothesis,
+    friction_of: Callable[[Bounds], float],
+    before: Solved | None,
+) -> tuple[Hypothesis, Solved | None]:
+    """Hypothesis that explains a frame: iterate, grow the support, give bounds up. No solution: give up all of them.
+
+    Parameters
+    ----------
+    search
+    frame
+    hypothesis
+        To begin with.
+    friction_of
+        Friction coefficient under given bounds.
+    before
+        Solution to begin with.
+    """
+    located = hypothesis.located or search.locate(frame, hypothesis.missed, None)
+    for _ in range(_STEPS):
+        friction = friction_of(hypothesis.bounds)
+        before = solved = solve(frame, located, friction, before, _CONVERGED)
+        if solved.is_sound:
+            return hypothesis, solved
+        problem, by_pixels = located.problem, located.model_chi2(frame)
+        free = problem.linear(problem.right_side(frame.rows), solved.inside, solved.traction)
+        chi2 = problem.chi2(frame.rows, free) / frame.noise_floor
+        if chi2 > frame.chi2_limit + by_pixels:
+            missed = hypothesis.missed | search.missed_load(frame, problem, free)
+            if not (missed & ~located.found).any():
+                break
+            reason = "load beside the support, found in what that left of the signals"
+            located = search.locate(frame, missed, located)
+            hypothesis = replace(hypothesis, located=located, missed=missed, reason=reason)
+        elif solved.chi2 <= chi2 + _BOUNDS_COST * frame.excess + by_pixels:
+            return hypothesis, solved
+        elif friction < UNKNOWN_FRICTION:
+            what = f"friction coefficient {friction:.3g} contradicted"
+            reason = f"{what}, chi2 {solved.chi2:.3g} for {chi2:.3g}; bound by {UNKNOWN_FRICTION:.0f}"
+            hypothesis = replace(hypothesis, bounds="cone", reason=reason)
+        else:
+            what = f"a load that only presses contradicted, chi2 {solved.chi2:.3g} for {chi2:.3g}"
+            return replace(hypothesis, bounds="none", reason=f"{what}; the linear map is shown"), None
+    what = f"no load on the support explains the signals, chi2 {chi2:.3g}"
+    return replace(hypothesis, bounds="none", reason=f"{what}; the linear map is shown"), None
