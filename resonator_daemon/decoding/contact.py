@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from resonator_daemon.decoding.cone_admm import project_on_cone
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.hypothesis import UNKNOWN_FRICTION, Bounds, Hypothesis, Solved, examine, solve
-from resonator_daemon.decoding.net_load import NetLoad, net_load
+from resonator_daemon.decoding.net_load import LoadSums, NetLoad
 from resonator_daemon.decoding.pixels import PixelLattice
 from resonator_daemon.decoding.support import connected, load_support
+from resonator_daemon.decoding.support_problem import SupportProblem
 from resonator_daemon.decoding.support_search import Frame, LinearDecoder, Located, SupportSearch
 from resonator_daemon.elastic import SurfaceCompliance
 
@@ -90,6 +91,8 @@ class ContactDecoder:
         compliance = SurfaceCompliance(linear_decoder.half_space, self._lattice.shape, self._lattice.pitch_m)
         self._displacement = compliance.convolution((0, 1, 2), (0, 1, 2), self._lattice.shape)
         self._count = len(sites)
+        self._sums_of: SupportProblem | None = None
+        self._sums: dict[tuple[bytes, tuple[float, float]], LoadSums] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -145,14 +148,17 @@ class ContactDecoder:
         """
         if self._last is None:
             return None
-        problem, inside = self._last.located.problem, self._last.inside
-        seed, support = np.zeros((2, *self._lattice.shape), np.bool_)
+        frame, problem = self._last.frame, self._last.located.problem
+        seed = np.zeros(self._lattice.shape, np.bool_)
         seed.ravel()[self._nearest[np.flatnonzero(places)]] = True
-        support.ravel()[problem.pixels[inside]] = True
-        chosen = connected(support, seed).ravel()[problem.pixels]
-        arms_m = self._lattice.centres_m[problem.pixels] - about_m
-        noise_std = self._last.frame.noise_std / problem.noise_std
-        return net_load(problem, self._last.frame.rows, inside, chosen, arms_m, self._lattice.pitch_m**2, noise_std)
+        chosen = connected(self._last.located.solved, seed).ravel()[problem.pixels]
+        if self._sums_of is not problem:
+            self._sums_of, self._sums = problem, {}
+        key = chosen.tobytes(), about_m
+        if key not in self._sums:
+            arms_m = self._lattice.centres_m[problem.pixels] - about_m
+            self._sums[key] = LoadSums(problem, chosen, arms_m, self._lattice.pitch_m**2)
+        return self._sums[key].load(problem.right_side(frame.rows), frame.noise_std / problem.noise_std)
 
     @property
     def rebuild_wanted(self) -> bool:

@@ -15,8 +15,8 @@ Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 # Of forces x, y, z and moments x, y, z; both to fit closed-form contacts.
-_STD_FACTOR = np.array([1.3, 1.3, 1.2, 1.2, 1.2, 1.3])  # of the posterior's: contacts are not drawn from the prior
-_PIXEL_ERROR = np.array([9e-4, 9e-4, 6e-4, 6e-4, 6e-4, 9e-4])  # of the force: traction is not even over each pixel
+_STD_FACTOR = np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2])  # of the posterior's: contacts are not drawn from the prior
+_PIXEL_ERROR = np.array([3e-4, 3e-4, 2e-4, 2e-4, 2e-4, 3e-4])  # of the force: traction is not even over each pixel
 
 
 @dataclass(frozen=True)
@@ -29,42 +29,35 @@ class NetLoad:
     moment_std_newton_m: Floats
 
 
-def net_load(
-    problem: SupportProblem, rows: Singles, inside: Mask, chosen: Mask, arms_m: Floats, area_m2: float, noise_std: float
-) -> NetLoad:
-    """Sum the load of the chosen pixels.
+class LoadSums:
+    """How the right sides of a problem add up to the load on some of its pixels; as good for any frame as the problem.
 
     Parameters
     ----------
     problem
         Of n pixels.
-    rows
-        Of the frame's signals.
-    inside
-        Pixels that may carry load, (n,).
     chosen
         Pixels to sum over, (n,).
     arms_m
         From the point that moments refer to, to each pixel, (n, 2).
     area_m2
         Of a pixel.
-    noise_std
-        Of the frame over that of the problem.
     """
-    start = np.zeros((3, inside.size), np.float32)
-    load = problem.linear(problem.right_side(rows), inside, start).astype(np.float64)
-    sums = _functionals(arms_m, chosen) * area_m2
-    values = np.tensordot(sums, load, 2)
-    std = np.empty(6)
-    for index, functional in enumerate(sums):
-        unit = np.abs(functional).max()
-        scaled = (functional / unit).astype(np.float32)
-        answer = problem.linear(scaled.ravel(), inside, start)
-        std[index] = unit * np.sqrt(problem.std_pascal * max(float(np.sum(scaled * answer)), 0.0))
-    std *= _STD_FACTOR * noise_std
-    reach_m = np.sqrt(area_m2 * np.count_nonzero(chosen) / np.pi)
-    std = np.hypot(std, _PIXEL_ERROR * np.linalg.norm(values[:3]) * np.repeat([1.0, reach_m], 3))
-    return NetLoad(values[:3], std[:3], values[3:], std[3:])
+
+    def __init__(self, problem: SupportProblem, chosen: Mask, arms_m: Floats, area_m2: float) -> None:
+        sums = (_functionals(arms_m, chosen) * area_m2).reshape(6, -1)
+        unit = np.abs(sums).max(axis=1, keepdims=True)
+        self._answers = unit * problem.solutions(sums / unit)
+        power = np.einsum("sp,sp->s", sums, self._answers)
+        self._std = _STD_FACTOR * np.sqrt(problem.std_pascal * np.maximum(power, 0.0))
+        self._reach_m = float(np.sqrt(area_m2 * np.count_nonzero(chosen) / np.pi))
+
+    def load(self, right_side: Singles, noise_std: float) -> NetLoad:
+        """Of a frame; `noise_std` over that of the problem."""
+        values = self._answers @ right_side
+        by_pixels = _PIXEL_ERROR * np.linalg.norm(values[:3]) * np.repeat([1.0, self._reach_m], 3)
+        std = np.hypot(self._std * noise_std, by_pixels)
+        return NetLoad(values[:3], std[:3], values[3:], std[3:])
 
 
 def _functionals(arms_m: Floats, chosen: Mask) -> Floats:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -19,7 +19,8 @@ _SIGNIFICANCE = 4.0  # ... and how many standard deviations
 _LEAST_PLACES = 2
 _NEIGHBOUR = 1.6  # spacings: the eight neighbours on a grid
 _MARGIN_DEPTHS = 1.0  # around a patch, whose load still counts: the map is blurred
-_CORRELATION_DEPTHS = 0.2  # over which the map's errors go together
+_CORRELATION_DEPTHS = 0.2  # over which the map's errors go together ...
+_CORRELATION_REACH = 6.0  # ... times this, beyond which they do not
 
 
 @dataclass(frozen=True)
@@ -78,6 +79,10 @@ class PatchFinder:
         self._area_m2 = np.broadcast_to(areas, len(self._places_m))
         self._depth_m = depth_m
         tree = cKDTree(self._places_m)
+        length_m = _CORRELATION_DEPTHS * depth_m
+        apart = tree.sparse_distance_matrix(tree, _CORRELATION_REACH * length_m, output_type="coo_matrix")
+        # Distances of 0 count, too.
+        self._correlation = csr_array((np.exp(-apart.data / length_m), (apart.row, apart.col)), shape=apart.shape)
         self._pairs = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
         self._border = at_border(self._places_m, self._places_m)
 
@@ -129,25 +134,21 @@ class PatchFinder:
         x, y = self._places_m[around].T
         share = traction[:, around] * self._area_m2[around]
         share_std = std[:, around] * self._area_m2[around]
-        apart = np.hypot(x[:, None] - x, y[:, None] - y)
-        correlation = np.exp(-apart / (_CORRELATION_DEPTHS * self._depth_m))
-
-        def spread(component: int, weight: Floats) -> float:
-            """Of the sum of a component, weighted."""
-            part = share_std[component] * weight
-            return float(np.sqrt(part @ correlation @ part))
-
-        ones = np.ones_like(x)
         force = share.sum(axis=1)
         centroid = np.array([x @ share[2], y @ share[2]]) / force[2]
+        parts = np.zeros((9, len(self._places_m)))
+        parts[:3, around] = share_std
+        parts[3:5, around] = share_std[2] * (self._places_m[around] - centroid).T
+        parts[5:, around] = share_std[[2, 2, 1, 0]] * np.array([y, x, x, y])
+        spread = np.sqrt(np.einsum("sp,ps->s", parts, self._correlation @ parts.T))
         return Patch(
             centroid_m=centroid,
-            centroid_std_m=np.array([spread(2, x - centroid[0]), spread(2, y - centroid[1])]) / abs(force[2]),
+            centroid_std_m=spread[3:5] / abs(force[2]),
             area_m2=float(self._area_m2[group].sum()),
             force_newton=force,
-            force_std_newton=np.array([spread(component, ones) for component in range(3)]),
+            force_std_newton=spread[:3],
             moment_newton_m=np.array([y @ share[2], -x @ share[2], x @ share[1] - y @ share[0]]),
-            moment_std_newton_m=np.array([spread(2, y), spread(2, x), np.hypot(spread(1, x), spread(0, y))]),
+            moment_std_newton_m=np.array([spread[5], spread[6], np.hypot(spread[7], spread[8])]),
             at_border=bool(self._border[group].any()),
             places=group,
         )

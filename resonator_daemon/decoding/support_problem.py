@@ -128,6 +128,11 @@ class SupportProblem:
             left -= step * curved
         return solution.reshape(3, -1) * unit
 
+    def solutions(self, right_sides: Floats) -> Floats:
+        """Tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n), to single precision."""
+        found = np.linalg.solve(self._hessian, right_sides.T.astype(np.float32))
+        return self.std_pascal * found.T.astype(np.float64)
+
     def chi2(self, rows: Singles, traction: Singles) -> float:
         """Mean square of what a traction (3, n), in Pa, leaves of whitened rows."""
         left = rows - self.predicted(traction)
