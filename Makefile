@@ -62,15 +62,18 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
 	step pytest --cov
 
-bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fields and contact beside their peers
+bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fields, contact and decoding beside their peers
 	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
+	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done
 
-figures: .venv/figures-stamp  ## draw the pictures of docs/reproduction.md and docs/elastic.md anew
-	@.venv/bin/python docs/figures/draw.py
-	OMP_NUM_THREADS=1 .venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
+figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproduction.md and docs/elastic.md anew
+	@export OMP_NUM_THREADS=1
+	.venv/bin/python docs/figures/draw.py
+	.venv/bin/python docs/figures/fingertip.py
+	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
 soak: .venv/run-stamp  ## 90 s against a broker that is killed for 30 s
 	$(debian-packages)

@@ -5,7 +5,20 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
+
+
+def rows(text: str) -> dict[tuple[str, ...], list[float]]:
+    """Numbers of the rows of tables, by the words before them."""
+    found = {}
+    for line in re.findall(r"^\|(.*)\|$", text, re.MULTILINE):
+        cells = [cell.strip() for cell in line.split("|")]
+        numbers = [re.fullmatch(r"[\d.]+|(\d+) of \d+", cell) for cell in cells]
+        key = tuple(cell for cell, number in zip(cells, numbers, strict=True) if not number)
+        found[*key, str(len(cells))] = [float(number[1] or number[0]) for number in numbers if number]
+    return found
 
 
 def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -> None:
@@ -15,7 +28,8 @@ def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -
         text=True,
         check=True,
     )
-    page = " ".join((ROOT / "docs" / "reproduction.md").read_text().split())
+    text = (ROOT / "docs" / "reproduction.md").read_text()
+    page = " ".join(text.split())
     shown = set(re.findall(r"figures/([\w-]+\.svg)", page))
     assert {path.name for path in tmp_path.iterdir()} == shown
     assert {path.name for path in (ROOT / "docs" / "figures").glob("*.svg")} >= shown
@@ -27,6 +41,11 @@ def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -
     ):
         assert f"{error} for {name}" in page
         assert rest in page
+
+    printed, stated = rows(run.stdout), rows(text)
+    assert len(printed) == 19
+    for row, numbers in printed.items():  # single precision rounds in its own way on each processor
+        assert stated[row] == pytest.approx(numbers, rel=0.03, abs=3e-3), row
 
 
 def test_the_example_of_the_elastic_page_runs() -> None:

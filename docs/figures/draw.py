@@ -1,4 +1,4 @@
-"""Draw the figures of docs/reproduction.md: the paper's Figs 2-7, 8 and 13, with the corrected matrices.
+"""Draw the figures of docs/reproduction.md: the paper's Figs 2-13, with the corrected matrices.
 
 Run it with `make figures`. It prints the figures that the page states.
 """
@@ -9,22 +9,30 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+from decoders import Decoders
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
-from scipy import fft
+from scene import (
+    BODY,
+    COUNT,
+    CURVATURE_RADIUS_M,
+    DEPTH_M,
+    EDGE_MM,
+    FINER,
+    FRICTION,
+    LOAD_NEWTON,
+    NOISE_DB,
+    PITCH_M,
+    STICK_RATIO,
+    noise,
+    noise_rms,
+)
+from scene import signals as signals_in_closed_form
+from section4 import errors_by_noise, figures_9_to_12
+from stick_radius import stick_radius
 
-from resonator_daemon.elastic import FrictionalContact, HalfSpace, SurfaceCompliance, SurfaceFields
+from resonator_daemon.elastic import FrictionalContact, SurfaceCompliance, SurfaceFields
 from resonator_daemon.elastic.profiles import paraboloid
 from resonator_daemon.view.density_figure import write_density_figure
-from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
-
-BODY = HalfSpace(2e5, 0.5)
-DEPTH_M, PITCH_M, COUNT = 1e-3, 0.4e-3, 32
-CURVATURE_RADIUS_M, RADIUS_M, FRICTION = 20e-3, 3e-3, 0.5
-NOISE_DB = 11.0
-FINER = 3  # pixels of the contact for each sensor, odd: one of them lies above it
 
 PANELS = {
     "Fig. 2: p_n": ("p_n", [0]),
@@ -49,10 +57,6 @@ def power_spectra(folder: Path) -> None:
     write_density_figure(folder / "power-spectra.svg", list(PANELS), np.array(spectra), omega, title)
 
 
-def hertz_load_newton() -> float:
-    return 4.0 * BODY.youngs_modulus_pascal * RADIUS_M**3 / (3.0 * CURVATURE_RADIUS_M * (1 - BODY.poisson_ratio**2))
-
-
 def contact(count: int, pitch_m: float) -> FrictionalContact:
     compliance = SurfaceCompliance(BODY, (count, count), pitch_m)
     return FrictionalContact(compliance, paraboloid((count, count), pitch_m, CURVATURE_RADIUS_M), FRICTION)
@@ -60,7 +64,7 @@ def contact(count: int, pitch_m: float) -> FrictionalContact:
 
 def partial_slip(folder: Path) -> None:
     """Fig. 13: stick radius against tangential load, solved as a contact with unknown stick zone, beside eq. (7)."""
-    load = hertz_load_newton()
+    load = LOAD_NEWTON
     object_ = contact(64, 10e-3 / 64)
     ratios, found = np.array([0.1, 0.3, 0.5, 0.7, 0.875, 0.95]), []
     for ratio in ratios:
@@ -84,8 +88,8 @@ def partial_slip(folder: Path) -> None:
 
 def encoding(folder: Path) -> None:
     """Fig. 8: signals of a partial slip contact at 32 x 32 sensors, without and with noise."""
-    load = hertz_load_newton()
-    shear = (1.0 - 0.6**3) * FRICTION * load
+    load = LOAD_NEWTON
+    shear = (1.0 - STICK_RATIO**3) * FRICTION * load
     object_ = contact(FINER * COUNT, PITCH_M / FINER)
     pressed = object_.step(object_.apart, load_newton=(0.0, 0.0, load))
     traction = object_.step(pressed, load_newton=(shear, 0.0, load)).traction_pascal
@@ -94,39 +98,26 @@ def encoding(folder: Path) -> None:
     signals = fields(traction)[:, at_sensors, at_sensors]
     along_load = fields(traction * np.array([1.0, 0.0, 1.0])[:, None, None])[:, at_sensors, at_sensors]
 
-    axis = (np.arange(COUNT) - (COUNT - 1) / 2.0) * PITCH_M
-    places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    radii = RADIUS_M * np.array([1.0, 0.6])
-    exact_fields = hertz_fields(places, DEPTH_M, radii, BODY.youngs_modulus_pascal, BODY.poisson_ratio)
-    forces = np.array([[FRICTION * load, 0.0, load], [-FRICTION * load * 0.6**3, 0.0, 0.0]])
-    exact = np.einsum("kf,kfsn->sn", forces, exact_fields).reshape(3, COUNT, COUNT)
-    exact[0] *= 1.5 / BODY.youngs_modulus_pascal
+    exact = signals_in_closed_form(STICK_RATIO)
     for name, whole, part, other in zip(("p_n", "eps_xz", "eps_yz"), signals, along_load, exact, strict=True):
         error, rest = (np.linalg.norm(found - other) / np.linalg.norm(other) for found in (whole, part))
         print(f"Fig. 8: {name} differs from closed forms by {error:.4f}, without f_y by {rest:.4f} (relative L2)")
 
-    noise = high_passed_noise(np.random.default_rng(1), signals.shape)
-    noise *= np.linalg.norm(signals) / np.linalg.norm(noise) * 10.0 ** (-NOISE_DB / 20.0)
+    noisy = signals + noise_rms(NOISE_DB) * noise(np.random.default_rng(1))
     figure = Figure(figsize=(10, 6), layout="constrained")
-    edge = COUNT * PITCH_M * 500.0
     all_axes = figure.subplots(2, 3, sharex=True, sharey=True)
-    for row, (images, what) in enumerate([(signals, ""), (signals + noise, f", {NOISE_DB:g} dB")]):
+    for row, (images, what) in enumerate([(signals, ""), (noisy, f", {NOISE_DB:g} dB")]):
         for column, (image, name) in enumerate(zip(images, ("3 p_n / (2 E)", "eps_xz", "eps_yz"), strict=True)):
             axes = all_axes[row, column]
             limit = np.abs(signals[column]).max()
-            shown = axes.imshow(image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=(-edge, edge) * 2)
+            shown = axes.imshow(
+                image, cmap="RdBu_r", vmin=-limit, vmax=limit, origin="lower", extent=(-EDGE_MM, EDGE_MM) * 2
+            )
             axes.set_title(f"{'abcdef'[3 * row + column]}) {name}{what}", fontsize="small")
             figure.colorbar(shown, ax=axes, shrink=0.8)
     figure.supxlabel("x, mm", fontsize="small")
     figure.supylabel("y, mm", fontsize="small")
     figure.savefig(folder / "fig8-encoding.svg")
-
-
-def high_passed_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> Floats:
-    """White noise through 1 - exp(-w^2 / (2 w_c^2)), w_c a quarter of the Nyquist frequency."""
-    wy, wx = 2 * np.pi * fft.fftfreq(shape[-2])[:, None], 2 * np.pi * fft.rfftfreq(shape[-1])
-    passed = 1.0 - np.exp(-(wx**2 + wy**2) / (2.0 * (np.pi / 4.0) ** 2))
-    return np.asarray(fft.irfft2(fft.rfft2(rng.standard_normal(shape)) * passed, s=shape[-2:]), np.float64)
 
 
 def main() -> None:
@@ -140,6 +131,10 @@ def main() -> None:
     power_spectra(folder)
     partial_slip(folder)
     encoding(folder)
+    decoders = Decoders(noise_rms(NOISE_DB))
+    figures_9_to_12(folder, decoders)
+    errors_by_noise(folder, decoders)
+    stick_radius(folder, decoders)
     print(f"figures: written to {folder}")
 
 
