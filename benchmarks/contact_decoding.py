@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from threadpoolctl import threadpool_limits
 
-from resonator_daemon.decoding.contact import ContactDecoder
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields

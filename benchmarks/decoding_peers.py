@@ -9,8 +9,8 @@ from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, lsqr
 
-from resonator_daemon.decoding.covariance import SiteCovariance
-from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import SpectralGrid
 from simulators.half_space_fields import hertz_fields
 

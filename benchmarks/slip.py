@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from resonator_daemon.decoding.contact import ContactDecoder
-from resonator_daemon.decoding.contact_model import DiscModel
-from resonator_daemon.decoding.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
-from resonator_daemon.decoding.partial_slip import fit_partial_slip
+from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.fitting.partial_slip import fit_partial_slip
+from resonator_daemon.decoding.fitting.slip import SlipWatch, margin_from_forces
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import PatchFinder
-from resonator_daemon.decoding.slip import SlipWatch, margin_from_forces
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import PressedSpot
 

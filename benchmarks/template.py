@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from resonator_daemon.decoding.template import TemplateDecoder
+from resonator_daemon.decoding.fitting.template import TemplateDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.config import Config, Mqtt, load_config
-from resonator_daemon.decoding.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.open_plane.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
 from resonator_daemon.plate import Plate, Skin

@@ -281,6 +281,7 @@ def _patch(contact: SkinContact) -> Patch:
         slip_margin=slip.slip_margin if slip else math.nan,
         slip_margin_std=slip.slip_margin_std if slip else math.nan,
         friction_coefficient=slip.friction_coefficient if slip else math.nan,
+        slip_reason=slip.reason if slip else "nothing was fitted",
     )
 
 

@@ -12,7 +12,7 @@ from report_makers import GATE_END, LOST, NAN, configured, literal, reporter_of
 
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.decoding.partial_slip import PartialSlip
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.patches import Patch as FoundPatch
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
@@ -167,6 +167,7 @@ PATCH_LITERAL = {
     "slip_margin": 0.125,
     "slip_margin_std": 0.01,
     "friction_coefficient": 0.6,
+    "slip_reason": "",
 }
 CONTACT_LITERAL = {
     "id": 3,
@@ -205,12 +206,20 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
     }
 
 
-@pytest.mark.parametrize("slip", [None, partial_slip(**dict.fromkeys(OF_SLIP, NAN))], ids=["no fit", "unknown"])
-def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: PartialSlip | None) -> None:
+@pytest.mark.parametrize(
+    ("slip", "why"),
+    [
+        (None, "nothing was fitted"),
+        (partial_slip(**dict.fromkeys(OF_SLIP, NAN), status="unknown", reason="hardly slips"), "hardly slips"),
+    ],
+    ids=["no fit", "unknown"],
+)
+def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: PartialSlip | None, why: str) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     contact = skin_contact(slip=slip, radius_of_curvature_m=NAN)
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_END, surface(frame, contacts=(contact,))))
-    assert said["patches"] == [PATCH_LITERAL | dict.fromkeys((*OF_SLIP, "radius_of_curvature_m"))]
+    unknown = dict.fromkeys((*OF_SLIP, "radius_of_curvature_m"))
+    assert said["patches"] == [PATCH_LITERAL | unknown | {"slip_reason": why}]
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])

@@ -1,15 +1,24 @@
 """Where sites lie: whether they form a grid, how far apart they are, and which places are at their border."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError, cKDTree
-
-from resonator_daemon.decoding.parity import Grid
 
 Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
 _CELL_STEPS = 4  # of half a spacing: how finely cells are measured
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Regular grid of sites: rows along y, columns along x."""
+
+    shape: tuple[int, int]
+    pitch_x_m: float
+    pitch_y_m: float
 
 
 def spacing_m(positions_m: Floats) -> float:

@@ -55,7 +55,7 @@ def _directory() -> Path:
 
 def _hash(depends_on: Any) -> str:
     digest = hashlib.sha256(pickle.dumps((depends_on, np.__version__, scipy.__version__), protocol=5))
-    for path in sorted(source for folder in _CODE for source in folder.glob("*.py")):
+    for path in sorted(source for folder in _CODE for source in folder.rglob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:32]
 

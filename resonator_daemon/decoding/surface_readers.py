@@ -7,14 +7,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact import ContactDecoder
+from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.fourier import FourierDecoder
+from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
+from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.layout import as_grid, cell_areas_m2
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import Patch, PatchFinder
 from resonator_daemon.decoding.skin import Skin, Wanted
-from resonator_daemon.decoding.template import TemplateDecoder, is_sparse
 
 Floats = NDArray[np.float64]
 

@@ -197,6 +197,7 @@ class Patch(Message):
     slip_margin: Float  # 1 - F_t / (mu F_n)
     slip_margin_std: Float
     friction_coefficient: Float  # told, or learnt from slip
+    slip_reason: str  # why those before are not known; empty where they are
 
 
 class DecodedSummary(Measured):

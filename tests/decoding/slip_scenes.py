@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from resonator_daemon.decoding.cone_admm import iterate, project_on_cone
+from resonator_daemon.decoding.contact_physics.cone_admm import iterate, project_on_cone
 
 
 @pytest.mark.parametrize("friction", [0.3, 1.0, 3.0])

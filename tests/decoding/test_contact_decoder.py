@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from sheared_contact import DEPTH_M, PITCH_M, YOUNGS_PASCAL, grid_positions, noise_std, scene
 
-from resonator_daemon.decoding.contact import ContactDecoder
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact_fit import fit
+from resonator_daemon.decoding.fitting.contact_fit import fit
 
 Floats = NDArray[np.float64]
 

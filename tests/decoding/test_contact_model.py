@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model
 
-from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.decoding.covariance import SiteCovariance
-from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
 PRIOR = StationaryPrior(HalfSpace(2e5, 0.4), 1.0, 1e-3, 0.3)

@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from resonator_daemon.decoding import FourierDecoder
-from resonator_daemon.decoding.spectra import prior_root, weighted_norm
+from resonator_daemon.decoding.fourier.spectra import prior_root, weighted_norm
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 Floats = NDArray[np.float64]

@@ -7,8 +7,13 @@ from scipy import fft
 from scipy.sparse.linalg import lsqr
 from scipy.stats import multivariate_normal
 
-from resonator_daemon.decoding.extension import ExtendedTransform, extended_length, extension_matrix, noise_power
-from resonator_daemon.decoding.wiener import SpectralWiener
+from resonator_daemon.decoding.fourier.extension import (
+    ExtendedTransform,
+    extended_length,
+    extension_matrix,
+    noise_power,
+)
+from resonator_daemon.decoding.fourier.wiener import SpectralWiener
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 SHAPE = (6, 8)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from resonator_daemon.decoding.covariance import SiteCovariance
-from resonator_daemon.decoding.grid_modes import LEVELS, GridModes, WholeGrid
-from resonator_daemon.decoding.modes import DenseModes
-from resonator_daemon.decoding.parity import CLASSES, Grid, parities, unfold
-from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.layout import Grid
+from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridModes, WholeGrid
+from resonator_daemon.decoding.open_plane.modes import DenseModes
+from resonator_daemon.decoding.open_plane.parity import CLASSES, class_block, offset_table, parities, unfold
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
 PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), 10.0, 1e-3, 0.3)
@@ -32,14 +33,14 @@ def test_four_classes_hold_all_of_each_covariance(shape: tuple[int, int]):
     grid = Grid(shape, 4e-4, 5e-4)
     for field, depth_m in (("sensor", DEPTH), ("traction", 0.0), ("displacement", 0.0)):
         whole = covariance(grid).signals() if field == "sensor" else covariance(grid).surface(field, positions(grid))
-        table = grid.table(PRIOR, field, depth_m, "sensor", DEPTH)
+        table = offset_table(grid, PRIOR, field, depth_m, "sensor", DEPTH)
         rebuilt = np.zeros_like(whole)
         for parity in CLASSES:
             rows, columns = (
                 block_diag(*(np.kron(unfold(shape[0], y), unfold(shape[1], x)) for x, y in parities(name, parity)))
                 for name in (field, "sensor")
             )
-            rebuilt += rows @ grid.block(table, field, "sensor", parity) @ columns.T
+            rebuilt += rows @ class_block(grid, table, field, "sensor", parity) @ columns.T
         assert np.abs(rebuilt - whole).max() < 1e-12 * np.abs(whole).max()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.hertz_surface import hertz_displacement, hertz_traction
+from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from sheared_contact import DEPTH_M, YOUNGS_PASCAL, Scene, grid_positions, noise_std, scene
 
-from resonator_daemon.decoding.covariance import SiteCovariance
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
-from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
 SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)

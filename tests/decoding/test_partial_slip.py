@@ -7,9 +7,14 @@ import pytest
 from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, E, Scene, model, noise_std, noisy
 
-from resonator_daemon.decoding.contact_model import DiscModel
-from resonator_daemon.decoding.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.partial_slip import PartialSlip, fit_partial_slip, partial_slip_signals, stick_ratio
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.fitting.partial_slip import (
+    PartialSlip,
+    fit_partial_slip,
+    partial_slip_signals,
+    stick_ratio,
+)
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.decoding.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 
 
 def grid(count_y, count_x, pitch_m):

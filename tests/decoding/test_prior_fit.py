@@ -5,8 +5,8 @@ import pytest
 from numpy.typing import NDArray
 from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions, scene
 
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
-from resonator_daemon.decoding.prior_fit import PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 

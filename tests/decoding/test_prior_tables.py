@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import jv, k1
 
-from resonator_daemon.decoding.prior_tables import StationaryPrior
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from resonator_daemon.decoding.scale_bank import ScaleBank
+from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
 
 COUNT, MODES = 40, 12
 RNG = np.random.default_rng(3)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.decoding.pixels import PixelLattice
-from resonator_daemon.decoding.site_kernel import site_kernel
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.site_kernel import site_kernel
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 

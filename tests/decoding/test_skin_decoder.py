@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, E, grid, noisy, press
+from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, SITES_M, E, grid, noisy, press
 
 from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.skin import Skin, Wanted
@@ -253,3 +253,28 @@ def test_it_survives_being_kept_in_a_file(physics: SkinDecoder) -> None:
     ours, theirs = (decoder.decode(frame(1), NOISE) for decoder in (physics, kept))
     np.testing.assert_array_equal(ours.decoded.traction_pascal, theirs.decoded.traction_pascal)
     assert len(ours.contacts) == len(theirs.contacts) == 1
+
+
+def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
+    sites_m = 2.5 * grid((4, 4)) + np.random.default_rng(1).uniform(-2e-4, 2e-4, (16, 2))
+    noise = np.full((3, 16), 2.0**-12)
+    decoder = SkinDecoder(replace(SKIN, site_positions_m=sites_m), PHYSICS, noise, [].append)
+    assert (decoder.name, decoder.shape) == ("template", (16,))
+    random, events, contacts = np.random.default_rng(2), [], ()
+    for force_newton in (0.0, 0.8, 0.8, 0.8):
+        signals = press(force_newton, (5e-4, -3e-4), sites_m=sites_m) if force_newton else np.zeros((3, 16))
+        reading = decoder.decode(noisy(signals, random, noise), noise)
+        assert reading.decoded.status == "ok"
+        assert reading.decoded.reason.startswith("template fit: 16 sites")
+        contacts = reading.contacts
+        events += [event.event for event in reading.events]
+    assert events == ["onset"]
+    (contact,) = contacts
+    np.testing.assert_allclose(contact.patch.centroid_m, [5e-4, -3e-4], atol=5e-5)
+    assert contact.patch.force_newton[2] == pytest.approx(0.8, rel=0.05)
+    assert not decoder.rebuild_wanted
+
+
+def test_two_sites_cannot_be_decoded() -> None:
+    with pytest.raises(ValueError, match="2 sites make 6 signals, must be more than 6"):
+        SkinDecoder(replace(SKIN, site_positions_m=SITES_M[:2]), PHYSICS, np.full((3, 2), 1e-3), [].append)

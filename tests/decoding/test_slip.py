@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model, noise_std
 
-from resonator_daemon.decoding.contact_model import DiscModel
-from resonator_daemon.decoding.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.slip import SlipEvent, SlipWatch, margin_from_forces
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.fitting.slip import SlipEvent, SlipWatch, margin_from_forces
 from simulators.contact import PressedSpot
 
 Floats = NDArray[np.float64]

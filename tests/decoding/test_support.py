@@ -2,7 +2,14 @@
 
 import numpy as np
 
-from resonator_daemon.decoding.support import connected, count_blobs, dilated, load_support, raw_support, swept
+from resonator_daemon.decoding.contact_physics.support import (
+    connected,
+    count_blobs,
+    dilated,
+    load_support,
+    raw_support,
+    swept,
+)
 
 
 def drawn(*rows):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.decoding.net_load import LoadSums
-from resonator_daemon.decoding.signal_rows import SignalRows
-from resonator_daemon.decoding.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.net_load import LoadSums
+from resonator_daemon.decoding.contact_physics.signal_rows import SignalRows
+from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 
 LENGTH_M, RATIO, STD_PASCAL, NOISE_STD = 1e-3, 0.3, 50.0, 1.7
 ROWS, COLUMNS, SITES = 5, 6, (6, 6)

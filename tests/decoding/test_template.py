@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import norm
 
+from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
 from resonator_daemon.decoding.patches import Patch
-from resonator_daemon.decoding.template import TemplateDecoder, is_sparse
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields

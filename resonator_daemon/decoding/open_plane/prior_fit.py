@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.decoding.layout import as_grid
-from resonator_daemon.decoding.linear_map import SIGNAL_LIMIT
-from resonator_daemon.decoding.open_plane import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.decoding.open_plane.linear_map import SIGNAL_LIMIT
 from resonator_daemon.decoding.parameters import noise_of_signals
 from resonator_daemon.elastic import HalfSpace
 

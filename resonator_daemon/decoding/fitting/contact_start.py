@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
 Floats = NDArray[np.float64]
 

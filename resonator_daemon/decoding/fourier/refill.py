@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.extension import ExtendedTransform
-from resonator_daemon.decoding.wiener import SpectralWiener
+from resonator_daemon.decoding.fourier.extension import ExtendedTransform
+from resonator_daemon.decoding.fourier.wiener import SpectralWiener
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BarycentricInterpolator
 from scipy.spatial.distance import cdist
 
-from resonator_daemon.decoding.prior_tables import Field, StationaryPrior
+from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
 Floats = NDArray[np.float64]
 

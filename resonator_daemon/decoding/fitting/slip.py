@@ -7,9 +7,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from resonator_daemon.decoding.contact_model import DiscModel
-from resonator_daemon.decoding.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.partial_slip import PartialSlip, fit_partial_slip, stick_ratio
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, fit_partial_slip, stick_ratio
 
 INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
 REARM_MARGIN = 0.4  # ... and above this, it may be announced anew

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.lost_signals import LostSignals
-from resonator_daemon.decoding.modes import Floats, Modes, Singles
-from resonator_daemon.decoding.scale_bank import Choice, ScaleBank
+from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
+from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
 
 SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
 KNOWN_LIMIT = 0.5  # smallest share of known signals

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.centre_search import Candidate, CentreSearch
-from resonator_daemon.decoding.contact_fit import Fit, fit
-from resonator_daemon.decoding.contact_model import DiscModel
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.hertz_surface import hertz_displacement, hertz_traction
+from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSearch
+from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
 from resonator_daemon.decoding.layout import at_border, refuse_duplicates, spacing_m
-from resonator_daemon.decoding.linear_map import KNOWN_LIMIT, SIGNAL_LIMIT
+from resonator_daemon.decoding.open_plane.linear_map import KNOWN_LIMIT, SIGNAL_LIMIT
 from resonator_daemon.decoding.parameters import noise_of_signals, positive
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace

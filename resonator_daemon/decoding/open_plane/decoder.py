@@ -7,15 +7,15 @@ its border is estimated like any other. For Gaussian fields the estimate, C_fs (
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.covariance import SiteCovariance
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.grid_modes import LEVELS, GridModes, WholeGrid
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
-from resonator_daemon.decoding.linear_map import LinearMap, Tier
-from resonator_daemon.decoding.modes import DenseModes, Modes
+from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
+from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridModes, WholeGrid
+from resonator_daemon.decoding.open_plane.linear_map import LinearMap, Tier
+from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
+from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
+from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
 from resonator_daemon.decoding.parameters import check_prior, noise_of_signals, positive
-from resonator_daemon.decoding.prior_tables import StationaryPrior
-from resonator_daemon.decoding.scale_bank import ScaleBank
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from resonator_daemon.decoding.modes import Floats, Modes, Singles
-from resonator_daemon.decoding.scale_bank import Choice, ScaleBank
+from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
 
 
 class LostSignals:

@@ -19,13 +19,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.extension import ExtendedTransform, ExtensionName
+from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
+from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
+from resonator_daemon.decoding.fourier.refill import Refill
+from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, smooth, white
+from resonator_daemon.decoding.fourier.wiener import SpectralWiener, product
 from resonator_daemon.decoding.parameters import check_prior, noise_of_signals
-from resonator_daemon.decoding.refill import Refill
-from resonator_daemon.decoding.spectra import Spectra, prior_root, sliding, smooth, white
-from resonator_daemon.decoding.wiener import SpectralWiener, product
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 Floats = NDArray[np.float64]

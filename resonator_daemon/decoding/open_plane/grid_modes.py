@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.modes import Floats, Modes, Singles, explained_variance
-from resonator_daemon.decoding.parity import CLASSES, Grid, half, parities, unfold
-from resonator_daemon.decoding.prior_tables import Field, StationaryPrior
+from resonator_daemon.decoding.layout import Grid
+from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles, explained_variance
+from resonator_daemon.decoding.open_plane.parity import CLASSES, class_block, half, offset_table, parities, unfold
+from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
 
 class Level(NamedTuple):
@@ -212,14 +213,17 @@ def _whole_modes(
     prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats
 ) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
     """L, V, F and F of the displacement of each class."""
-    sensor = grid.table(prior, "sensor", depth_m, "sensor", depth_m) / noise_std[:, None, None, None]
+    sensor = offset_table(grid, prior, "sensor", depth_m, "sensor", depth_m) / noise_std[:, None, None, None]
     tables: list[tuple[Field, Floats]] = [
-        (field, grid.table(prior, field, 0.0, "sensor", depth_m)) for field in ("traction", "displacement")
+        (field, offset_table(grid, prior, field, 0.0, "sensor", depth_m)) for field in ("traction", "displacement")
     ]
     for parity in CLASSES:
-        eigenvalues, vectors = np.linalg.eigh(grid.block(sensor / noise_std[:, None, None], "sensor", "sensor", parity))
+        eigenvalues, vectors = np.linalg.eigh(
+            class_block(grid, sensor / noise_std[:, None, None], "sensor", "sensor", parity)
+        )
         traction, displacement = (
-            grid.block(table / noise_std[:, None, None], field, "sensor", parity) @ vectors for field, table in tables
+            class_block(grid, table / noise_std[:, None, None], field, "sensor", parity) @ vectors
+            for field, table in tables
         )
         yield np.maximum(eigenvalues, 0.0), vectors, traction, displacement
 

@@ -7,13 +7,20 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.signal_rows import LostRows, SignalRows
+from resonator_daemon.decoding.contact_physics.site_kernel import site_kernel
+from resonator_daemon.decoding.contact_physics.support import (
+    BLOB_PEAK,
+    count_blobs,
+    dilated,
+    load_support,
+    raw_support,
+    swept,
+)
+from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
-from resonator_daemon.decoding.pixels import PixelLattice
-from resonator_daemon.decoding.signal_rows import LostRows, SignalRows
-from resonator_daemon.decoding.site_kernel import site_kernel
-from resonator_daemon.decoding.support import BLOB_PEAK, count_blobs, dilated, load_support, raw_support, swept
-from resonator_daemon.decoding.support_problem import SupportProblem
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.cone_admm import project_on_cone
-from resonator_daemon.decoding.support_search import Frame, Located, SupportSearch
+from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
+from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
 
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -10,14 +10,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.cone_admm import project_on_cone
+from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
+from resonator_daemon.decoding.contact_physics.hypothesis import (
+    UNKNOWN_FRICTION,
+    Bounds,
+    Hypothesis,
+    Solved,
+    examine,
+    solve,
+)
+from resonator_daemon.decoding.contact_physics.net_load import LoadSums, NetLoad
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.support import connected, load_support
+from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.support_search import Frame, LinearDecoder, Located, SupportSearch
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.hypothesis import UNKNOWN_FRICTION, Bounds, Hypothesis, Solved, examine, solve
-from resonator_daemon.decoding.net_load import LoadSums, NetLoad
-from resonator_daemon.decoding.pixels import PixelLattice
-from resonator_daemon.decoding.support import connected, load_support
-from resonator_daemon.decoding.support_problem import SupportProblem
-from resonator_daemon.decoding.support_search import Frame, LinearDecoder, Located, SupportSearch
 from resonator_daemon.elastic import SurfaceCompliance
 
 Floats = NDArray[np.float64]

@@ -5,12 +5,11 @@ f_y, u_y and eps_yz (a, 1 - b). Even and odd vectors of an axis are named by the
 but for a site on the mirror itself, so that they stay orthonormal.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.prior_tables import Field, StationaryPrior
+from resonator_daemon.decoding.layout import Grid
+from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
 Floats = NDArray[np.float64]
 Parity = tuple[int, int]  # along x, along y
@@ -45,36 +44,31 @@ def unfold(count: int, odd: int) -> Floats:
     return unit
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Regular grid of sites: rows along y, columns along x."""
+def offset_table(
+    grid: Grid, prior: StationaryPrior, row: Field, row_depth_m: float, column: Field, depth_m: float
+) -> Floats:
+    """Covariances for all offsets of two sites, (3, 3, 2 ny - 1, 2 nx - 1)."""
+    ny, nx = grid.shape
+    x = np.arange(1 - nx, nx) * grid.pitch_x_m
+    y = np.arange(1 - ny, ny) * grid.pitch_y_m
+    kernel = prior.kernel(row, row_depth_m, column, depth_m, float(np.hypot(x[-1], y[-1])))
+    return kernel(np.stack(np.meshgrid(x, y), axis=-1)).transpose(2, 3, 0, 1)
 
-    shape: tuple[int, int]
-    pitch_x_m: float
-    pitch_y_m: float
 
-    def table(self, prior: StationaryPrior, row: Field, row_depth_m: float, column: Field, depth_m: float) -> Floats:
-        """Covariances for all offsets of two sites, (3, 3, 2 ny - 1, 2 nx - 1)."""
-        ny, nx = self.shape
-        x = np.arange(1 - nx, nx) * self.pitch_x_m
-        y = np.arange(1 - ny, ny) * self.pitch_y_m
-        kernel = prior.kernel(row, row_depth_m, column, depth_m, float(np.hypot(x[-1], y[-1])))
-        return kernel(np.stack(np.meshgrid(x, y), axis=-1)).transpose(2, 3, 0, 1)
-
-    def block(self, table: Floats, row: Field, column: Field, parity: Parity) -> Floats:
-        """Covariance of a class between the even and odd vectors of both fields' channels, channel by channel."""
-        ny, nx = self.shape
-        return np.block(
+def class_block(grid: Grid, table: Floats, row: Field, column: Field, parity: Parity) -> Floats:
+    """Covariance of a class between the even and odd vectors of both fields' channels, channel by channel."""
+    ny, nx = grid.shape
+    return np.block(
+        [
             [
-                [
-                    _fold(_fold(entry, nx, row_x, column_x), ny, row_y, column_y, axis=0)
-                    .transpose(0, 2, 1, 3)
-                    .reshape(half(ny, row_y) * half(nx, row_x), half(ny, column_y) * half(nx, column_x))
-                    for entry, (column_x, column_y) in zip(entries, parities(column, parity), strict=True)
-                ]
-                for entries, (row_x, row_y) in zip(table, parities(row, parity), strict=True)
+                _fold(_fold(entry, nx, row_x, column_x), ny, row_y, column_y, axis=0)
+                .transpose(0, 2, 1, 3)
+                .reshape(half(ny, row_y) * half(nx, row_x), half(ny, column_y) * half(nx, column_x))
+                for entry, (column_x, column_y) in zip(entries, parities(column, parity), strict=True)
             ]
-        )
+            for entries, (row_x, row_y) in zip(table, parities(row, parity), strict=True)
+        ]
+    )
 
 
 def _fold(table: Floats, count: int, row_odd: int, column_odd: int, axis: int = 1) -> Floats:

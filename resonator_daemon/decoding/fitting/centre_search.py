@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
 Floats = NDArray[np.float64]
 Known = NDArray[np.bool_]

@@ -5,8 +5,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.pixels import PixelLattice
-from resonator_daemon.decoding.prior_tables import Kernel, StationaryPrior
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -6,12 +6,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.contact_fit import Fit, fit
-from resonator_daemon.decoding.contact_model import DiscModel
-from resonator_daemon.decoding.contact_start import ContactStart, disc_starts
-from resonator_daemon.decoding.linear_map import SIGNAL_LIMIT
-from resonator_daemon.decoding.partial_slip import FORCE_Z, RADIUS, PartialSlip, fit_partial_slip
-from resonator_daemon.decoding.shape_models import FlatFace, StraightEdge
+from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_starts
+from resonator_daemon.decoding.fitting.partial_slip import FORCE_Z, RADIUS, PartialSlip, fit_partial_slip
+from resonator_daemon.decoding.fitting.shape_models import FlatFace, StraightEdge
+from resonator_daemon.decoding.open_plane.linear_map import SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from resonator_daemon.decoding.cone_admm import iterate
-from resonator_daemon.decoding.signal_rows import LostRows
+from resonator_daemon.decoding.contact_physics.cone_admm import iterate
+from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]

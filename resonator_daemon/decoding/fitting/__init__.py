@@ -1,0 +1,1 @@
+"""Models of a single contact, fitted to the signals: stick and slip, shape, and one contact in place of a map."""
