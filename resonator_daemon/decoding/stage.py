@@ -67,12 +67,9 @@ class DecodingStage(Generic[Origin]):
 
     async def run(self) -> None:
         """Decode until cancelled, or until it turns out that these sites cannot be decoded."""
+        pool, second = (ThreadPoolExecutor(1, thread_name_prefix=name) for name in ("decoding", "rebuilding"))
         # One BLAS thread: a second one costs more in waiting than it saves on arrays of this size.
-        with (
-            ThreadPoolExecutor(1, thread_name_prefix="decoding") as pool,
-            ThreadPoolExecutor(1, thread_name_prefix="rebuilding") as second,
-            threadpool_limits(1, user_api="blas"),
-        ):
+        with threadpool_limits(1, user_api="blas"):
             rebuilding = asyncio.create_task(self._rebuild(second), name="rebuilding")
             try:
                 await self._run(pool)
@@ -80,6 +77,8 @@ class DecodingStage(Generic[Origin]):
                 rebuilding.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
                     await rebuilding
+                for executor in (pool, second):  # a set-up cannot be interrupted; the event loop goes on meanwhile
+                    await asyncio.to_thread(executor.shutdown)
 
     async def _run(self, pool: ThreadPoolExecutor) -> None:
         loop = asyncio.get_running_loop()

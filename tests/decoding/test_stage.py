@@ -428,6 +428,30 @@ async def test_a_programmers_mistake_ends_the_stage_and_is_not_hidden() -> None:
             await asyncio.wait_for(task, DEADLINE_S)
 
 
+async def test_a_set_up_that_goes_on_does_not_stop_the_event_loop_when_cancelled(
+    substitute: Callable[[Any], None],
+) -> None:
+    began, may_end = threading.Event(), threading.Event()
+
+    class Slow(SubstituteDecoder):
+        def __init__(self, *arguments: Any) -> None:
+            super().__init__(*arguments)
+            began.set()
+            assert may_end.wait(DEADLINE_S)
+
+    substitute(Slow)
+    stage = Stage()
+    task = asyncio.create_task(stage.stage.run())
+    stage.stage.offer("frame", NOTHING, NOISE)
+    assert await asyncio.to_thread(began.wait, DEADLINE_S)
+    task.cancel()
+    await asyncio.sleep(0.01)  # the event loop runs, or this never returns
+    assert not task.done()
+    may_end.set()
+    await asyncio.wait([task], timeout=DEADLINE_S)
+    assert task.cancelled()
+
+
 def workers() -> list[str]:
     return [thread.name for thread in threading.enumerate() if thread.name.startswith(("decoding", "rebuilding"))]
 
