@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
 Floats = NDArray[np.float64]
 
@@ -27,6 +27,25 @@ def spacing_m(positions_m: Floats) -> float:
         return np.inf
     distances, _ = cKDTree(positions_m).query(positions_m, [2])
     return float(np.median(distances))
+
+
+def gap_m(positions_m: Floats) -> float:
+    """Median distance of sites that are neighbours all around; that of nearest ones is blind to clumps."""
+    sides = neighbours(positions_m, np.inf)
+    if not len(sides):
+        return spacing_m(positions_m)
+    return float(np.median(np.linalg.norm(positions_m[sides[:, 0]] - positions_m[sides[:, 1]], axis=1)))
+
+
+def neighbours(positions_m: Floats, farthest_m: float) -> NDArray[np.intp]:
+    """Pairs of sites that share a side of Delaunay's triangles, no longer than a distance, (k, 2)."""
+    try:
+        triangles = Delaunay(positions_m).simplices
+    except QhullError:  # all on a line, or fewer than three
+        return np.empty((0, 2), np.intp)
+    sides = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    lengths_m = np.linalg.norm(positions_m[sides[:, 0]] - positions_m[sides[:, 1]], axis=1)
+    return np.asarray(sides[lengths_m <= farthest_m], np.intp)
 
 
 def refuse_duplicates(positions_m: Floats, depths_m: Floats) -> None:

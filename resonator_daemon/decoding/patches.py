@@ -8,7 +8,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from resonator_daemon.decoding.layout import at_border, spacing_m
+from resonator_daemon.decoding.layout import at_border, neighbours, spacing_m
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -18,6 +18,7 @@ _PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...
 _SIGNIFICANCE = 4.0  # ... and how many standard deviations
 _LEAST_PLACES = 2
 _NEIGHBOUR = 1.6  # spacings: the eight neighbours on a grid
+_NEIGHBOUR_DEPTHS = 3.0  # up to which places with none between belong together: the map shows no gap there
 _MARGIN_DEPTHS = 1.0  # around a patch, whose load still counts: the map is blurred
 _CORRELATION_DEPTHS = 0.2  # over which the map's errors go together ...
 _CORRELATION_REACH = 6.0  # ... times this, beyond which they do not
@@ -83,7 +84,8 @@ class PatchFinder:
         apart = tree.sparse_distance_matrix(tree, _CORRELATION_REACH * length_m, output_type="coo_matrix")
         # Distances of 0 count, too.
         self._correlation = csr_array((np.exp(-apart.data / length_m), (apart.row, apart.col)), shape=apart.shape)
-        self._pairs = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
+        near = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
+        self._pairs = np.vstack([near, neighbours(self._places_m, _NEIGHBOUR_DEPTHS * depth_m)])
         self._border = at_border(self._places_m, self._places_m)
 
     def find(self, traction_pascal: ArrayLike, traction_std_pascal: ArrayLike) -> list[Patch]:

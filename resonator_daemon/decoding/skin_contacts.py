@@ -101,9 +101,8 @@ class SkinContacts:
         for missing in self._lives.keys() - found.keys():
             self._lives[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
-        sound = signals[np.abs(signals) <= SIGNAL_LIMIT]
-        rms = np.linalg.norm(sound) / np.sqrt(max(sound.size, 1))
-        noise_std = np.hypot(self._noise_std, self._gain_std * rms)
+        sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
+        noise_std = np.hypot(self._noise_std, self._gain_std * sound)
         slips, slip_events = self._watch.update(signals, noise_std, {i: _start(patch) for i, patch in real.items()})
         self.friction_estimate = _learned(slips) or self.friction_estimate
         contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}

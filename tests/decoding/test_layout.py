@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, Voronoi
 
-from resonator_daemon.decoding.layout import as_grid, at_border, cell_areas_m2, refuse_duplicates, spacing_m
+from resonator_daemon.decoding.layout import (
+    as_grid,
+    at_border,
+    cell_areas_m2,
+    gap_m,
+    neighbours,
+    refuse_duplicates,
+    spacing_m,
+)
 
 X, Y = np.meshgrid(np.arange(5) * 4e-4 - 1e-3, np.arange(4) * 6e-4)
 GRID = np.column_stack([X.ravel(), Y.ravel()])
@@ -103,3 +111,23 @@ def test_every_cell_has_an_area():
     close = middle + 1e-6 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
     assert (cell_areas_m2(np.vstack([GRID, close])) > 0.0).all()
     assert (cell_areas_m2(GRID[:5]) > 0.0).all()
+
+
+def test_gaps_are_seen_between_clumps() -> None:
+    pairs = np.repeat(5e-3 * np.stack(np.meshgrid(range(5), range(5)), axis=-1).reshape(-1, 2), 2, axis=0)
+    pairs[1::2, 0] += 3e-4
+    assert spacing_m(pairs) == pytest.approx(3e-4)
+    assert 4.5e-3 < gap_m(pairs) < 5.5e-3
+
+
+def test_neighbours_fill_holes_of_irregular_sites() -> None:
+    sites = np.random.default_rng(0).uniform(0.0, 1.0, (60, 2))
+    sides = neighbours(sites, np.inf)
+    reached = {0}
+    for _ in range(60):
+        reached |= {int(b) for a, b in sides if a in reached} | {int(a) for a, b in sides if b in reached}
+    assert reached == set(range(60))
+    short = neighbours(sites, 0.1)
+    assert (np.linalg.norm(sites[short[:, 0]] - sites[short[:, 1]], axis=1) <= 0.1).all()
+    assert 0 < len(short) < len(sides)
+    assert not len(neighbours(np.column_stack([np.arange(5.0), np.zeros(5)]), np.inf))

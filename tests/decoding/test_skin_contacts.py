@@ -13,7 +13,7 @@ from resonator_daemon.decoding.layout import cell_areas_m2
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
-from resonator_daemon.decoding.surface_readers import with_net_load
+from resonator_daemon.decoding.surface_readers import with_net_loads
 
 Floats = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ def follow(rig: Rig, frames: Iterable[Floats], *, physics: bool = True, seed: in
         decoded = (rig.physics if physics else rig.linear).decode(signals)
         patches = FINDER.find(decoded.traction_pascal, decoded.traction_std_pascal)
         if physics:
-            patches = [with_net_load(patch, rig.physics, SITES) for patch in patches]
+            patches = with_net_loads(patches, rig.physics, SITES)
         followed.append(Followed(*rig.contacts.update(signals, patches)))
     return followed
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, SITES_M, E, grid, noisy, press
+from skin_scenes import SKIN as SKIN_LONG
 
 from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.skin import Skin, Wanted
-from resonator_daemon.decoding.skin_decoder import SkinDecoder, rounded_noise
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
@@ -21,6 +22,7 @@ SKIN = Skin(HALF_SPACE, grid(SHAPE), DEPTH_M)
 SCATTERED = replace(SKIN, site_positions_m=grid(SHAPE) + np.random.default_rng(0).uniform(-1e-4, 1e-4, (SITES, 2)))
 # Powers of two, which rounding keeps.
 NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)
+QUIET = np.full((3, len(SITES_M)), 2.0**-8)
 LINEAR, PHYSICS, FOURIER = Wanted(contact_physics=False), Wanted(), Wanted("fourier")
 
 
@@ -278,3 +280,49 @@ def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
 def test_two_sites_cannot_be_decoded() -> None:
     with pytest.raises(ValueError, match="2 sites make 6 signals, must be more than 6"):
         SkinDecoder(replace(SKIN, site_positions_m=SITES_M[:2]), PHYSICS, np.full((3, 2), 1e-3), [].append)
+
+
+def presses(*loads: tuple[float, tuple[float, float]], sites_m: Floats) -> Floats:
+    return np.asarray(sum(press(force, centre_m, sites_m=sites_m) for force, centre_m in loads), np.float64)
+
+
+def settled(decoder: SkinDecoder, signals: Floats) -> SurfaceReading:
+    """What the decoder makes of a steady load once its matrices are there."""
+    random = np.random.default_rng(3)
+    for _ in range(6):
+        reading = decoder.decode(noisy(signals, random, QUIET), QUIET)
+        while decoder.rebuild_wanted:
+            decoder.rebuild()
+    return reading
+
+
+def test_contacts_on_one_support_share_its_load() -> None:
+    decoder = SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
+    loads = (1.0, (-1.4e-3, 0.2e-3)), (0.4, (1.4e-3, 0.2e-3))  # rims 0.7 mm apart
+    first, second = settled(decoder, presses(*loads, sites_m=SITES_M)).contacts
+    for contact, (force_newton, centre_m) in zip((first, second), loads, strict=True):
+        assert contact.patch.force_newton[2] == pytest.approx(force_newton, rel=0.02)
+        np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=4e-5)
+
+
+@pytest.mark.parametrize("centre_m", [(0.0, 0.0), (1.1e-3, -0.7e-3), (-1.3e-3, 1.0e-3)])
+def test_a_touch_on_irregular_sites_is_one_contact(centre_m: tuple[float, float]) -> None:
+    sites_m = np.random.default_rng(0).uniform(-2.8e-3, 2.8e-3, (SITES, 2))
+    decoder = SkinDecoder(replace(SKIN, site_positions_m=sites_m), PHYSICS, QUIET[:, :SITES], [].append)
+    random, noise = np.random.default_rng(1), QUIET[:, :SITES]
+    for _ in range(6):
+        reading = decoder.decode(noisy(press(1.0, centre_m, sites_m=sites_m), random, noise), noise)
+        while decoder.rebuild_wanted:
+            decoder.rebuild()
+    (contact,) = reading.contacts
+    assert contact.patch.force_newton[2] == pytest.approx(1.0, abs=5.0 * contact.patch.force_std_newton[2])
+    assert contact.patch.force_std_newton[2] < 0.02
+    np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=5e-5)
+
+
+def test_sums_over_a_map_that_was_only_cut_have_wide_error_bars_and_say_so(physics: SkinDecoder) -> None:
+    for seed in range(3):
+        reading = physics.decode(frame(seed), NOISE)
+    (contact,) = reading.contacts
+    assert "are being prepared" in reading.decoded.reason
+    assert contact.patch.force_std_newton[2] > 0.05 * contact.patch.force_newton[2]

@@ -132,7 +132,7 @@ def test_net_load_scatters_as_its_standard_error_says(scene):
     centres_m = scene[0][problem.pixels]
     arms_m = centres_m - centres_m.mean(axis=0)
     root = np.linalg.cholesky(prior)
-    sums = LoadSums(problem, inside, arms_m, 1.6e-7)
+    sums = LoadSums(problem, inside, centres_m, tuple(centres_m.mean(axis=0)), 1.6e-7)
     z = []
     for _ in range(150):
         load = root @ rng.standard_normal(len(prior))

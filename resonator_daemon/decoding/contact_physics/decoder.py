@@ -5,10 +5,12 @@ Without a support the same bounds would do harm: a carpet of small pushes would 
 """
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
 
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
@@ -38,6 +40,7 @@ _MOVED = 0.75  # pixels, after which the other thread follows
 _STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
 _SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
 _KNOWN_FRICTION = 0.87  # of both, where the friction coefficient is known
+_PREPARING = "matrices of the contact are being prepared; the linear map cut to support and cone is shown"
 _RETRY_FRAMES = 100  # after which bounds that were given up are tried again
 
 
@@ -86,6 +89,8 @@ class ContactDecoder:
     ) -> None:
         if friction_coefficient is not None:
             _refuse_friction("friction_coefficient", friction_coefficient)
+        if not hasattr(linear_decoder, "query_positions_m"):
+            raise ValueError(f"linear_decoder is a {type(linear_decoder).__name__}, must be an OpenPlaneDecoder")
         self._linear = linear_decoder
         self._told_friction = friction_coefficient
         self._friction_estimate: float | None = None
@@ -145,27 +150,63 @@ class ContactDecoder:
         frames = np.asarray(signals, np.float64)
         axes = 2 if frames.shape[-2:] == (3, self._count) else 3
         leading = frames.shape[:-axes]
+        if not frames.size:
+            return self._linear.decode(frames, displacement=displacement)  # which knows the shapes
         decoded = [self._decode(frame, displacement) for frame in frames.reshape(-1, *frames.shape[-axes:])]
         return Decoded.stack(decoded, leading, decoded[0].traction_pascal.shape) if leading else decoded[0]
 
-    def net_load(self, places: Mask, about_m: tuple[float, float]) -> NetLoad | None:
-        """Force and moment of the contacts that touch some of the places, (m,) or (ny, nx), in the frame decoded last.
+    def net_loads(self, contacts: Sequence[Mask], about_m: tuple[float, float]) -> list[NetLoad | None]:
+        """Force and moment of contacts in the frame decoded last, each named by some of its places.
 
-        From the traction without bounds, whose sums have no bias. None where that frame shows no constrained contact.
+        From the traction without bounds, whose sums have no bias. Load that is connected with places of several
+        contacts counts for the nearest of them. None where the frame shows no constrained contact at those places.
+
+        Parameters
+        ----------
+        contacts
+            Each (m,) or (ny, nx). ValueError for another shape.
+        about_m
+            What moments refer to.
         """
+        for mask in contacts:
+            if np.size(mask) != self._nearest.size:
+                raise ValueError(
+                    f"places have shape {np.shape(mask)}, must be as many as the {self._nearest.size} asked"
+                )
         if self._last is None:
-            return None
-        frame, problem = self._last.frame, self._last.located.problem
-        seed = np.zeros(self._lattice.shape, np.bool_)
-        seed.ravel()[self._nearest[np.flatnonzero(places)]] = True
-        chosen = connected(self._last.located.solved, seed).ravel()[problem.pixels]
+            return [None] * len(contacts)
+        frame, located = self._last.frame, self._last.located
+        problem = located.problem
         if self._sums_of is not problem:
             self._sums_of, self._sums = problem, {}
-        key = chosen.tobytes(), about_m
-        if key not in self._sums:
-            arms_m = self._lattice.centres_m[problem.pixels] - about_m
-            self._sums[key] = LoadSums(problem, chosen, arms_m, self._lattice.pitch_m**2)
-        return self._sums[key].load(problem.right_side(frame.rows), frame.noise_std / problem.noise_std)
+        right_side, noise_std = problem.right_side(frame.rows), frame.noise_std / problem.noise_std
+        found: list[NetLoad | None] = []
+        for chosen in self._shares([self._nearest[np.flatnonzero(mask)] for mask in contacts], located):
+            key = chosen.tobytes(), about_m
+            if chosen.any() and key not in self._sums:
+                centres_m, area_m2 = self._lattice.centres_m[problem.pixels], self._lattice.pitch_m**2
+                self._sums[key] = LoadSums(problem, chosen, centres_m, about_m, area_m2)
+            found.append(self._sums[key].load(right_side, noise_std) if chosen.any() else None)
+        return found
+
+    def net_load(self, places: Mask, about_m: tuple[float, float]) -> NetLoad | None:
+        """As `net_loads`, of a single contact."""
+        return self.net_loads([places], about_m)[0]
+
+    def _shares(self, seeds: list[NDArray[np.intp]], located: Located) -> list[Mask]:
+        """Which of a problem's pixels belong to each of the contacts whose pixels are given, (n,) each."""
+        pixels = located.problem.pixels
+        shares = []
+        for seed in seeds:
+            touched = np.zeros(self._lattice.shape, np.bool_)
+            touched.ravel()[seed] = True
+            shares.append(connected(located.solved, touched).ravel()[pixels])
+        if len(seeds) > 1:
+            owner = np.repeat(np.arange(len(seeds)), [seed.size for seed in seeds])
+            centres_m = self._lattice.centres_m
+            nearest = np.asarray(cKDTree(centres_m[np.concatenate(seeds)]).query(centres_m[pixels])[1], np.intp)
+            shares = [share & (owner[nearest] == index) for index, share in enumerate(shares)]
+        return shares
 
     @property
     def rebuild_wanted(self) -> bool:
@@ -283,6 +324,7 @@ class ContactDecoder:
             linear,
             traction_pascal=traction.astype(np.float64).reshape(shape),
             displacement_m=None if linear.displacement_m is None else self._displaced(on_pixels).reshape(shape),
+            reason="; ".join(filter(None, [str(linear.reason), _PREPARING])),
         )
 
     def _shown(self, solved: Solved, linear: Decoded) -> Decoded:

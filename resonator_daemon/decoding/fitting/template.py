@@ -10,7 +10,7 @@ from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSea
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
-from resonator_daemon.decoding.layout import at_border, refuse_duplicates, spacing_m
+from resonator_daemon.decoding.layout import at_border, gap_m, refuse_duplicates
 from resonator_daemon.decoding.open_plane.linear_map import KNOWN_LIMIT, SIGNAL_LIMIT
 from resonator_daemon.decoding.parameters import noise_of_signals, positive
 from resonator_daemon.decoding.patches import Patch
@@ -48,7 +48,7 @@ def is_sparse(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str:
     sites = np.asarray(site_positions_m, np.float64)
     if len(sites) < FEWEST_SITES:
         return f"template fit: {len(sites)} sites, a map needs at least {FEWEST_SITES}"
-    spacing, depth = spacing_m(sites), float(np.median(np.asarray(depth_m, np.float64)))
+    spacing, depth = gap_m(sites), float(np.median(np.asarray(depth_m, np.float64)))
     if spacing > WIDEST_SPACING_DEPTHS * depth:
         limit = f"a map needs at most {WIDEST_SPACING_DEPTHS:g} depths"
         return f"template fit: sites {spacing * 1e3:.3g} mm apart at a depth of {depth * 1e3:.3g} mm, {limit}"
