@@ -184,7 +184,7 @@ class Decoding(Table):
 
     method: Literal["open-plane", "fourier", "off"] = "open-plane"
     contact_physics: StrictBool = True
-    friction_coefficient: Annotated[Annotated[Number, Field(gt=0, le=10)] | None, BeforeValidator(_friction)] = None
+    friction_coefficient: Annotated[Annotated[Number, Field(ge=0.001, le=10)] | None, BeforeValidator(_friction)] = None
 
 
 def _plate(value: object, info: ValidationInfo) -> Plate:

@@ -102,13 +102,13 @@ def _usual(seen: dict[str, Any], single_tone: float, channelised: float) -> floa
 class Skin(Table):
     """The elastic half-space above the sites."""
 
-    youngs_modulus_pascal: Positive
+    youngs_modulus_pascal: Annotated[Number, Field(ge=1, le=1e13)]
     poisson_ratio: Annotated[Number, Field(ge=0, le=0.5)]
-    depth_mm: Annotated[Number, Field(gt=0, le=1000)]
+    depth_mm: Annotated[Number, Field(ge=0.001, le=1000)]
     gain_std: Annotated[Number, Field(ge=0, lt=1)] = 0.0
     # Of the decoder's prior, as `resonatord calibrate skin` finds them.
-    correlation_length_mm: Annotated[Number, Field(gt=0, le=1000)] = 1.0
-    tangential_ratio: Annotated[Number, Field(gt=0, le=100)] = 0.3
+    correlation_length_mm: Annotated[Number, Field(ge=0.01, le=100)] = 1.0
+    tangential_ratio: Annotated[Number, Field(ge=0.001, le=100)] = 0.3
 
     @property
     def depth_m(self) -> float:

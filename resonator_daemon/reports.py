@@ -52,6 +52,7 @@ from resonator_daemon.publishing.topics import (
 Floats = NDArray[np.float64]
 
 _NS = 1_000_000_000
+_FRICTION_KNOWN = 0.25  # relative standard deviation
 
 
 class _Header(TypedDict):
@@ -78,6 +79,23 @@ class _ContactFields(TypedDict):
     since_t_ns: int
     status: Status
     at_least_newton: float | None
+
+
+class _SlipFields(TypedDict):
+    stick_ratio: float
+    slip_margin: float
+    slip_margin_std: float
+    friction_coefficient: float
+    friction_coefficient_std: float
+
+
+_UNKNOWN_SLIP = _SlipFields(
+    stick_ratio=math.nan,
+    slip_margin=math.nan,
+    slip_margin_std=math.nan,
+    friction_coefficient=math.nan,
+    friction_coefficient_std=math.nan,
+)
 
 
 class Reporter:
@@ -188,17 +206,23 @@ class Reporter:
         return Contacts(
             **self._measured(CONTACTS, reading, gate_end),
             status=Status(str(surface.decoded.status)),
-            contacts=tuple(Contact(**self._skin_contact(contact, gate_end)) for contact in surface.contacts),
+            contacts=tuple(Contact(**self._skin_contact(contact, reading, gate_end)) for contact in surface.contacts),
         )
 
     def skin_event(self, event: SkinEvent, reading: ChannelisedReading, gate_end: Instant) -> ContactEvent:
-        contact = self._skin_contact(event.contact, gate_end)
+        contact, slip = self._skin_contact(event.contact, reading, gate_end), _slip(event.contact)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
         return ContactEvent(
             **self._measured(CONTACT_EVENT, reading, gate_end),
             event=event.event,
-            contact=EventContact(**contact, peak_newton=event.contact.peak_newton),
+            contact=EventContact(
+                **contact,
+                peak_newton=event.contact.peak_newton,
+                slip_margin=slip["slip_margin"],
+                slip_margin_std=slip["slip_margin_std"],
+                friction_coefficient=slip["friction_coefficient"],
+            ),
         )
 
     def _header(self, topic: Topic[Any], at: Instant) -> _Header:
@@ -247,8 +271,8 @@ class Reporter:
             at_least_newton=contact.at_least_newton,
         )
 
-    def _skin_contact(self, contact: SkinContact, gate_end: Instant) -> _ContactFields:
-        patch = contact.patch
+    def _skin_contact(self, contact: SkinContact, reading: ChannelisedReading, gate_end: Instant) -> _ContactFields:
+        patch, middle_ns = contact.patch, gate_end.utc_ns - round(reading.window_s * _NS / 2)
         nearest = int(np.hypot(*(self._plate.site_positions_m - patch.centroid_m).T).argmin())
         return _ContactFields(
             id=contact.id,
@@ -258,14 +282,14 @@ class Reporter:
             force_newton=float(patch.force_newton[2]),
             noise_newton=float(patch.force_std_newton[2]),
             systematic_newton=math.nan,  # the plate file does not say how well its elastic constants are known
-            since_t_ns=self._since_utc_ns.setdefault(contact.id, gate_end.utc_ns),
+            since_t_ns=self._since_utc_ns.setdefault(contact.id, middle_ns),
             status=Status.OK,
             at_least_newton=None,
         )
 
 
 def _patch(contact: SkinContact) -> Patch:
-    patch, slip = contact.patch, contact.slip
+    patch = contact.patch
     return Patch(
         id=contact.id,
         centroid_m=_pair(patch.centroid_m),
@@ -277,11 +301,23 @@ def _patch(contact: SkinContact) -> Patch:
         moment_std_newton_m=_triple(patch.moment_std_newton_m),
         at_border=patch.at_border,
         radius_of_curvature_m=contact.radius_of_curvature_m,
-        stick_ratio=slip.stick_ratio if slip else math.nan,
-        slip_margin=slip.slip_margin if slip else math.nan,
-        slip_margin_std=slip.slip_margin_std if slip else math.nan,
-        friction_coefficient=slip.friction_coefficient if slip else math.nan,
-        slip_reason=slip.reason if slip else "nothing was fitted",
+        slip_reason=contact.slip.reason if contact.slip else "nothing was fitted",
+        **_slip(contact),
+    )
+
+
+def _slip(contact: SkinContact) -> _SlipFields:
+    """Say what the fit tells of slip; a friction coefficient only where that is known to a quarter."""
+    slip = contact.slip
+    if slip is None:
+        return _UNKNOWN_SLIP
+    known = slip.friction_coefficient_std < _FRICTION_KNOWN * slip.friction_coefficient
+    return _SlipFields(
+        stick_ratio=slip.stick_ratio,
+        slip_margin=slip.slip_margin,
+        slip_margin_std=slip.slip_margin_std,
+        friction_coefficient=slip.friction_coefficient if known else math.nan,
+        friction_coefficient_std=slip.friction_coefficient_std if known else math.nan,
     )
 
 

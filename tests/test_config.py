@@ -189,7 +189,10 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
             '[decoding]\nfriction_coefficient = "low"',
             "4: decoding.friction_coefficient: got 'low'; must be 'unknown' or a number above 0, at most 10",
         ),
-        ("[decoding]\nfriction_coefficient = -1", "4: decoding.friction_coefficient: got -1; must be greater than 0"),
+        (
+            "[decoding]\nfriction_coefficient = -1",
+            "4: decoding.friction_coefficient: got -1; must be greater than or equal to 0.001",
+        ),
     ],
 )
 def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected: str) -> None:

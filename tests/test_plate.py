@@ -327,7 +327,7 @@ def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, e
         (
             "depth_mm = 1.5",
             "depth_mm = 1.5\ncorrelation_length_mm = 0",
-            "14: skin.correlation_length_mm: got 0; must be greater than 0",
+            "14: skin.correlation_length_mm: got 0; must be greater than or equal to 0.01",
         ),
         (
             "depth_mm = 1.5",

@@ -204,6 +204,9 @@ def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, wor
         "status": "no_signal",
         "at_least_newton": None,
         "peak_newton": 1.5,
+        "slip_margin": None,
+        "slip_margin_std": None,
+        "friction_coefficient": None,
     }
 
 

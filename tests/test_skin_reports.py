@@ -167,6 +167,7 @@ PATCH_LITERAL = {
     "slip_margin": 0.125,
     "slip_margin_std": 0.01,
     "friction_coefficient": 0.6,
+    "friction_coefficient_std": 0.03,
     "slip_reason": "",
 }
 CONTACT_LITERAL = {
@@ -177,12 +178,12 @@ CONTACT_LITERAL = {
     "force_newton": 1.5,
     "noise_newton": 5e-3,
     "systematic_newton": None,
-    "since_t_ns": "1789000000000000123",
+    "since_t_ns": "1788999999995000123",
     "status": "ok",
     "at_least_newton": None,
 }
 MEASURED_OF_SKIN = channelised(np.zeros((3, 1024)))
-OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficient")
+OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficient", "friction_coefficient_std")
 UNDECODED = {"chi2": NAN, "border_contact": False}
 
 
@@ -252,7 +253,19 @@ def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: Reporter) -
 def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: Reporter, word: Any) -> None:
     said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_END))
     assert said["event"] == word
-    assert said["contact"] == CONTACT_LITERAL | {"peak_newton": 1.75}
+    of_slip = {"slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6}
+    assert said["contact"] == CONTACT_LITERAL | {"peak_newton": 1.75} | of_slip
+
+
+def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:
+    contact = skin_contact(slip=partial_slip(friction_coefficient_std=0.2))
+    said = literal(
+        skin_reporter.summary(
+            MEASURED_OF_SKIN, GATE_END, surface(decoded((3, 32, 32), displacement=False), contacts=(contact,))
+        )
+    )
+    unknown = {"friction_coefficient": None, "friction_coefficient_std": None}
+    assert said["patches"] == [PATCH_LITERAL | unknown]
 
 
 def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: Reporter) -> None:

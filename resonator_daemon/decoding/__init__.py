@@ -1,8 +1,31 @@
-"""From signals at depth back to what happens on the surface: regularised inverses of the half-space's matrices."""
+"""From signals at depth back to what happens on the surface: maps, contacts, shape and slip."""
 
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, fit_partial_slip
+from resonator_daemon.decoding.fitting.shape import Shape, ShapeFitter
+from resonator_daemon.decoding.fitting.slip import SlipWatch
+from resonator_daemon.decoding.fitting.template import TemplateDecoder
 from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
+from resonator_daemon.decoding.patches import Patch, PatchFinder
 
-__all__ = ["ContactDecoder", "Decoded", "FourierDecoder", "OpenPlaneDecoder"]
+__all__ = [
+    "ContactDecoder",
+    "ContactStart",
+    "Decoded",
+    "DiscModel",
+    "FourierDecoder",
+    "Friction",
+    "OpenPlaneDecoder",
+    "PartialSlip",
+    "Patch",
+    "PatchFinder",
+    "Shape",
+    "ShapeFitter",
+    "SlipWatch",
+    "TemplateDecoder",
+    "fit_partial_slip",
+]

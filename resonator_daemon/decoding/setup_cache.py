@@ -6,6 +6,7 @@ import logging
 import os
 import pickle
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,6 +19,7 @@ log = logging.getLogger(__name__)
 Built = TypeVar("Built")
 
 _KEPT = 4  # files of some 80 MB
+_LEFT_S = 3600.0
 _CODE = Path(__file__).parent, Path(__file__).parent.parent / "elastic"
 
 
@@ -70,6 +72,9 @@ def _keep(path: Path, built: object) -> None:
         except BaseException:
             os.unlink(part.name)
             raise
+    for left in path.parent.glob("*.part"):  # by a program that was killed while it wrote
+        if time.time() - left.stat().st_mtime > _LEFT_S:
+            left.unlink(missing_ok=True)
     by_age = sorted(path.parent.glob("*.pickle"), key=lambda file: file.stat().st_mtime)
     for file in by_age[:-_KEPT]:
         file.unlink(missing_ok=True)

@@ -96,7 +96,7 @@ class DecodingStage(Generic[Origin]):
                 started = time.monotonic()
                 try:
                     decoder = await loop.run_in_executor(pool, self._build, built_for, loop)
-                except ValueError as error:
+                except (ValueError, ArithmeticError, MemoryError) as error:
                     log.error("nothing is decoded: %s", error)
                     self._announce(f"nothing is decoded: {error}")
                     return

@@ -55,7 +55,6 @@ class Condition(StrEnum):
     DRIFTING = "drifting"  # the baseline moves faster than touches and temperature explain
     PRESSED_AT_START = "pressed_at_start"  # touched before the untouched plate was known; release it
     REFUSED = "refused"  # the board or the plate file can never serve this configuration
-    NO_DECODE = "no_decode"  # site forces only: this plate or configuration gives nothing to decode
 
 
 class Message(BaseModel):
@@ -126,9 +125,12 @@ class Contact(Message):
 
 
 class EventContact(Contact):
-    """A contact as an event tells of it."""
+    """A contact as an event tells of it; what belongs to slip is null on plates without a skin, or not known."""
 
     peak_newton: Float
+    slip_margin: Float = math.nan
+    slip_margin_std: Float = math.nan
+    friction_coefficient: Float = math.nan
 
 
 class Contacts(Measured):
@@ -196,7 +198,8 @@ class Patch(Message):
     stick_ratio: Float  # radius that sticks over radius of contact
     slip_margin: Float  # 1 - F_t / (mu F_n)
     slip_margin_std: Float
-    friction_coefficient: Float  # told, or learnt from slip
+    friction_coefficient: Float  # as signals and what was told or learnt before have it
+    friction_coefficient_std: Float
     slip_reason: str  # why those before are not known; empty where they are
 
 

@@ -5,7 +5,10 @@ import json
 import re
 import sys
 from pathlib import Path
+from typing import Any
 
+import cbor2
+import numpy as np
 import pytest
 from mqtt_helpers import Messages, publishing
 
@@ -61,7 +64,7 @@ def test_each_json_payload_has_an_example() -> None:
 
 
 async def test_the_ten_lines_subscribe(mosquitto) -> None:
-    (program,) = re.findall(r"```python\n(.*?)```", SECTIONS["Subscribe"], re.DOTALL)
+    program, _ = re.findall(r"```python\n(.*?)```", SECTIONS["Subscribe"], re.DOTALL)
     assert len([line for line in program.splitlines() if line]) <= 10
     program = program.replace("1883", str(Mqtt(url=mosquitto.url).port))
     async with publishing(mosquitto.url) as left:
@@ -82,3 +85,12 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
     assert b"'reason': 'plugged in'" in first
     assert second.startswith(b"resonator/left/decoded {")
     assert b"CBORTag(40, " in second
+
+
+def test_tags_become_arrays() -> None:
+    _, function = re.findall(r"```python\n(.*?)```", SECTIONS["Subscribe"], re.DOTALL)
+    names: dict[str, Any] = {}
+    exec(function, names)
+    message = Messages.decoded(1)
+    read = names["to_array"](cbor2.loads(encode(message))["traction_pascal"])
+    np.testing.assert_array_equal(read, message.traction_pascal)

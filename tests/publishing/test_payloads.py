@@ -69,6 +69,7 @@ PATCH: dict[str, Any] = {
     "slip_margin": 0.125,
     "slip_margin_std": 0.01,
     "friction_coefficient": 0.6,
+    "friction_coefficient_std": 0.03,
     "slip_reason": "",
 }
 
@@ -85,7 +86,8 @@ EXAMPLES = [
     ),
     (
         ContactEvent(**MEASURED, event="onset", contact=EventContact(**CONTACT, peak_newton=1.3)),
-        """{<header>, "board_ticks": "123456789", "event": "onset", "contact": {<contact>, "peak_newton": 1.3}}""",
+        """{<header>, "board_ticks": "123456789", "event": "onset", "contact": {<contact>, "peak_newton": 1.3,
+             "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null}}""",
     ),
     (
         DecodedSummary(
@@ -103,7 +105,8 @@ EXAMPLES = [
              "force_newton": [0.1, -0.2, 1.5], "force_std_newton": [0.003, 0.004, 0.005],
              "moment_newton_m": [1e-3, 2e-3, 3e-5], "moment_std_newton_m": [1e-6, 2e-6, 3e-6], "at_border": true,
              "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5, "slip_margin": 0.125, "slip_margin_std": 0.01,
-             "friction_coefficient": 0.6, "slip_reason": ""}]}""",
+             "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
+             "slip_reason": ""}]}""",
     ),
     (
         State(**HEADER, state="pressed_at_start", reason="release it", since_t_ns=1788999999000000000),

@@ -123,6 +123,7 @@ def patch(id: int, force_newton: tuple[float, float, float], **changes: Any) -> 
         "slip_margin": math.nan,
         "slip_margin_std": math.nan,
         "friction_coefficient": math.nan,
+        "friction_coefficient_std": math.nan,
         "slip_reason": "the contact slips too little to show in the signals",
     }
     return Patch(id=id, force_newton=force_newton, **{**fields, **changes})

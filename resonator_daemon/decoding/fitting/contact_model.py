@@ -16,6 +16,8 @@ _FADED = 40.0  # spatial frequency times depth at which signals have faded to ex
 _PANEL_NODES = 16
 _PANEL_PHASE = 8.0  # of the fastest oscillation, that one panel of Gauss-Legendre may span
 _DISTANCE_STEP = 0.1  # depths; the table is good to about 1e-5 of the peak
+_WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes
+_BLOCK = 1_000_000  # entries of an array of quadrature nodes and distances
 _RADIUS_STEP = 0.2  # depths
 _BEYOND = 0.5  # of the array's diagonal, that a centre may lie outside of it
 
@@ -83,6 +85,9 @@ class DiscModel:
         self.radius_max_m = radius_max_m
         self.lowest_m, self.highest_m = sites.min(axis=0), sites.max(axis=0)
         diagonal_m = max(float(np.hypot(*(self.highest_m - self.lowest_m))), 4.0 * float(depths.max()))
+        if diagonal_m > _WIDEST * float(depths.min()):
+            span = f"{diagonal_m / float(depths.min()):.0f} depths, must be at most {_WIDEST:.0f}"
+            raise ValueError(f"sites span {span}; is a depth of {depths.min():g} m meant?")
         self.margin_m = _BEYOND * diagonal_m  # beyond the sites, where a centre may lie
         self.depth_m = np.broadcast_to(depths, len(sites))
         self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(depths)]
@@ -195,14 +200,18 @@ def _table(half_space: HalfSpace, reach: float, radius_max: float, profile: Prof
     spectra = np.stack([spectrum, spectrum_slope * t * _RADIUS_STEP], axis=1)
 
     # J_1 and J_2 over the first and second power of the distance, so that nothing is divided by it at a site.
-    phase = np.multiply.outer(distances, t)
-    zero, one, two, three = _bessel(phase)
-    kernels = (zero, t * one, t * one, zero, t**2 * two)
-    slopes = (-t * phase * one, -(t**2) * phase * two, -(t**2) * phase * two, -t * phase * one, -(t**3) * phase * three)
     table = np.empty((radii.size, 2, distances.size, 2, 5))
-    for index, integrand in enumerate(integrands):
-        table[:, :, :, 0, index] = (spectra * integrand) @ kernels[index].T
-        table[:, :, :, 1, index] = (spectra * integrand) @ slopes[index].T * _DISTANCE_STEP
+    block = 1 + _BLOCK // t.size
+    for begin in range(0, distances.size, block):
+        some = slice(begin, begin + block)
+        phase = np.multiply.outer(distances[some], t)
+        zero, one, two, three = _bessel(phase)
+        kernels = (zero, t * one, t * one, zero, t**2 * two)
+        bent = t**2 * phase * two
+        slopes = (-t * phase * one, -bent, -bent, -t * phase * one, -(t**3) * phase * three)
+        for index, integrand in enumerate(integrands):
+            table[:, :, some, 0, index] = (spectra * integrand) @ kernels[index].T
+            table[:, :, some, 1, index] = (spectra * integrand) @ slopes[index].T * _DISTANCE_STEP
     return table
 
 
