@@ -30,14 +30,14 @@ class SensorState:
 
     def __init__(self, announce: Callable[[Condition, str, int], None], *, site_forces_only: bool) -> None:
         self._announce = announce
-        self._good = _SITE_FORCES if site_forces_only else _ALL_READ
+        self._good = self._well = _SITE_FORCES if site_forces_only else _ALL_READ
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
 
     def explain(self, note: str) -> None:
         """Add to the reason of a sensor that is well; "" takes the addition back."""
-        before, self._good = self._good, "; ".join(filter(None, [self._good.split("; ")[0], note]))
+        before, self._good = self._good, f"{self._well}; {note}" if note else self._well
         if self._current == (Condition.ONLINE, before):
             self._become((Condition.ONLINE, self._good), self._since_utc_ns)
 

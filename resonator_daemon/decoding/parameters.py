@@ -1,9 +1,15 @@
-"""Checks of the parameters that decoders share: each finite and above 0, or a ValueError that says what is wrong."""
+"""What decoders share: limits by which a frame is judged, and checks of parameters that raise a clear ValueError."""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
+
+SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
+KNOWN_LIMIT = 0.5  # smallest share of known signals
+CHI2_LIMIT = 100.0  # residual of ten times the declared noise ...
+UNEXPLAINED_LIMIT = 0.5  # ... and of half the frame's energy: no load on a half-space makes such signals
+GAIN_FLOOR = 1.5  # standard deviations of the gain that count as noise of the signals' rms
 
 
 def check_prior(correlation_length_m: float, tangential_ratio: float, prior_std_pascal: float | None) -> None:
@@ -15,6 +21,22 @@ def check_prior(correlation_length_m: float, tangential_ratio: float, prior_std_
     ):
         if not 0.0 < value < np.inf:
             raise ValueError(f"{name} is {value}, must be finite and above 0")
+
+
+def check_gain(gain_std: float) -> None:
+    """Refuse what is no relative standard deviation of gains."""
+    if not 0.0 <= gain_std < 1.0:
+        raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
+
+
+def positions(name: str, positions_m: ArrayLike) -> Floats:
+    """Places (n, 2), at least one."""
+    places = np.asarray(positions_m, np.float64)
+    if places.ndim != 2 or places.shape[1] != 2 or not len(places):
+        raise ValueError(f"{name} has shape {places.shape}, must be (n, 2), n at least 1")
+    if not np.isfinite(places).all():
+        raise ValueError(f"{name} holds {np.abs(places).max()}, must be finite")
+    return places
 
 
 def noise_of_signals(noise_std: ArrayLike, sites: tuple[int, ...]) -> Floats:

@@ -11,7 +11,7 @@ from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip import SlipWatch
-from resonator_daemon.decoding.open_plane.linear_map import SIGNAL_LIMIT
+from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.decoding.patch_tracks import PatchTracker
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.decoding.skin import Skin

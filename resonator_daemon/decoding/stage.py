@@ -92,6 +92,7 @@ class DecodingStage(Generic[Origin]):
             if self._decoder is None or not self._decoder.fits(noise_std):
                 built_for = rounded_noise(self._skin, noise_std)
                 if built_for is None:
+                    self.frames_skipped += 1
                     continue
                 started = time.monotonic()
                 try:

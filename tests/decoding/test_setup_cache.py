@@ -162,3 +162,14 @@ def test_the_directory_is_systemds_else_that_of_xdg(
 
 def test_no_test_writes_into_the_real_home() -> None:
     assert Path.home() not in setup_cache._directory().parents
+
+
+def test_what_a_killed_program_left_is_removed_and_what_is_being_written_stays(directory: Path) -> None:
+    directory.mkdir()
+    left, fresh = directory / "left.part", directory / "fresh.part"
+    for part in (left, fresh):
+        part.write_bytes(b"half")
+    os.utime(left, (1.0, 1.0))
+    cached("one", Builder())
+    assert not left.exists()
+    assert fresh.exists()

@@ -326,3 +326,14 @@ def test_sums_over_a_map_that_was_only_cut_have_wide_error_bars_and_say_so(physi
     (contact,) = reading.contacts
     assert "are being prepared" in reading.decoded.reason
     assert contact.patch.force_std_newton[2] > 0.05 * contact.patch.force_newton[2]
+
+
+def test_at_the_border_error_bars_say_how_little_is_known() -> None:
+    decoder = SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
+    edge_m = float(SITES_M[:, 0].max())
+    (contact,) = settled(decoder, press(1.0, (edge_m - 2e-4, 0.0))).contacts
+    patch = contact.patch
+    assert patch.at_border
+    assert patch.force_std_newton[2] >= 0.03 * patch.force_newton[2]
+    assert patch.force_newton[2] == pytest.approx(1.0, abs=3.0 * patch.force_std_newton[2])
+    assert patch.centroid_m[0] == pytest.approx(edge_m - 2e-4, abs=3.0 * patch.centroid_std_m[0])

@@ -245,7 +245,7 @@ async def test_without_noise_of_every_channel_there_is_no_decoder_yet(
         stage.stage.offer("heard", pressed(2), NOISE)
         origin, reading = await stage.next()
     assert (origin, reading.decoded.status) == ("heard", "ok")
-    assert stage.stage.frames_skipped == 0
+    assert stage.stage.frames_skipped == 1
     assert stage.delivered.empty()
 
 
@@ -417,6 +417,23 @@ async def test_sites_that_cannot_be_decoded_are_announced_and_end_it(caplog: pyt
     assert stage.announced[-1].startswith("nothing is decoded: sites 0 and 1 are both at")
     assert [record.levelno for record in caplog.records] == [logging.ERROR]
     assert stage.delivered.empty()
+
+
+@pytest.mark.parametrize("error", [MemoryError("no room"), OverflowError("too large"), ZeroDivisionError("by zero")])
+async def test_a_set_up_that_fails_is_announced_and_ends_it(
+    error: Exception, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Failing(SubstituteDecoder):
+        def __init__(self, *arguments: Any) -> None:
+            raise error
+
+    substitute(Failing)
+    stage = Stage()
+    async with stage.running() as task:
+        stage.stage.offer("frame", NOTHING, NOISE)
+        await asyncio.wait_for(task, DEADLINE_S)
+    assert stage.announced[-1] == f"nothing is decoded: {error}"
+    assert [record.levelno for record in caplog.records] == [logging.ERROR]
 
 
 async def test_a_programmers_mistake_ends_the_stage_and_is_not_hidden() -> None:

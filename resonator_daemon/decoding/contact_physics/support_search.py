@@ -21,14 +21,13 @@ from resonator_daemon.decoding.contact_physics.support import (
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
+from resonator_daemon.decoding.parameters import GAIN_FLOOR, SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_SIGNAL_LIMIT = 10.0  # as the linear decoder's: beyond it a signal is lost
-_GAIN_FLOOR = 1.5  # as the linear decoder's
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
 _LEAD = 1.3  # of what a contact moved between two problems: how far the solved support goes ahead of it ...
@@ -147,7 +146,7 @@ class SupportSearch:
         grid = as_grid(sites)
         self._rows = SignalRows(kernel, grid.shape if grid else None)
         self._whiten = (1.0 / noise_std).ravel().astype(np.float32)
-        self._gain_floor = (_GAIN_FLOOR * linear.gain_std) ** 2
+        self._gain_floor = (GAIN_FLOOR * linear.gain_std) ** 2
         self._correlation_length_m = linear.correlation_length_m
         self._tangential_ratio = linear.tangential_ratio
         self._lattice = lattice
@@ -165,7 +164,7 @@ class SupportSearch:
         """Of signals that the linear decoder decoded."""
         flat = signals.reshape(-1)
         whitened = flat.astype(np.float32) * self._whiten
-        sound = np.abs(flat) <= _SIGNAL_LIMIT  # False for NaN
+        sound = np.abs(flat) <= SIGNAL_LIMIT  # False for NaN
         known, lost = None, None
         if not sound.all():
             known, lost = sound, self._lost_rows(sound)

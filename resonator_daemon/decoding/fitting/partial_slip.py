@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_starts
-from resonator_daemon.decoding.open_plane.linear_map import KNOWN_LIMIT, SIGNAL_LIMIT
+from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
 
 Floats = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_starts
 from resonator_daemon.decoding.fitting.partial_slip import FORCE_Z, RADIUS, PartialSlip, fit_partial_slip
 from resonator_daemon.decoding.fitting.shape_models import FlatFace, StraightEdge
-from resonator_daemon.decoding.open_plane.linear_map import SIGNAL_LIMIT
+from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

@@ -11,8 +11,15 @@ from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
 from resonator_daemon.decoding.layout import at_border, gap_m, refuse_duplicates
-from resonator_daemon.decoding.open_plane.linear_map import KNOWN_LIMIT, SIGNAL_LIMIT
-from resonator_daemon.decoding.parameters import noise_of_signals, positive
+from resonator_daemon.decoding.parameters import (
+    GAIN_FLOOR,
+    KNOWN_LIMIT,
+    SIGNAL_LIMIT,
+    check_gain,
+    noise_of_signals,
+    positions,
+    positive,
+)
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
 
@@ -37,7 +44,6 @@ _RIVAL_STD = 4.0  # ... and is not meant by the error bars if it lies so many of
 _STD_LIMIT_DEPTHS = 2.0  # of the centre: signals change over a depth, beyond it errors are not Gaussian
 _CHI2_LIMIT = 10.0
 _UNEXPLAINED_LIMIT = 0.2  # of the signals' energy
-_GAIN_FLOOR = 1.5  # standard deviations of the gain that count as noise of the signals' rms
 _USUAL_SHEAR = 0.3  # of the normal force, standard deviation of each component
 _DRAWS = 64  # of the contact, for error bars: traction is too steep at the rim to be linear in the contact
 _RIM_FACTOR = 1.2  # errors at the rim are not Gaussian: with it 92 % within two standard deviations
@@ -95,16 +101,13 @@ class TemplateDecoder:
         sites = np.asarray(site_positions_m, np.float64)
         depths = np.asarray(depth_m, np.float64)
         positive("depth_m", depths, depths.shape)
-        if not 0.0 <= gain_std < 1.0:
-            raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
+        check_gain(gain_std)
         self._model = DiscModel(half_space, sites, depths, _LARGEST_RADIUS_DEPTHS * float(depths.max()))
         count = len(sites)
         if 3 * count <= _UNKNOWNS:
             raise ValueError(f"{count} sites make {3 * count} signals, must be more than {_UNKNOWNS}, the unknowns")
         refuse_duplicates(sites, self._model.depth_m)
-        places = sites if query_positions_m is None else np.asarray(query_positions_m, np.float64)
-        if places.ndim != 2 or places.shape[1] != 2 or not np.isfinite(places).all():
-            raise ValueError(f"query_positions_m has shape {places.shape}, must be (m, 2) and finite")
+        places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
         self.half_space = half_space
         self.site_positions_m = sites
         self.query_positions_m = places
@@ -170,7 +173,7 @@ class TemplateDecoder:
             reason = f"{known.sum()} signals known (finite, within {SIGNAL_LIMIT}), needs {needed:.0f}"
             return self._unknown(displacement, np.nan, np.nan, "no_signal", reason), None
         rms = float(np.sqrt(np.mean(frame[known] ** 2)))
-        noise = np.hypot(self._noise, _GAIN_FLOOR * self.gain_std * rms)
+        noise = np.hypot(self._noise, GAIN_FLOOR * self.gain_std * rms)
         signals = np.where(known, frame, np.nan)
         fits = self._fits(signals, known, noise)
         quiet = float(np.sum((frame[known] / noise[known]) ** 2))

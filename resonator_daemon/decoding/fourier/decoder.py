@@ -25,7 +25,14 @@ from resonator_daemon.decoding.fourier.extension import ExtendedTransform, Exten
 from resonator_daemon.decoding.fourier.refill import Refill
 from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, smooth, white
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener, product
-from resonator_daemon.decoding.parameters import check_prior, noise_of_signals
+from resonator_daemon.decoding.parameters import (
+    CHI2_LIMIT,
+    KNOWN_LIMIT,
+    SIGNAL_LIMIT,
+    UNEXPLAINED_LIMIT,
+    check_prior,
+    noise_of_signals,
+)
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 Floats = NDArray[np.float64]
@@ -34,10 +41,6 @@ _BANK = np.logspace(-1.0, 5.0, 30)  # standard deviation of the prior over the t
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
 _SECTORS = 36  # of directions in which a contact may slide
 _STACK = 16  # frames decoded at once: many more would not stay in the processor's cache
-_SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
-_KNOWN_LIMIT = 0.5  # smallest share of known signals in each channel
-_CHI2_LIMIT = 100.0  # residual of ten times the declared noise ...
-_UNEXPLAINED_LIMIT = 0.5  # ... and of half the frame's energy: no load on a half-space makes such signals
 _BORDER_SHARE = 0.04  # of the energy of f_z on the outermost sites ...
 _BORDER_SIGMAS = 1.5  # ... and their rms over the standard deviation
 
@@ -177,7 +180,7 @@ class FourierDecoder:
         if given.shape[-3:] != wanted:
             raise ValueError(f"signals have shape {given.shape}, must be (..., {', '.join(map(str, wanted))})")
         leading, frames = given.shape[:-3], given.reshape(-1, *wanted)
-        known = np.abs(frames) <= _SIGNAL_LIMIT  # False for NaN
+        known = np.abs(frames) <= SIGNAL_LIMIT  # False for NaN
         complete = known.all(axis=(1, 2, 3))
         whole = np.flatnonzero(complete)
         found: dict[int, Decoded] = {}
@@ -192,8 +195,8 @@ class FourierDecoder:
 
     def _decode_incomplete(self, frame: Floats, known: NDArray[np.bool_], displacement: bool) -> Decoded:
         worst = float(known.mean(axis=(1, 2)).min())
-        if worst < _KNOWN_LIMIT:
-            reason = f"{worst:.0%} of a channel known (finite, within {_SIGNAL_LIMIT}), needs {_KNOWN_LIMIT:.0%}"
+        if worst < KNOWN_LIMIT:
+            reason = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
             return self._unknown(displacement, np.nan, np.nan, "no_signal", reason)
         filled, settled = self._refill.fill(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
@@ -211,7 +214,7 @@ class FourierDecoder:
 
         energy = np.maximum(np.mean(frames**2, axis=(1, 2, 3)), np.finfo(np.float64).tiny)
         left = estimate.chi2 * self._noise_variance / energy
-        rejected = (estimate.chi2 > _CHI2_LIMIT) & (left > _UNEXPLAINED_LIMIT)
+        rejected = (estimate.chi2 > CHI2_LIMIT) & (left > UNEXPLAINED_LIMIT)
 
         traction = self._transform.to_space(estimate.tractions)
         std = np.sqrt(estimate.variance)
@@ -227,7 +230,7 @@ class FourierDecoder:
         for n, chi2 in enumerate(estimate.chi2.tolist()):
             evidence = float(log_evidence[n])
             if rejected[n]:
-                why = f"chi2 {chi2:.3g} exceeds {_CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
+                why = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
                 decoded.append(self._unknown(displacement, evidence, chi2, "rejected", why))
                 continue
             decoded.append(

@@ -15,7 +15,7 @@ from resonator_daemon.decoding.open_plane.linear_map import LinearMap, Tier
 from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
-from resonator_daemon.decoding.parameters import check_prior, noise_of_signals, positive
+from resonator_daemon.decoding.parameters import check_gain, check_prior, noise_of_signals, positions, positive
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
@@ -74,14 +74,13 @@ class OpenPlaneDecoder:
         tangential_ratio: float = 0.3,
         prior_std_pascal: float | None = None,
     ) -> None:
-        sites = _positions("site_positions_m", site_positions_m)
+        sites = positions("site_positions_m", site_positions_m)
         count = len(sites)
         depths = positive("depth_m", np.asarray(depth_m, np.float64), (count,))
         noise = noise_of_signals(noise_std, (count,))
-        places = sites if query_positions_m is None else _positions("query_positions_m", query_positions_m)
+        places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
         check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
-        if not 0.0 <= gain_std < 1.0:
-            raise ValueError(f"gain_std is {gain_std}, must be at least 0 and below 1")
+        check_gain(gain_std)
         refuse_duplicates(sites, depths)
         self.half_space = half_space
         self.site_positions_m = sites
@@ -174,12 +173,3 @@ class OpenPlaneDecoder:
             grid = f" or (..., 3, {self._shape[0]}, {self._shape[1]})" if self._shape else ""
             raise ValueError(f"signals have shape {frames.shape}, must be (..., 3, {self._count}){grid}")
         return frames.reshape(-1, 3 * self._count), frames.shape[:-2], False
-
-
-def _positions(name: str, positions_m: ArrayLike) -> Floats:
-    positions = np.asarray(positions_m, np.float64)
-    if positions.ndim != 2 or positions.shape[1] != 2 or not len(positions):
-        raise ValueError(f"{name} has shape {positions.shape}, must be (n, 2), n at least 1")
-    if not np.isfinite(positions).all():
-        raise ValueError(f"{name} holds {np.abs(positions).max()}, must be finite")
-    return positions

@@ -12,12 +12,14 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
 from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
 from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
+from resonator_daemon.decoding.parameters import (
+    CHI2_LIMIT,
+    GAIN_FLOOR,
+    KNOWN_LIMIT,
+    SIGNAL_LIMIT,
+    UNEXPLAINED_LIMIT,
+)
 
-SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
-KNOWN_LIMIT = 0.5  # smallest share of known signals
-_CHI2_LIMIT = 100.0  # residual of ten times the noise ...
-_UNEXPLAINED_LIMIT = 0.5  # ... and of half the frame's energy: no load on a half-space makes such signals
-_GAIN_FLOOR = 1.5  # standard deviations of the gain that count as noise of the signals' rms
 _SUPPORT_SHARE = 0.1  # of the peak of f_z: under a contact, or beside it
 _BORDER_RATIO = 1.5  # over that, at the border: the load goes on beyond
 _SIGNIFICANT = 3.0  # standard deviations
@@ -62,7 +64,7 @@ class LinearMap:
     ) -> None:
         self._tiers = tiers
         self._whiten = (1.0 / noise_std).astype(np.float32)
-        self._gain_floor = (_GAIN_FLOOR * gain_std) ** 2 / noise_std.size
+        self._gain_floor = (GAIN_FLOOR * gain_std) ** 2 / noise_std.size
         scales = tiers[-1].bank.scales[:, None]
         self._std = np.sqrt(np.maximum(scales * prior_variance - tiers[-1].modes.explained_variance, 0.0))
         self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
@@ -89,12 +91,10 @@ class LinearMap:
             choice, modes, _ = lost.choose(tier.modes.project(whitened), energy, self._floor(energy))
             lost_variance = self._std[choice.scale] ** 2 + lost.added_variance(choice.scale)
 
-        if choice.chi2 > _CHI2_LIMIT:
+        if choice.chi2 > CHI2_LIMIT:
             left = choice.chi2 * self._floor(energy) * whitened.size / energy
-            if left > _UNEXPLAINED_LIMIT:
-                reason = (
-                    f"chi2 {choice.chi2:.3g} exceeds {_CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
-                )
+            if left > UNEXPLAINED_LIMIT:
+                reason = f"chi2 {choice.chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
                 return self._unknown(displacement, shape, choice.log_evidence, choice.chi2, "rejected", reason)
 
         modes = tier.bank.gain[choice.scale] * modes

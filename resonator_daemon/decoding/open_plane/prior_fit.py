@@ -8,8 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.decoding.open_plane.linear_map import SIGNAL_LIMIT
-from resonator_daemon.decoding.parameters import noise_of_signals
+from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]

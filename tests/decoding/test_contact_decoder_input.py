@@ -1,0 +1,41 @@
+"""What `ContactDecoder` is given that it cannot use, or that holds nothing."""
+
+import numpy as np
+import pytest
+from skin_scenes import NOISE, PITCH_M, SHAPE, SITES, SKIN, noisy, press
+
+from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
+
+
+@pytest.fixture(scope="module")
+def decoder() -> ContactDecoder:
+    return ContactDecoder(OpenPlaneDecoder(SKIN.half_space, SKIN.site_positions_m, SKIN.depth_m, NOISE))
+
+
+def test_an_empty_stack_gives_an_empty_stack(decoder: ContactDecoder) -> None:
+    decoded = decoder.decode(np.zeros((0, 3, SITES)), displacement=True)
+    assert decoded.traction_pascal.shape == (0, 3, SITES)
+    assert decoded.status.shape == (0,)
+    with pytest.raises(ValueError, match="signals have shape"):
+        decoder.decode(np.zeros((0, 3, SITES + 1)))
+
+
+def test_loads_are_those_of_places_that_are_touched(decoder: ContactDecoder) -> None:
+    decoder.reset()
+    decoder.decode(noisy(press(centre_m=(1e-3, 0.0)), np.random.default_rng(0)))
+    offset_m = SKIN.site_positions_m - [1e-3, 0.0]
+    under, far = np.hypot(*offset_m.T) < 6e-4, np.hypot(*offset_m.T) > 4.5e-3
+    load, nothing = decoder.net_loads([under, far], (0.0, 0.0))
+    assert load is not None
+    assert load.force_newton[2] == pytest.approx(1.0, rel=0.02)
+    np.testing.assert_allclose(load.centroid_m, [1e-3, 0.0], atol=3e-5)
+    assert nothing is None
+    assert decoder.net_load(np.zeros(SITES, np.bool_), (0.0, 0.0)) is None
+    with pytest.raises(ValueError, match=rf"places have shape \(5,\), must be as many as the {SITES} asked"):
+        decoder.net_load(np.ones(5, np.bool_), (0.0, 0.0))
+
+
+def test_it_needs_a_decoder_that_tells_its_sites() -> None:
+    fourier = FourierDecoder(SKIN.half_space, SHAPE, PITCH_M, SKIN.depth_m, 1e-3)
+    with pytest.raises(ValueError, match="linear_decoder is a FourierDecoder, must be an OpenPlaneDecoder"):
+        ContactDecoder(fourier)  # type: ignore[arg-type]

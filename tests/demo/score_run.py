@@ -1,0 +1,162 @@
+"""A plate's score in the making: hand-made truth, and messages as they come."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.demo.score import Accuracy, PlateScore
+from resonator_daemon.demo.truth import TruthTable
+from resonator_daemon.publishing.payloads import (
+    ContactEvent,
+    Decoded,
+    DecodedSummary,
+    EventContact,
+    Forces,
+    Grid,
+    Health,
+    Lost,
+    Patch,
+    SiteForce,
+)
+
+T0_NS = 1_789_000_000_000_000_000
+MS = 1_000_000
+FRAME_NS = MS
+TICKS = 1000  # in a gate
+PITCH_M = 4e-4
+HEADER: dict[str, Any] = {
+    "seq": 0,
+    "daemon_boot_id": "9f3c",
+    "board_boot_id": "51aa",
+    "t_ns": T0_NS,
+    "t_unc_ns": 0,
+    "lost": Lost(),
+}
+FAR_NS = T0_NS + 10**12
+
+
+def frame_end_ns(number: int) -> int:
+    return T0_NS + number * FRAME_NS
+
+
+def touch(
+    f_z: float,
+    *,
+    id: int = 1,
+    site: int | None = 7,
+    shear: tuple[float, float] = (0.0, 0.0),
+    position_m: tuple[float, float] = (0.0, 0.0),
+) -> dict[str, Any]:
+    return {"id": id, "site": site, "position_m": position_m, "force_newton": [*shear, f_z], "radius_m": None}
+
+
+SITES_M = np.array([[0.0, 0.0], [1.5e-3, 0.0], [0.0, -2.0e-3], [4e-3, 4e-3]])
+
+
+class Run:
+    """A plate's truth file and score."""
+
+    def __init__(self, path: Path, window_frames: int) -> None:
+        self._path = path
+        self._truth = TruthTable(path)
+        self.score = PlateScore(self._truth, window_frames, SITES_M)
+        self.frames = 0
+
+    def truth(self, *contacts: dict[str, Any]) -> int:
+        """Write the truth of the next frame; return the frame's number."""
+        self.write(self.line(self.frames, *contacts))
+        self.frames += 1
+        return self.frames - 1
+
+    @staticmethod
+    def line(number: int, *contacts: dict[str, Any]) -> str:
+        line = {
+            "sequence": number,
+            "board_ticks": TICKS * (number + 1),
+            "t_ns": str(frame_end_ns(number)),
+            "contacts": list(contacts),
+            "plate_kelvin": 298.4,
+        }
+        return json.dumps(line) + "\n"
+
+    def write(self, text: str) -> None:
+        with self._path.open("a") as file:
+            file.write(text)
+
+    def ramp(self, *f_z: float, **touched: Any) -> None:
+        for newton in f_z:
+            self.truth(touch(newton, **touched))
+
+    def health(self, frames: int, **lost: int) -> None:
+        counted: dict[str, Any] = {"frames": frames, "lost": Lost(**lost)}  # of the rest nothing is looked at
+        self.score.take(Health.model_construct(**counted), FAR_NS)
+
+    def onset(self, arrived_ns: int, site: int = 7, event: Any = "onset") -> None:
+        contact = EventContact(
+            id=1,
+            site=site,
+            position_m=(0.0, 0.0),
+            position_std_m=(0.0, 0.0),
+            force_newton=0.02,
+            noise_newton=0.0,
+            systematic_newton=0.0,
+            since_t_ns=T0_NS,
+            status="ok",
+            peak_newton=0.02,
+        )
+        self.score.take(ContactEvent(**HEADER, board_ticks=1, event=event, contact=contact), arrived_ns)
+
+    def forces(self, number: int, *sites: tuple[int, float], arrived_ns: int = FAR_NS) -> None:
+        """Take the message of the window whose last gate was frame `number`."""
+        forces = tuple(
+            SiteForce(site=site, force_newton=newton, noise_newton=0.0, systematic_newton=0.0, status="ok")
+            for site, newton in sites
+        )
+        message = Forces(**HEADER, board_ticks=TICKS * (number + 1), window_s=0.01, status="ok", sites=forces)
+        self.score.take(message, arrived_ns)
+
+    def decoded(
+        self, number: int, traction_pascal: NDArray[np.float64], *, grid: bool = True, arrived_ns: int = FAR_NS
+    ) -> None:
+        message = Decoded(
+            **HEADER,
+            board_ticks=TICKS * (number + 1),
+            traction_pascal=traction_pascal,
+            traction_std_pascal=np.zeros_like(traction_pascal),
+            displacement_m=None,
+            grid=Grid(origin_m=(0.0, 0.0), pitch_m=PITCH_M) if grid else None,
+        )
+        self.score.take(message, arrived_ns)
+
+    def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
+        """Take the summary of frame `number`: centroids and normal forces."""
+        told = tuple(
+            Patch.model_construct(id=id, centroid_m=centroid_m, force_newton=(0.3, 0.0, newton))
+            for id, (centroid_m, newton) in enumerate(patches, 1)
+        )
+        message = DecodedSummary(
+            **HEADER,
+            board_ticks=TICKS * (number + 1),
+            decoder="open-plane+contact",
+            chi2=1.0,
+            border_contact=False,
+            status="ok",
+            reason="",
+            patches=told,
+        )
+        self.score.take(message, FAR_NS)
+
+    def result(self, until_ns: int = FAR_NS) -> Accuracy:
+        self.score.join()
+        return self.score.accuracy(until_ns)
+
+    def found(self, until_ns: int = FAR_NS) -> tuple[int, int, int]:
+        """Touches, those found, those at the right site."""
+        result = self.result(until_ns)
+        return result.touches, result.found, result.sites_right
+
+    def close(self) -> None:
+        self._truth.close()
