@@ -19,6 +19,7 @@ from pydantic import (
     Field,
     ModelWrapValidatorHandler,
     Strict,
+    StrictBool,
     TypeAdapter,
     ValidationError,
     ValidationInfo,
@@ -36,6 +37,8 @@ Integers = NDArray[np.int64]
 Item = TypeVar("Item", bound=np.generic)
 
 FORCE_SIGNAL: Final = "force"
+TEMPERATURE_SIGNAL: Final = "temperature"
+FORCE_SIGNALS: Final = (FORCE_SIGNAL, TEMPERATURE_SIGNAL)
 SKIN_SIGNALS = ("p_n", "eps_xz", "eps_yz")  # the order of everything that is published or decoded
 
 _MAX_TONES = 46_872  # 63 parts of 744 tones a channel: a frame has at most 255 parts
@@ -69,6 +72,12 @@ def _nonzero(value: float) -> float:
     return value
 
 
+def _rising(limits: tuple[float, ...]) -> tuple[float, ...]:
+    if not limits[0] < limits[1]:
+        raise ValueError("must rise: the lowest, then the highest")
+    return limits
+
+
 Millimetres = Annotated[Number, Field(ge=-10_000, le=10_000)]
 Point = Annotated[tuple[Millimetres, Millimetres], _of_length(2, "x and y")]
 Outline = Annotated[tuple[Point, ...], _at_least(3, "corners, each [x, y]")]
@@ -76,6 +85,7 @@ Positive = Annotated[Number, Field(gt=0)]
 Hertz = Annotated[Number, Field(gt=0, le=1e12)]
 Sensitivity = Annotated[Number, Field(ge=-1e6, le=1e6), AfterValidator(_nonzero)]
 Day = Annotated[date, Strict()]
+Kelvin = Annotated[Number, Field(ge=100, le=600)]
 _Corners = _of_length(CHANNEL_COUNT, "one for each corner")
 
 
@@ -86,6 +96,7 @@ class Counter(Table):
     reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _usual(seen, 1e9, 250e6))]
     frame_rate_hz: Annotated[Number, Field(gt=0, le=100_000, default_factory=lambda seen: _usual(seen, 1000.0, 100.0))]
     pilot_hz: Hertz | None = None  # heard by a single-tone counter while nothing is touched; see Plate.pilot_hz
+    codes_may_overlap: StrictBool = False  # take a plate whose sites can be mistaken for each other all the same
 
     @field_validator("pilot_hz")
     @classmethod
@@ -159,28 +170,71 @@ class Grid(Table):
 class Tone(Table):
     """One resonance of a site as the four corners see it."""
 
-    signal: Literal["force", "p_n", "eps_xz", "eps_yz"]
+    signal: Literal["force", "temperature", "p_n", "eps_xz", "eps_yz"]
     f0_hz: Annotated[tuple[Hertz, ...], _Corners]
     sensitivity: Annotated[tuple[Sensitivity, ...], _Corners]
+    # Relative shift by d = T - thermal.reference_kelvin: a d + b d^2 + c d^3, in 1/K, 1/K^2, 1/K^3.
+    temperature_coefficients: Annotated[tuple[Number, ...], _of_length(3, "a, b and c")] | None = None
 
 
 class Site(Table):
-    """A place on the plate that senses: a force, or the three signals under a skin."""
+    """A place on the plate that senses: a force (and its own temperature), or the three signals under a skin."""
 
     id: Annotated[Count, Field(ge=1, le=65_535)]
     position_mm: Point
     tones: Annotated[tuple[Tone, ...], _at_least(1, "[[sites.tones]]")]
 
 
+class Thermal(Table):
+    """How warm plate and touches may be, and what of it is not known."""
+
+    reference_kelvin: Kelvin = 298.15  # at which f0_hz holds
+    range_kelvin: Annotated[tuple[Kelvin, ...], _of_length(2, "lowest and highest"), AfterValidator(_rising)] = (
+        288.15,
+        308.15,
+    )
+    coefficient_std: Annotated[Number, Field(ge=0, le=1e-3)] = 2e-8  # 1/K, of what the tones' coefficients are off by
+    transient_s: Annotated[Number, Field(ge=-1, le=1)] = -2e-7  # relative shift for each K/s of a site
+    contact_std_kelvin: Annotated[Number, Field(ge=0, le=1000)] = 0.0  # by which what touches differs from the plate
+    contact_time_s: Annotated[Number, Field(gt=0, le=1e6)] = 5.0  # in which a touched site takes its temperature
+
+
+class Response(Table):
+    """What a force site feels of a press beside its force: hysteresis and creep, as calibrated."""
+
+    hysteresis_newton: Annotated[Number, Field(ge=0, le=10_000)]
+    creep_fraction: Annotated[Number, Field(ge=0, lt=0.5)]
+    creep_time_s: Annotated[Number, Field(gt=0, le=1e6)]
+    relative_std: Annotated[Number, Field(ge=0, le=1)] = 0.1  # of what they are off by
+
+
+class Validity(Table):
+    """Forces and temperatures at which a calibration was made."""
+
+    force_newton: Annotated[tuple[Number, ...], _of_length(2, "lowest and highest"), AfterValidator(_rising)]
+    kelvin: Annotated[tuple[Kelvin, ...], _of_length(2, "lowest and highest"), AfterValidator(_rising)]
+
+
+class Coupling(Table):
+    """Share of the force on one site that another one feels."""
+
+    pressed: Count
+    heard: Count
+    ratio: Number
+
+
 class Calibration(Table):
-    """Where the numbers of this file come from."""
+    """Where the numbers of this file come from, and what they are worth."""
 
     id: str | None = None
     date: Day | None = None
-    unit: str | None = None  # the plate that was calibrated
-    temperature_kelvin: Positive | None = None
-    residuals: tuple[Number, ...] = ()
-    validity: str | None = None
+    unit: str | None = None  # serial number of the board and plate that were calibrated
+    temperature_kelvin: Kelvin | None = None
+    model_error: Annotated[Number, Field(gt=0, le=0.5)] = 0.015  # relative, of K from touch to touch and corner
+    sensitivity_std: Annotated[Number, Field(ge=0, le=0.5)] = 0.0  # relative, of all K: the masses' own
+    residuals: tuple[Number, ...] = ()  # newton rms, by site
+    coupling: tuple[Coupling, ...] = ()
+    validity: Validity | None = None
     expiry: Day | None = None
 
 
@@ -191,7 +245,8 @@ class ToneTable:
     site_index: Integers  # (t,) into site_ids
     signal_index: Integers  # (t,) into signals
     f0_hz: Floats  # (t, 4)
-    sensitivity: Floats  # (t, 4), 1/N, 1/Pa or 1/strain
+    sensitivity: Floats  # (t, 4), 1/N, 1/K, 1/Pa or 1/strain
+    temperature_coefficients: Floats  # (t, 3), NaN where the file does not give them
 
 
 class Plate(Table):
@@ -204,7 +259,11 @@ class Plate(Table):
     force_max_newton: Annotated[Number, Field(gt=0, le=10_000)]
     # A touch between sites is shared as distance^-exponent; None where sites can only be touched one by one.
     load_sharing_exponent: Annotated[Number, Field(gt=0, le=100)] | None = None
+    # Under a cover of this width w a touch at distance r loads a site with (1 + r^2/w^2)^(-3/2) of its force.
+    spread_width_mm: Annotated[Number, Field(gt=0, le=1000)] | None = None
     counter: Counter
+    thermal: Thermal = Thermal()
+    response: Response | None = None
     skin: Skin | None = None
     grid: Grid | None = None
     sites: Annotated[tuple[Site, ...], _at_least(1, "[[sites]]")] = ()
@@ -240,8 +299,15 @@ class Plate(Table):
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
-        """What every site senses: ("force",), or the three signals under a skin in the order of SKIN_SIGNALS."""
-        return SKIN_SIGNALS if self.grid or self.sites[0].tones[0].signal != FORCE_SIGNAL else (FORCE_SIGNAL,)
+        """What tones carry: those of FORCE_SIGNALS that the plate has, or SKIN_SIGNALS, each in its order."""
+        if self.grid or self.sites[0].tones[0].signal in SKIN_SIGNALS:
+            return SKIN_SIGNALS
+        present = {tone.signal for site in self.sites for tone in site.tones}
+        return tuple(signal for signal in FORCE_SIGNALS if signal in present)
+
+    @property
+    def spread_width_m(self) -> float | None:
+        return None if self.spread_width_mm is None else self.spread_width_mm * 1e-3
 
     @cached_property
     def pilot_hz(self) -> float:
@@ -259,6 +325,7 @@ class Plate(Table):
             _fixed(np.array([self.signals.index(tone.signal) for _, tone in tones])),
             _fixed(np.array([tone.f0_hz for _, tone in tones])),
             _fixed(np.array([tone.sensitivity for _, tone in tones])),
+            _fixed(np.array([tone.temperature_coefficients or (math.nan,) * 3 for _, tone in tones])),
         )
 
 
@@ -299,6 +366,7 @@ def _grid_tones(grid: Grid) -> ToneTable:
         _fixed(signal_index[component]),
         _fixed(np.repeat(f0_hz[:, None], CHANNEL_COUNT, axis=1)),
         _fixed(np.repeat(np.array(grid.sensitivity)[component, None], CHANNEL_COUNT, axis=1)),
+        _fixed(np.full((grid.tone_count, 3), math.nan)),
     )
 
 
@@ -320,18 +388,18 @@ def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if grid := _sound(Grid, raw.get("grid")):
         yield from _grid_findings(grid, outline)
     signals = {tone.signal for site in sites.values() for tone in site.tones} | set(SKIN_SIGNALS if grid else ())
-    if FORCE_SIGNAL in signals and len(signals) > 1:
+    if signals & set(FORCE_SIGNALS) and signals & set(SKIN_SIGNALS):
         yield finding(("sites",), sorted(signals), "mixes force and skin tones; a plate has either")
-    if signals - {FORCE_SIGNAL} and "skin" not in raw:
+    if signals & set(SKIN_SIGNALS) and "skin" not in raw:
         yield finding(("skin",), None, "a plate with skin signals needs a [skin]: its elastic constants and its depth")
     counter = raw.get("counter")
     kind = counter.get("kind") if isinstance(counter, dict) else None
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
-        sentence = "one captured tone per corner cannot carry skin signals; use 'channelised'"
+        sentence = "one captured tone per corner carries forces alone; use 'channelised'"
         yield finding(("counter", "kind"), kind, sentence)
-    if kind == "channelised" and FORCE_SIGNAL in signals:
-        sentence = "such counters read skin signals in this version; force sites need 'single-tone'"
-        yield finding(("counter", "kind"), kind, sentence)
+    if "spread_width_mm" in raw and (kind == "single-tone" or "load_sharing_exponent" in raw):
+        sentence = "belongs to a channelised counter of force sites; with captured tones give load_sharing_exponent"
+        yield finding(("spread_width_mm",), raw["spread_width_mm"], sentence)
 
 
 def _sound(kind: Any, raw: object) -> Any:
@@ -360,11 +428,12 @@ def _site_findings(sites: dict[int, Site], outline: tuple[Point, ...]) -> Iterat
         if outline and not _inside(site.position_mm, outline):
             yield finding(("sites", index, "position_mm"), site.position_mm, "lies outside outline_mm")
         names = [tone.signal for tone in site.tones]
-        if FORCE_SIGNAL not in names and sorted(names) != sorted(SKIN_SIGNALS):
+        if set(names) & set(SKIN_SIGNALS) and sorted(names) != sorted(SKIN_SIGNALS):
             sentence = f"a skin site has one tone for each of {', '.join(SKIN_SIGNALS)}"
             yield finding(("sites", index, "tones"), names, sentence)
-        if names.count(FORCE_SIGNAL) > 1:
-            yield finding(("sites", index, "tones"), names, "a force site has one tone")
+        if set(names) & set(FORCE_SIGNALS) and (names.count(FORCE_SIGNAL) != 1 or names.count(TEMPERATURE_SIGNAL) > 1):
+            sentence = "a force site has one tone for its force, and at most one for its temperature"
+            yield finding(("sites", index, "tones"), names, sentence)
     if sum(len(site.tones) for site in sites.values()) > _MAX_TONES:
         yield finding(("sites",), None, f"at most {_MAX_TONES} tones fit into a frame")
 

@@ -246,7 +246,7 @@ def test_a_name_that_is_none_is_an_operators_error(name: str) -> None:
         (
             '"force"',
             '"forse"',
-            "15: sites[0].tones[0].signal: got 'forse'; allowed: force, p_n, eps_xz, eps_yz; did you mean force",
+            "15: sites[0].tones[0].signal: got 'forse'; allowed: force, temperature, p_n, eps_xz, eps_yz; did you mean",
         ),
         ("id = 3", "id = 7", "19: sites[1].id: got 7; is the id of sites[0] already"),
         ("id = 3", "id = -3", "19: sites[1].id: got -3; must be greater than or equal to 1"),
@@ -342,7 +342,7 @@ def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, e
         (
             '"channelised"',
             '"single-tone"\npilot_hz = 1e6',
-            "7: counter.kind: got 'single-tone'; one captured tone per corner cannot",
+            "7: counter.kind: got 'single-tone'; one captured tone per corner carries forces alone",
         ),
     ],
 )
@@ -376,7 +376,8 @@ def test_force_and_skin_tones_do_not_mix(tmp_path: Path) -> None:
 def test_a_force_site_with_two_tones_and_a_skin_site_with_two(tmp_path: Path) -> None:
     tone = FORCE_PLATE[FORCE_PLATE.rindex("[[sites.tones]]") :]
     assert refusals(tmp_path, FORCE_PLATE + tone) == [
-        "18: sites[1].tones: got ['force', 'force']; a force site has one tone"
+        "18: sites[1].tones: got ['force', 'force']; a force site has one tone for its force, and at most one for its "
+        "temperature"
     ]
     head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
     (message,) = refusals(tmp_path, head + SKIN_SITE[: SKIN_SITE.rindex("[[sites.tones]]")])
@@ -391,10 +392,39 @@ def test_a_counter_needs_no_more_than_its_kind() -> None:
     assert Plate.model_validate(tomllib.loads(FORCE_PLATE)).pilot_hz == 10.01e6
 
 
-def test_channelised_force_sites_are_refused(tmp_path: Path) -> None:
+def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
     text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", "")
-    (message,) = refusals(tmp_path, text)
-    assert message.startswith("7: counter.kind: got 'channelised'; such counters read skin signals in this version")
+    text = text.replace("[counter]", "spread_width_mm = 2.5\n[counter]")
+    tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"').replace("99", "98")
+    plate = load_plate(written(tmp_path, text + tone + "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"))
+    assert plate.signals == ("force", "temperature")
+    assert plate.spread_width_m == pytest.approx(2.5e-3)
+    np.testing.assert_array_equal(plate.tones.signal_index, [0, 0, 1])
+    np.testing.assert_array_equal(plate.tones.site_index, [0, 1, 1])
+    np.testing.assert_array_equal(plate.tones.temperature_coefficients[2], [-5e-8, -5e-10, 1e-10])
+    assert np.isnan(plate.tones.temperature_coefficients[:2]).all()
+
+
+def test_a_spread_of_touches_needs_tones_that_are_all_heard(tmp_path: Path) -> None:
+    (message,) = refusals(tmp_path, FORCE_PLATE.replace("[counter]", "spread_width_mm = 2.5\n[counter]"))
+    assert "spread_width_mm: got 2.5; belongs to a channelised counter of force sites" in message
+
+
+def test_what_a_calibration_says(tmp_path: Path) -> None:
+    text = FORCE_PLATE + (
+        "[thermal]\nrange_kelvin = [280, 320]\ncontact_std_kelvin = 4\n"
+        "[response]\nhysteresis_newton = 0.1\ncreep_fraction = 0.005\ncreep_time_s = 20\n"
+        '[calibration]\nid = "c1"\ndate = 2026-11-01\nexpiry = 2027-11-01\nmodel_error = 0.01\n'
+        "validity = { force_newton = [0.5, 5.0], kelvin = [293, 303] }\n"
+        "coupling = [{ pressed = 7, heard = 3, ratio = 0.02 }]\n"
+    )
+    plate = load_plate(written(tmp_path, text))
+    assert plate.response is not None
+    assert plate.calibration.validity is not None
+    assert (plate.response.hysteresis_newton, plate.thermal.contact_std_kelvin) == (0.1, 4.0)
+    assert plate.calibration.validity.force_newton == (0.5, 5.0)
+    (message,) = refusals(tmp_path, text.replace("[0.5, 5.0]", "[5.0, 0.5]"))
+    assert "calibration.validity.force_newton: got [5.0, 0.5]; must rise: the lowest, then the highest" in message
 
 
 def test_every_finding_comes_at_once(tmp_path: Path) -> None:
