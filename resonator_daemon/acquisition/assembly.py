@@ -19,6 +19,7 @@ class AssembledFrame:
     sequence: int
     board_ticks: int
     parts: int
+    phase_turn32: NDArray[np.int32]
     offset_hz16: NDArray[np.int32]
     sigma_code: NDArray[np.uint8]
     known: NDArray[np.bool_]
@@ -70,6 +71,7 @@ class FrameAssembler:
             sequence=part.sequence,
             board_ticks=part.board_ticks,
             parts=part.block.parts,
+            phase_turn32=np.zeros(shape, np.int32),
             offset_hz16=np.zeros(shape, np.int32),
             sigma_code=np.zeros(shape, np.uint8),
             known=np.zeros(shape, np.bool_),
@@ -83,6 +85,7 @@ class FrameAssembler:
             return
         tones = np.frombuffer(part.tones, _TONE)
         where = (block.channel, slice(block.first_tone, end))
+        frame.phase_turn32[where] = tones["phase_turn32"]
         frame.offset_hz16[where] = tones["offset_hz16"]
         frame.sigma_code[where] = tones["sigma_code"]
         frame.known[where] = (tones["flags"] & _UNUSABLE) == 0

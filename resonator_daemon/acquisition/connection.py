@@ -246,7 +246,13 @@ class Connection:
             self._account.parts_lost += frame.parts - frame.parts_seen
             self._account.frames_incomplete += frame.parts_seen < frame.parts
             arrival = ChannelisedFrame(
-                index, frame.board_ticks, gate_end, frame.offset_hz16, frame.sigma_code, frame.known
+                index,
+                frame.board_ticks,
+                gate_end,
+                frame.phase_turn32,
+                frame.offset_hz16,
+                frame.sigma_code,
+                frame.known,
             )
         self._ring.put(arrival, frame.size_bytes)
 

@@ -27,6 +27,7 @@ class ChannelisedFrame:
     index: int
     board_ticks: int
     gate_end: Instant
+    phase_turn32: NDArray[np.int32]
     offset_hz16: NDArray[np.int32]
     sigma_code: NDArray[np.uint8]
     known: NDArray[np.bool_]

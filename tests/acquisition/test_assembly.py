@@ -12,7 +12,7 @@ TONES = 6
 def part(sequence: int, channel: int, half: int, flags: int = 0, first: int | None = None) -> FramePart:
     first = 3 * half if first is None else first
     tones = b"".join(
-        TONE_STRUCT.pack(0, 1000 * channel - tone, 0, 100 + tone, flags) for tone in range(first, first + 3)
+        TONE_STRUCT.pack(7 * tone, 1000 * channel - tone, 0, 100 + tone, flags) for tone in range(first, first + 3)
     )
     block = Block(channel, BlockEncoding.TONE_12, first, 3, 2 * channel + half, 8)
     return FramePart(sequence, 10 * sequence, 72, block, tones)
@@ -28,6 +28,7 @@ def test_a_complete_frame() -> None:
     (frame,) = frames
     channel, tone = np.mgrid[:4, :TONES]
     np.testing.assert_array_equal(frame.offset_hz16, 1000 * channel - tone)
+    np.testing.assert_array_equal(frame.phase_turn32, 7 * tone)
     np.testing.assert_array_equal(frame.sigma_code, 100 + tone)
     assert frame.known.all()
     assert (frame.sequence, frame.board_ticks, frame.parts, frame.parts_seen) == (7, 70, 8, 8)
