@@ -1,24 +1,34 @@
-"""Frequency from a counter's integer sums: merging, regression slope, noise, and the sliding window of one channel.
+"""Frequency from a counter's exact integer sums: merging adjacent gates, three estimators, and the noise of each.
 
-Integers stay exact until the one division that makes a frequency. Regression of stamp time on edge number is the Omega
-counter of Rubiola et al. (2016); definitions of the sums are in `firmware_protocol.layouts`.
+Integers stay exact until the one division that makes a frequency. Definitions of the sums are in
+`firmware_protocol.layouts`. Relative variances over a window T of N stamps, each off by s, and of an oscillator whose
+white frequency noise has the density h0 (Rubiola et al., The Omega counter, 2016; Dawkins et al., Considerations on the
+measurement of the stability of oscillators with frequency counters, 2007):
+
+| estimator | | white noise of stamps | white frequency noise |
+| --- | --- | --- | --- |
+| Pi | end points | 2 s^2 / T^2 | h0 / 2T: optimal |
+| Lambda | means of two halves | 16 s^2 / (N T^2) | 4/3 h0 / 2T |
+| Omega | regression | 12 s^2 / (N T^2): optimal, the Cramer-Rao bound | 6/5 h0 / 2T |
+
+Omega is the one for a window of one reading, and never much worse than the best. Pi needs no stamp but the first and
+the last and is the one for long times, where the oscillator's noise rules. Lambda is for boards and instruments that
+give it, to compare with. Means of frequencies are none of these: they throw away what joins the gates.
 """
 
 import math
-from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple, Self
 
-from firmware_protocol.layouts import RecordFlag, SingleToneRecord
+from firmware_protocol.layouts import SingleToneRecord
 
 WRAP_MASK: Final = 0xFFFFFFFF  # edge and tick counters are 32 bits wide on the wire
-STAMPS_MIN: Final = 3  # two give a slope but say nothing about their noise
-LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
-NOISE_SIGMAS: Final = 6.0
 FREQUENCY_JUMP: Final = 20e-6  # between adjacent gates; a press of 3 N/ms at 6.3e-6 / N stays below it
 QUANTISATION_TICKS2: Final = 1 / 12  # variance of a stamp rounded to whole ticks
 OSCILLATOR_STD_1S: Final = 3e-10  # white frequency noise of a site: Allan deviation at 1 s, sqrt(h0 / 2)
-OMEGA_WHITE_FM: Final = 1.2  # variance of the regression against that of the end-point slope, white FM
+PI_WHITE_FM: Final = 1.0  # variance from white frequency noise over that of the end-point slope
+LAMBDA_WHITE_FM: Final = 4 / 3
+OMEGA_WHITE_FM: Final = 1.2
 
 
 class Sums(NamedTuple):
@@ -83,8 +93,30 @@ def merge(parts: Iterable[Sums]) -> Sums:
     return Sums(first.first_edge, first.first_ticks, stamps, first.stride_edges, span, s1, s2, q2, differences)
 
 
+def pi_frequency_hz(sums: Sums, reference_hz: float) -> float:
+    """Frequency of the edges by the first and the last stamp alone (Pi)."""
+    return reference_hz * ((sums.stamps - 1) * sums.stride_edges / sums.span_ticks)
+
+
+def lambda_frequency_hz(parts: Sequence[Sums], reference_hz: float) -> float:
+    """Frequency of the edges by the mean stamps of two halves (Lambda).
+
+    `parts` are adjacent, an even number of them. Their stamps need not be equally many; with equally many the variance
+    is 16 s^2 / (N T^2). Raises ValueError where they are odd or do not run on.
+    """
+    if not parts or len(parts) % 2:
+        raise ValueError(f"{len(parts)} parts, an even number needed")
+    whole, middle = merge(parts), len(parts) // 2
+    earlier, later = merge(parts[:middle]), merge(parts[middle:])
+    # Mean of a half: S1/n from its own first stamp. The later half's, from the whole's first, is the rest of the sum.
+    later_sum = whole.s1_ticks - earlier.s1_ticks
+    distance_edges = whole.stride_edges * whole.stamps * earlier.stamps * later.stamps
+    distance_ticks = 2 * (later_sum * earlier.stamps - earlier.s1_ticks * later.stamps)
+    return reference_hz * (distance_edges / distance_ticks)
+
+
 def frequency_hz(sums: Sums, reference_hz: float) -> float:
-    """Frequency of the edges by regression of stamp time on edge number.
+    """Frequency of the edges by regression of stamp time on edge number (Omega).
 
     The slope is 6 (2 S2 - (N-1) S1) / (D N (N^2 - 1)) ticks per edge.
     """
@@ -99,104 +131,29 @@ def stamp_std_ticks(sums: Sums) -> float:
     return math.sqrt(max(sums.q2_ticks2 / (6 * sums.second_differences), QUANTISATION_TICKS2))
 
 
+def pi_counter_std(sums: Sums) -> float:
+    """Relative standard deviation of `pi_frequency_hz` from white noise of the stamps: sqrt(2) s / T."""
+    return stamp_std_ticks(sums) / sums.span_ticks * math.sqrt(2.0)
+
+
+def lambda_counter_std(sums: Sums) -> float:
+    """Relative standard deviation of `lambda_frequency_hz` of equal halves: sqrt(16 s^2 / (N T^2))."""
+    return stamp_std_ticks(sums) / _interval_ticks(sums) * math.sqrt(16.0 / sums.stamps**3)
+
+
 def counter_std(sums: Sums) -> float:
     """Relative standard deviation of `frequency_hz` from white noise of the stamps: sqrt(12 s^2 / (N T^2))."""
     stamps = sums.stamps
-    interval_ticks = sums.span_ticks / (stamps - 1)
-    return stamp_std_ticks(sums) / interval_ticks * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
+    return stamp_std_ticks(sums) / _interval_ticks(sums) * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
 
 
-def oscillator_std(window_s: float) -> float:
-    """Relative standard deviation of a regression over `window_s` from white frequency noise: sqrt(1.2 h0 / 2T)."""
-    return OSCILLATOR_STD_1S * math.sqrt(OMEGA_WHITE_FM / window_s)
+def _interval_ticks(sums: Sums) -> float:
+    return sums.span_ticks / (sums.stamps - 1)
 
 
-_FLAG_FAULTS: Final = (
-    (RecordFlag.NO_SIGNAL, "no_signal"),
-    (RecordFlag.OVERFLOW, "overflow"),
-    (RecordFlag.CAPTURE_SWITCH, "capture_switch"),
-    (RecordFlag.LOST_EDGE, "lost_edge"),
-    (RecordFlag.SATURATED, "saturated"),
-)
-_UNUSABLE: Final = sum(int(flag) for flag, _ in _FLAG_FAULTS)
-_STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
+def oscillator_std(window_s: float, white_fm: float = OMEGA_WHITE_FM) -> float:
+    """Relative standard deviation over `window_s` from white frequency noise, sqrt(c h0 / 2T).
 
-
-def fault(record: SingleToneRecord) -> str | None:
-    """Why a record gives no frequency: the board says so, or no steady tone has such sums; None where it does."""
-    if record.flags & _UNUSABLE:
-        return next(name for flag, name in _FLAG_FAULTS if record.flags & flag)
-    stamps, span = record.stamps, record.span_ticks
-    if stamps < STAMPS_MIN or record.stride_edges == 0 or span < stamps - 1:
-        return "impossible_counts"
-    # On the line through the end points S1 = N u / 2 and S2 = N (2N - 1) u / 6.
-    slack = span // LINE_TOLERANCE + 1
-    if abs(2 * record.s1_ticks - stamps * span) > 2 * stamps * slack:
-        return "impossible_counts"
-    if abs(6 * record.s2_ticks - stamps * (2 * stamps - 1) * span) > 3 * stamps * (stamps - 1) * slack:
-        return "impossible_counts"
-    # Regression and end points give one frequency but for noise and the chirp of a press.
-    slope_numerator = 6 * (2 * record.s2_ticks - (stamps - 1) * record.s1_ticks)
-    if slope_numerator <= 0:
-        return "impossible_counts"
-    slope = slope_numerator / (stamps * (stamps * stamps - 1))
-    end_points = span / (stamps - 1)
-    sums = Sums.of(record)
-    noise_ticks = math.sqrt(2.0) * stamp_std_ticks(sums)
-    if noise_ticks > end_points:
-        return "impossible_counts"  # stamps that scatter by more than their distance are not in order
-    if abs(slope / end_points - 1.0) > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
-        return "impossible_counts"
-    return None
-
-
-class SlidingWindow:
-    """The last `frames` gates of one channel, for as long as the same tone's stamps run on without a break."""
-
-    def __init__(self, frames: int, reference_hz: float, band_hz: tuple[float, float]) -> None:
-        """`band_hz` is the lowest and the highest frequency that the plate could ever send."""
-        if frames < 1:
-            raise ValueError(f"window of {frames} frames, at least 1")
-        self._parts: deque[Sums] = deque(maxlen=frames)
-        self._reference_hz = reference_hz
-        self._lowest_hz, self._highest_hz = band_hz
-        self._last_hz = math.nan
-        self.fault: str | None = None
-
-    def restart(self) -> None:
-        """Forget everything, as after a gap."""
-        self._parts.clear()
-        self.fault = None
-
-    def push(self, record: SingleToneRecord) -> str | None:
-        """Take one gate's record; returns why it is not usable, else None.
-
-        An unusable record empties the window; one that does not run on from the last starts it anew.
-        """
-        self.fault = fault(record)
-        if self.fault is not None:
-            self._parts.clear()
-            return self.fault
-        part = Sums.of(record)
-        gate_hz = frequency_hz(part, self._reference_hz)
-        if not self._lowest_hz <= gate_hz <= self._highest_hz:
-            self._parts.clear()
-            self.fault = "impossible_frequency"
-            return self.fault
-        if self._parts and (
-            record.flags & _STRIDE_BREAK
-            or abs(gate_hz - self._last_hz) > FREQUENCY_JUMP * gate_hz
-            or not continues(self._parts[-1], part)
-        ):
-            self._parts.clear()
-        self._parts.append(part)
-        self._last_hz = gate_hz
-        return None
-
-    @property
-    def full(self) -> bool:
-        return len(self._parts) == self._parts.maxlen
-
-    def sums(self) -> Sums | None:
-        """Add up the whole window, None until it is full."""
-        return merge(self._parts) if self.full else None
+    `white_fm` is c of the estimator: PI_WHITE_FM, LAMBDA_WHITE_FM or OMEGA_WHITE_FM.
+    """
+    return OSCILLATOR_STD_1S * math.sqrt(white_fm / window_s)

@@ -6,20 +6,22 @@ from brute_force_board import REFERENCE_HZ, WRAP, Channel, record_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.measurement.counting import (
-    SlidingWindow,
+    LAMBDA_WHITE_FM,
+    OMEGA_WHITE_FM,
+    PI_WHITE_FM,
     Sums,
     continues,
     counter_std,
-    fault,
     frequency_hz,
+    lambda_counter_std,
+    lambda_frequency_hz,
     merge,
     oscillator_std,
+    pi_counter_std,
+    pi_frequency_hz,
     stamp_std_ticks,
 )
-
-BAND_HZ = (9e6, 11e6)
 
 
 def sums_of(ticks, first_edge=0, stride=10):
@@ -144,139 +146,81 @@ def test_merging_ten_gates_is_ten_times_better_than_their_mean():
     assert np.std(mean) / np.std(merged) == pytest.approx(10, rel=0.15)
 
 
-def test_oscillator_noise_of_a_regression_under_white_frequency_noise():
+@given(steps=st.lists(st.integers(90, 110), min_size=4, max_size=40), stride=st.integers(1, 1000), data=st.data())
+def test_end_points_and_two_means_of_stamps(steps, stride, data):
+    ticks = [int(t) for t in np.cumsum(steps)]
+    at = data.draw(st.integers(2, len(ticks) - 2))
+    halves = split(ticks, [at, len(ticks) - at], 7, stride)
+    pi = Fraction((len(ticks) - 1) * stride, ticks[-1] - ticks[0]) * 10**9
+    assert pi_frequency_hz(merge(halves), REFERENCE_HZ) == pytest.approx(float(pi), rel=4e-16)
+    edges = [stride * k for k in range(len(ticks))]
+    mean = [(Fraction(sum(x[:at]), at), Fraction(sum(x[at:]), len(ticks) - at)) for x in (edges, ticks)]
+    two_means = (mean[0][1] - mean[0][0]) / (mean[1][1] - mean[1][0]) * 10**9
+    assert lambda_frequency_hz(halves, REFERENCE_HZ) == pytest.approx(float(two_means), rel=4e-16)
+
+
+def test_two_means_of_many_parts_are_those_of_their_halves():
+    parts = split(jittered(np.random.default_rng(11), 400, 1.0), [100] * 4, WRAP - 999, 10)
+    halves = [merge(parts[:2]), merge(parts[2:])]
+    assert lambda_frequency_hz(parts, REFERENCE_HZ) == lambda_frequency_hz(halves, REFERENCE_HZ)
+
+
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_two_means_need_an_even_number_of_parts(count):
+    parts = split([1000 * k for k in range(30)], [10] * 3, 0, 10)
+    with pytest.raises(ValueError, match=f"{count} parts, an even number"):
+        lambda_frequency_hz(parts[:count], REFERENCE_HZ)
+
+
+def test_stated_noise_of_each_estimator_is_its_spread_and_stands_in_the_known_ratio():
+    rng = np.random.default_rng(12)
+    stamps, found, stated = 100, [], []
+    for _ in range(2500):
+        halves = split(jittered(rng, stamps, 1.0), [stamps // 2] * 2, 0, 10)
+        whole = merge(halves)
+        estimates = pi_frequency_hz(whole, 1.0), lambda_frequency_hz(halves, 1.0), frequency_hz(whole, 1.0)
+        found.append(estimates)
+        stated.append((pi_counter_std(whole), lambda_counter_std(whole), counter_std(whole)))
+    stated = np.sqrt(np.mean(np.square(stated), axis=0))
+    np.testing.assert_allclose(np.std(found, axis=0) / np.mean(found), stated, rtol=0.05)
+    # Variances of s^2 / T^2, T from the first stamp to the last or to the one after.
+    np.testing.assert_allclose((stated / stated[2]) ** 2 * 12 / stamps, [2, 16 / stamps, 12 / stamps], rtol=0.03)
+
+
+def test_oscillator_noise_of_each_estimator_under_white_frequency_noise():
     rng = np.random.default_rng(8)
     steps, window_s = 400, 0.01
     # Allan deviation 3e-10 at 1 s: the mean frequency over tau has the variance (3e-10)^2 / tau.
-    dy = rng.normal(0, 3e-10 / np.sqrt(window_s / steps), (4000, steps))
+    dy = rng.normal(0, 3e-10 / np.sqrt(window_s / steps), (8000, steps))
     phase_s = np.cumsum(dy, axis=1) * window_s / steps
-    slopes = np.polyfit(np.arange(1, steps + 1) * window_s / steps, phase_s.T, 1)[0]
-    assert slopes.std() == pytest.approx(oscillator_std(window_s), rel=0.04)
+    omega = np.polyfit(np.arange(1, steps + 1) * window_s / steps, phase_s.T, 1)[0]
+    halves = phase_s.reshape(-1, 2, steps // 2).mean(axis=2)
+    two_means = (halves[:, 1] - halves[:, 0]) / (window_s / 2)
+    pi = dy.mean(axis=1)
+    for slopes, white_fm in ((pi, PI_WHITE_FM), (two_means, LAMBDA_WHITE_FM), (omega, OMEGA_WHITE_FM)):
+        assert slopes.std() == pytest.approx(oscillator_std(window_s, white_fm), rel=0.02)
+    assert oscillator_std(window_s) == pytest.approx(omega.std(), rel=0.02)
     assert oscillator_std(0.01) == pytest.approx(3.29e-9, rel=0.01)
 
 
-GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
-
-
-def test_a_steady_tone_has_no_fault():
-    assert fault(GOOD) is None
-    assert fault(GOOD._replace(flags=int(RecordFlag.STRIDE_BREAK))) is None
-    assert fault(record_of([0, 1000, 2001], 0, 10)) is None
-
-
-@pytest.mark.parametrize(
-    ("change", "cause"),
-    [
-        ({"flags": RecordFlag.NO_SIGNAL}, "no_signal"),
-        ({"flags": RecordFlag.OVERFLOW}, "overflow"),
-        ({"flags": RecordFlag.CAPTURE_SWITCH | RecordFlag.STRIDE_BREAK}, "capture_switch"),
-        ({"flags": RecordFlag.LOST_EDGE}, "lost_edge"),
-        ({"flags": RecordFlag.SATURATED}, "saturated"),
-        ({"stamps": 0}, "impossible_counts"),
-        ({"stamps": 1}, "impossible_counts"),
-        ({"stamps": 2, "span_ticks": 1000, "s1_ticks": 1000, "s2_ticks": 1000}, "impossible_counts"),
-        ({"stride_edges": 0}, "impossible_counts"),
-        ({"span_ticks": 0}, "impossible_counts"),
-        ({"span_ticks": 0, "s1_ticks": 0, "s2_ticks": 0}, "impossible_counts"),
-        ({"span_ticks": 998}, "impossible_counts"),
-        ({"s1_ticks": 0}, "impossible_counts"),
-        ({"s1_ticks": GOOD.s1_ticks + (1 << 25)}, "impossible_counts"),
-        ({"s1_ticks": (1 << 64) - 1}, "impossible_counts"),
-        ({"s2_ticks": 0}, "impossible_counts"),
-        ({"s2_ticks": GOOD.s2_ticks - (1 << 34)}, "impossible_counts"),
-        ({"s2_ticks": (1 << 64) - 1}, "impossible_counts"),
-    ],
-)
-def test_impossible_records_are_named(change, cause):
-    assert fault(GOOD._replace(**change)) == cause
-
-
-def window(frames=3):
-    return SlidingWindow(frames, REFERENCE_HZ, BAND_HZ)
-
-
-def frames_of(frequencies_hz, flags=None):
-    channel = Channel(np.random.default_rng(9), 10, 0, 0)
-    flags = flags or {}
-    return [channel.gate(f, (k + 1) * 1_000_000, int(flags.get(k, 0))) for k, f in enumerate(frequencies_hz)]
-
-
-def test_a_window_gives_the_merged_sums_of_its_last_gates():
-    slide, frames = window(), frames_of([10e6] * 5)
-    seen = []
-    for frame in frames:
-        assert slide.push(frame) is None
-        seen.append(slide.sums())
-    assert seen[:2] == [None, None]
-    assert seen[2:] == [merge([Sums.of(frame) for frame in frames[k - 2 : k + 1]]) for k in (2, 3, 4)]
-
-
-def full_after(slide, frames):
-    return [slide.push(frame) or ("full" if slide.sums() else "filling") for frame in frames]
-
-
-def test_a_flagged_gate_empties_the_window_and_the_next_starts_anew():
-    flags = {3: RecordFlag.CAPTURE_SWITCH}
-    told = full_after(window(), frames_of([10e6] * 8, flags))
-    assert told == ["filling"] * 2 + ["full", "capture_switch"] + ["filling"] * 2 + ["full"] * 2
-
-
-def test_a_stride_break_starts_the_window_anew_with_that_gate():
-    told = full_after(window(), frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}))
-    assert told == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
-
-
-def test_a_missing_gate_starts_the_window_anew():
-    frames = frames_of([10e6] * 8)
-    del frames[3]
-    assert full_after(window(), frames) == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
-
-
-@pytest.mark.parametrize(("jump", "restarts"), [(15e-6, False), (-15e-6, False), (25e-6, True), (-25e-6, True)])
-def test_a_capture_switch_that_the_board_does_not_flag_starts_the_window_anew(jump, restarts):
-    told = full_after(window(), frames_of([10e6] * 4 + [10e6 * (1 + jump)] * 3))
-    after = ["filling"] * 2 + ["full"] if restarts else ["full"] * 3
-    assert told == ["filling"] * 2 + ["full"] * 2 + after
-
-
-@pytest.mark.parametrize("frequency", [8.9e6, 11.1e6])
-def test_a_frequency_outside_the_band_is_a_fault(frequency):
-    slide = window()
-    assert slide.push(frames_of([frequency])[0]) == "impossible_frequency"
-    assert slide.fault == "impossible_frequency"
-    assert slide.sums() is None
-
-
-def test_restart_forgets_gates_and_fault():
-    slide = window(1)
-    slide.push(frames_of([10e6])[0])
-    assert slide.full
-    slide.restart()
-    assert not slide.full
-    slide.push(SingleToneRecord(*[0] * 10))
-    slide.restart()
-    assert slide.fault is None
-
-
-def test_a_window_of_no_gates_is_refused():
-    with pytest.raises(ValueError, match="0 frames"):
-        window(0)
-
-
-def test_sums_that_contradict_each_other_give_no_frequency() -> None:
-    """A regression slope that leaves the end points' behind is damage that a check sum cannot see."""
-    stamps = [1000 + 1001 * k // 10 * 10 for k in range(1000)]
-    offsets = [stamp - stamps[0] for stamp in stamps]
-    second = [offsets[k] - 2 * offsets[k - 1] + offsets[k - 2] for k in range(2, 1000)]
-    s2 = sum(k * offset for k, offset in enumerate(offsets))
-    sound = SingleToneRecord(
-        0, 1000, 1000, 10, offsets[-1], sum(offsets), s2, sum(value * value for value in second), 0, 0
-    )
-    assert fault(sound) is None
-    assert fault(sound._replace(s2_ticks=s2 + s2 // 20_000)) == "impossible_counts"
-    assert fault(sound._replace(s2_ticks=s2 - s2 // 20_000)) == "impossible_counts"
-    assert fault(sound._replace(q2_ticks2=2**64 - 1)) == "impossible_counts"
-
-
-def test_a_slope_of_nothing_is_no_frequency() -> None:
-    assert fault(SingleToneRecord(0, 0, 3, 1, 2, 3, 3, 0, 0, 0)) == "impossible_counts"
+@pytest.mark.parametrize("span_bits", [32, 40, 63, 80])
+def test_a_line_of_any_length_keeps_its_frequency_exactly(span_bits):
+    interval, stamps, first = 123_456_789, 16, (1 << span_bits) - 5
+    ticks = [first + k * interval for k in range(stamps)]
+    sums = sums_of(ticks, WRAP - 3, 977)
+    while sums.span_ticks < 1 << span_bits:
+        distance = sums.stamps * interval
+        edge = (sums.first_edge + sums.stamps * 977) % WRAP
+        sums = merge([sums, sums._replace(first_edge=edge, first_ticks=(sums.first_ticks + distance) % WRAP)])
+    count = sums.stamps
+    assert sums.span_ticks == (count - 1) * interval
+    assert sums.s1_ticks == interval * count * (count - 1) // 2
+    assert sums.s2_ticks == interval * count * (count - 1) * (2 * count - 1) // 6
+    halves = [
+        sums,
+        sums._replace(
+            first_edge=(sums.first_edge + count * 977) % WRAP, first_ticks=(sums.first_ticks + count * interval) % WRAP
+        ),
+    ]
+    assert frequency_hz(sums, REFERENCE_HZ) == pi_frequency_hz(sums, REFERENCE_HZ) == REFERENCE_HZ * (977 / interval)
+    assert lambda_frequency_hz(halves, REFERENCE_HZ) == REFERENCE_HZ * (977 / interval)
