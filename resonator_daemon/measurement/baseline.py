@@ -4,38 +4,68 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-COMMON_MODE_STD: Final = 2e-7  # what the held value may be off by, relative frequency
+import numpy as np
+
+from resonator_daemon.measurement.random_walk import FloatArray, RandomWalks
+
+# What the sites' temperature coefficients differ from the pilot's, unknown, over the plate's temperature range.
+COMMON_MODE_STD: Final = 2e-7
+# A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
+# 1e-7 per kelvin, and an ordinary reference clock beside it with less.
+COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
 
 
 class CommonMode:
-    """Relative frequency error g per channel, as an exponential mean over untouched readings.
+    """Relative frequency error g per channel: a random walk that the untouched tones measure.
 
-    Unknown until every channel has been heard untouched in `needed` readings since the start or the last `reset`; only
-    a board's boot or a new configuration is a reason for `reset`.
+    Unknown until every channel has been heard untouched in `needed` readings since the start or the last `reset`, or
+    was set by `tare`. Only a board's boot or a new configuration is a reason for `reset`.
     """
 
-    def __init__(self, channels: int, *, needed: int, memory: int) -> None:
-        """`memory` is the length of the exponential mean, in readings."""
-        if not 1 <= needed <= memory:
-            raise ValueError(f"{needed} readings needed of a mean over {memory}, at least 1 and at most the mean")
+    def __init__(self, channels: int, *, needed: int, reading_std: float, floor_std: float = COMMON_MODE_STD) -> None:
+        """Take the noise of a reading and what no reading tells, `floor_std`; both relative, one standard deviation."""
+        if needed < 1:
+            raise ValueError(f"{needed} readings needed, at least 1")
+        if not (reading_std > 0 and math.isfinite(reading_std)):
+            raise ValueError(f"reading_std {reading_std} must be finite and above 0")
+        if not (floor_std >= 0 and math.isfinite(floor_std)):
+            raise ValueError(f"floor_std {floor_std} must be finite and not below 0")
         self._needed = needed
-        self._memory = memory
-        self._mean = [math.nan] * channels
+        self._reading_variance = reading_std**2
+        self._floor_variance = floor_std**2
+        self._walks = RandomWalks(channels)
         self._count = [0] * channels
 
     def reset(self) -> None:
-        self._mean = [math.nan] * len(self._mean)
+        self._walks.reset()
         self._count = [0] * len(self._count)
 
-    def update(self, readings: Sequence[float]) -> None:
-        """Take one untouched reading of g per channel, NaN for a channel that was not heard."""
-        for channel, reading in enumerate(readings):
-            if math.isnan(reading):
-                continue
-            count = min(self._count[channel] + 1, self._memory)
-            mean = self._mean[channel] if count > 1 else reading
-            self._mean[channel] = mean + (reading - mean) / count
-            self._count[channel] = count
+    def update(self, readings: Sequence[float], elapsed_s: float) -> None:
+        """Take one reading of g per channel, NaN for a channel that was not heard untouched.
+
+        To be called while touched, too, with NaN: `elapsed_s` since the call before makes the held values less certain.
+        """
+        if not (elapsed_s >= 0 and math.isfinite(elapsed_s)):
+            raise ValueError(f"elapsed_s {elapsed_s} must be finite and not below 0")
+        self._walks.advance(COMMON_MODE_WALK**2 * elapsed_s)
+        self._measure(readings, 1)
+
+    def tare(self, readings: Sequence[float]) -> None:
+        """Take the present mean of g per channel for the truth; a NaN leaves its channel as it was."""
+        heard = ~np.isnan(self._array(readings))
+        self._walks.variance[heard] = math.inf
+        self._measure(readings, self._needed)
+
+    def _measure(self, readings: Sequence[float], worth: int) -> None:
+        reading = self._array(readings)
+        heard = ~np.isnan(reading)
+        self._walks.measure(reading, self._reading_variance, heard)
+        self._count = [count + worth * int(h) for count, h in zip(self._count, heard, strict=True)]
+
+    def _array(self, readings: Sequence[float]) -> FloatArray:
+        if len(readings) != len(self._count):
+            raise ValueError(f"{len(readings)} readings for {len(self._count)} channels")
+        return np.array(readings, dtype=np.float64)
 
     @property
     def known(self) -> bool:
@@ -44,4 +74,9 @@ class CommonMode:
     @property
     def value(self) -> tuple[float, ...]:
         """Return g per channel; NaN until known."""
-        return tuple(self._mean) if self.known else (math.nan,) * len(self._mean)
+        return tuple(map(float, self._walks.mean)) if self.known else (math.nan,) * len(self._count)
+
+    @property
+    def std(self) -> float:
+        """What `value` may be off by, relative, in common on all channels; NaN until known."""
+        return math.sqrt(float(self._walks.variance.max()) + self._floor_variance) if self.known else math.nan
