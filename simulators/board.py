@@ -4,6 +4,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+import numpy as np
+
 from firmware_protocol.device import DeviceSession, DeviceState
 from firmware_protocol.messages import BoardStatus, CounterKind, Identity
 from simulators.plate import Contact, CountedFrame, EmulatedPlate
@@ -16,6 +18,7 @@ class MadeFrame(NamedTuple):
     board_ticks: int
     end_ticks: int  # the same moment, counted as `now_ticks`
     contacts: list[Contact]
+    plate_kelvin: float
 
 
 class Outgoing(NamedTuple):
@@ -54,14 +57,29 @@ class Board:
     queue_limit_bytes
         What the output queue holds at most. When it is full, its oldest whole frames are dropped and counted; an answer
         that finds no room even then is dropped too, the host will ask again.
+    drop_rate, seed
+        Share of its frames that the board loses, drawn from that seed; it counts and tells them as it does the others.
     """
 
-    def __init__(self, plate: EmulatedPlate, identity: Identity, boot_id: int, queue_limit_bytes: int) -> None:
+    def __init__(
+        self,
+        plate: EmulatedPlate,
+        identity: Identity,
+        boot_id: int,
+        queue_limit_bytes: int,
+        *,
+        drop_rate: float = 0.0,
+        seed: int = 0,
+    ) -> None:
         self._plate = plate
         self._identity = identity
         self._queue_limit_bytes = queue_limit_bytes
+        self._drop_rate = drop_rate
+        self._random = np.random.default_rng(seed)
         self.first_start_ticks: int | None = None
         self.frames_made = 0
+        self.frames_lost = 0  # by drop_rate
+        self.frames_crowded_out = 0  # of a full queue
         self.reboot(boot_id, 0)
 
     def reboot(self, boot_id: int, now_ticks: int) -> None:
@@ -152,8 +170,12 @@ class Board:
         run.sequence += 1
         run.gate_start_ticks = end_ticks
         self.frames_made += 1
-        self._enqueue(Outgoing(tuple(packets), is_frame=True))
-        return MadeFrame(sequence, board_ticks, end_ticks, counted.contacts)
+        if self._drop_rate > 0.0 and self._random.random() < self._drop_rate:
+            self.frames_lost += 1
+            run.frames_dropped += 1
+        else:
+            self._enqueue(Outgoing(tuple(packets), is_frame=True))
+        return MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
 
     def _enqueue(self, outgoing: Outgoing) -> None:
         size_bytes = _size_bytes(outgoing)
@@ -171,6 +193,7 @@ class Board:
 
     def _count_dropped(self, outgoing: Outgoing) -> None:
         if outgoing.is_frame and self._run is not None:
+            self.frames_crowded_out += 1
             self._run.frames_dropped += 1
 
 

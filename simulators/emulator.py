@@ -8,25 +8,27 @@ import select
 import signal
 import sys
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Literal, TextIO
 
 from threadpoolctl import threadpool_limits
 
 from firmware_protocol.layouts import PROTOCOL_MINOR
 from firmware_protocol.messages import Identity
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
 from simulators.board import Board
+from simulators.comb_plate import CombPlate
 from simulators.faults import FaultInjector, FaultPlan
 from simulators.links import Link, PtyLink, TcpLink
-from simulators.plate import REFERENCE_ERROR
+from simulators.plate import EmulatedPlate
 from simulators.quartz_plate import QuartzPlate
-from simulators.scenario import Scenario, default_scenario, load_scenario
+from simulators.scenario import Scenario, load_scenario
+from simulators.scenario_file import default_scenario
 from simulators.skin_plate import SkinPlate
-from simulators.truth import truth_line
+from simulators.truth import TruthOutput, truth_line
 
 SERIAL_NUMBER = "EMU-0001"
 SINGLE_TONE_QUEUE_BYTES = 256 * 1024  # 1.3 s of 204-byte frames at 1 kHz
@@ -51,7 +53,8 @@ class EmulatorOptions:
     scenario: str | None = None  # None: the one that suits the plate
     truth: Path | None = None
     faults: FaultPlan = field(default_factory=FaultPlan)
-    seed: int = 0
+    counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
+    seed: int | None = None  # None: the scenario's
     speed: float = 1.0
     json: bool = False
 
@@ -95,10 +98,11 @@ class Emulator:
         plate = load_plate(options.plate)
         scenario = load_scenario(options.scenario or default_scenario(plate), plate)
         self.plate_name = plate.name
-        self._board = _emulated_board(plate, scenario, options.seed)
-        self._tick_rate_hz = plate.counter.reference_hz * (1.0 + REFERENCE_ERROR)
+        seed = scenario.seed if options.seed is None else options.seed
+        self._board = _emulated_board(plate, scenario, seed, options.counter)
+        self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
-        self._injector = FaultInjector(options.faults, options.seed)
+        self._injector = FaultInjector(options.faults, seed)
         self._script = _script(options.faults)
         self._unsent = memoryview(b"")  # of what is being sent; whole once empty
         self._unsent_is_frame = False
@@ -109,7 +113,7 @@ class Emulator:
             self._wake_read_fd, self._wake_write_fd = os.pipe()
             stack.callback(os.close, self._wake_read_fd)
             stack.callback(os.close, self._wake_write_fd)
-            self._truth = stack.enter_context(options.truth.open("w", buffering=1)) if options.truth else None
+            self._truth = stack.enter_context(closing(TruthOutput(options.truth))) if options.truth else None
             self.link: Link = PtyLink(options.pty) if options.pty else TcpLink(*(options.tcp or ("", 0)))
             stack.callback(self.link.close)
             self._resources = stack.pop_all()
@@ -138,13 +142,21 @@ class Emulator:
 
     def report(self) -> dict[str, Any]:
         """Return what was sent and what was done to it; every frame made was sent, dropped or is still unsent."""
-        unsent = self._board.frames_queued + (len(self._unsent) > 0 and self._unsent_is_frame)
+        board = self._board
+        unsent = board.frames_queued + (len(self._unsent) > 0 and self._unsent_is_frame)
+        dropped = board.frames_made - self._frames_sent - unsent
         return {
-            "frames_made": self._board.frames_made,
+            "frames_made": board.frames_made,
             "frames_sent": self._frames_sent,
-            "frames_dropped": self._board.frames_made - self._frames_sent - unsent,
+            "frames_dropped": dropped,
+            "dropped_by_cause": {
+                "drop_rate": board.frames_lost,
+                "queue_full": board.frames_crowded_out,
+                "discarded": dropped - board.frames_lost - board.frames_crowded_out,  # host gone, reboot or new run
+            },
             "frames_unsent": unsent,
             "bytes_sent": self._bytes_sent,
+            "truth_lines_lost": self._truth.lines_lost if self._truth else 0,
             "faults": asdict(self._injector.counts),
         }
 
@@ -223,11 +235,28 @@ def _draw_boot_id() -> int:
     return secrets.randbelow(0xFFFFFFFF) + 1
 
 
-def _emulated_board(plate: Plate, scenario: Scenario, seed: int) -> Board:
-    identity = Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR)
-    if plate.counter.kind == "single-tone":
-        return Board(QuartzPlate(plate, scenario, seed), identity, _draw_boot_id(), SINGLE_TONE_QUEUE_BYTES)
-    return Board(SkinPlate(plate, scenario, seed), identity, _draw_boot_id(), CHANNELISED_QUEUE_BYTES)
+def _emulated_board(plate: Plate, scenario: Scenario, seed: int, counter: Literal["sums", "stamps"]) -> Board:
+    single_tone = plate.counter.kind == "single-tone"
+    emulated: EmulatedPlate
+    if counter == "stamps" and not single_tone:
+        raise ValueError(
+            f"counter: got stamps; plate {plate.name} is channelised, and only a single-tone counter makes stamps; "
+            "leave it out"
+        )
+    if single_tone:
+        emulated = QuartzPlate(plate, scenario, seed, counter=counter)
+    elif FORCE_SIGNAL in plate.signals:
+        emulated = CombPlate(plate, scenario, seed)
+    else:
+        emulated = SkinPlate(plate, scenario, seed, reference_error=scenario.physics.reference_error)
+    return Board(
+        emulated,
+        Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR),
+        _draw_boot_id(),
+        SINGLE_TONE_QUEUE_BYTES if single_tone else CHANNELISED_QUEUE_BYTES,
+        drop_rate=scenario.physics.drop_rate,
+        seed=seed,
+    )
 
 
 def _script(plan: FaultPlan) -> list[tuple[float, _Event]]:

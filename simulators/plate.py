@@ -11,8 +11,7 @@ from firmware_protocol.messages import Description
 
 FloatArray = npt.NDArray[np.float64]
 
-REFERENCE_ERROR = 1.5e-6  # the board's reference oscillator is that much fast
-PLATE_KELVIN = 298.15
+REFERENCE_ERROR = 1.5e-6  # the board's reference oscillator is that much fast, where no scenario says otherwise
 
 
 class Contact(NamedTuple):
@@ -28,10 +27,11 @@ class Contact(NamedTuple):
 
 
 class CountedFrame(NamedTuple):
-    """One gate: the records of each channel, and what pressed meanwhile."""
+    """One gate: the records of each channel, what pressed meanwhile, and how warm the plate was."""
 
     channels: list[bytes]
     contacts: list[Contact]
+    plate_kelvin: float = 298.15  # throughout, of a plate without thermal physics
 
 
 class EmulatedPlate(Protocol):

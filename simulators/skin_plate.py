@@ -5,7 +5,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, ToneFlag
+from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate, Skin
 from simulators.contact import PressedSpot, hertz_parts
@@ -16,9 +16,9 @@ from simulators.plate import (
     attenuation_db256,
     corner_levels_db,
     gate_middles_s,
-    record_type,
 )
 from simulators.scenario import FRICTION_COEFFICIENT, Scenario
+from simulators.tone_records import even_oscillators, tone_records
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,8 +27,6 @@ SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, c
 GAIN_ERROR = 0.01
 
 _GATE_S = (4e-3, 100e-3)
-
-_TONE = record_type(TONE_FIELDS)
 
 
 class SkinPlate:
@@ -47,7 +45,7 @@ class SkinPlate:
         if plate.skin is None:
             raise ValueError(f"plate {plate.name} has no [skin], the emulated channelised counter needs one")
         skin, tones = plate.skin, plate.tones
-        oscillator_hz, spacing_hz = _oscillators(plate)
+        oscillator_hz, spacing_hz = even_oscillators(plate)
         count = len(tones.f0_hz)
         reference_hz = plate.counter.reference_hz
         self.description = Description(
@@ -108,14 +106,7 @@ class SkinPlate:
         noise = self._random.standard_normal((2, *offset_hz.shape), dtype=np.float32)
         offset_hz += sigma_hz * noise[0]
         middle_turns += sigma_hz * noise[1] * (gate_s / math.sqrt(12.0))
-
-        records = np.empty(offset_hz.shape, dtype=_TONE)
-        records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
-        records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
-        records["attenuation_db256"] = self._attenuation
-        records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
-        records["flags"] = ToneFlag.OUT_OF_BAND * (np.abs(offset_hz) > self._half_spacing_hz)
-        return [channel.tobytes() for channel in records]
+        return tone_records(offset_hz, middle_turns, sigma_hz, self._attenuation, self._half_spacing_hz)
 
     def _noise_hz(self, plate: Plate, skin: Skin, level_db: FloatArray) -> FloatArray:
         """Return the standard deviation (channels, tones) of a tone's frequency in a gate of the plate's own length."""
@@ -140,20 +131,6 @@ class SkinPlate:
             stick_radius_m,
             FRICTION_COEFFICIENT,
         )
-
-
-def _oscillators(plate: Plate) -> tuple[FloatArray, float]:
-    """Return the frequencies (tones,) that tones are counted against, evenly spaced, and their spacing."""
-    f0_hz = plate.tones.f0_hz.mean(axis=1)
-    spacing_hz = float(f0_hz[-1] - f0_hz[0]) / (len(f0_hz) - 1)
-    oscillator_hz = f0_hz[0] + spacing_hz * np.arange(len(f0_hz))
-    off_hz = np.abs(plate.tones.f0_hz - oscillator_hz[:, np.newaxis]).max()
-    if not off_hz < spacing_hz / 2.0:
-        raise ValueError(
-            f"tones of plate {plate.name} lie up to {off_hz:.0f} Hz off an even spacing of {spacing_hz:.0f} Hz, must "
-            "be within half of it, in the order of the file: the emulated counter's oscillators are spaced evenly"
-        )
-    return oscillator_hz, spacing_hz
 
 
 def _spot(plate: Plate, skin: Skin, centre_m: tuple[float, float], force_max_newton: float) -> PressedSpot:

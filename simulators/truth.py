@@ -1,9 +1,73 @@
-"""The truth file: what pressed during each frame, one JSON object a line, beside what the daemon measured."""
+"""The truth beside the bytes: what pressed during each frame, one JSON object a line, into a file or a pipe."""
 
+import errno
 import json
+import os
+import stat
+from pathlib import Path
 
 from simulators.board import MadeFrame
-from simulators.plate import PLATE_KELVIN, Contact
+from simulators.plate import Contact
+
+_WAITING_LIMIT_BYTES = 4 * 1024 * 1024  # for a reader that pauses: some ten seconds at 1 kHz
+
+
+class TruthOutput:
+    """Takes lines and writes them at once; never waits for the reader of a named pipe.
+
+    Lines that nobody was there to read, and those that came while a reader was too far behind, are lost and counted in
+    `lines_lost`. A reader may come at any time, leave and come back.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened or, later, written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.lines_lost = 0
+        self._path = path
+        self._waiting = bytearray()
+        self._is_pipe = path.exists() and stat.S_ISFIFO(path.stat().st_mode)
+        self._fd = None if self._is_pipe else os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+
+    def write(self, line: str) -> None:
+        data = line.encode()
+        if self._is_pipe and (self._reader_fd() is None or len(self._waiting) + len(data) > _WAITING_LIMIT_BYTES):
+            self.lines_lost += 1
+            return
+        self._waiting += data
+        self._flush()
+
+    def close(self) -> None:
+        if self._fd is not None:
+            self._flush()
+        self._let_go()
+
+    def _reader_fd(self) -> int | None:
+        if self._fd is None:
+            try:
+                self._fd = os.open(self._path, os.O_WRONLY | os.O_NONBLOCK)
+            except OSError as error:
+                if error.errno not in (errno.ENXIO, errno.ENOENT):  # nobody reads yet, or the pipe was removed
+                    raise
+        return self._fd
+
+    def _flush(self) -> None:
+        try:
+            while self._waiting and self._fd is not None:
+                del self._waiting[: os.write(self._fd, self._waiting)]
+        except BlockingIOError:
+            pass
+        except BrokenPipeError:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        self.lines_lost += self._waiting.count(b"\n")
+        self._waiting.clear()
+        if self._fd is not None:
+            os.close(self._fd)
+            self._fd = None
 
 
 def truth_line(frame: MadeFrame, t_ns: int) -> str:
@@ -13,7 +77,7 @@ def truth_line(frame: MadeFrame, t_ns: int) -> str:
         "board_ticks": frame.board_ticks,
         "t_ns": str(t_ns),
         "contacts": [_contact(contact) for contact in frame.contacts],
-        "plate_kelvin": PLATE_KELVIN,
+        "plate_kelvin": frame.plate_kelvin,
     }
     return json.dumps(truth) + "\n"
 

@@ -1,5 +1,7 @@
 """The emulated board, seen from the host's end of the same protocol; time passes by hand."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -41,15 +43,19 @@ class FakePlate:
         self.asked.append((board_ticks, scenario_ticks, gate_ticks, frames))
         size = SINGLE_TONE_STRUCT.size if self.description.tones == 1 else self.description.tones * TONE_STRUCT.size
         contact = Contact(1, None, (0.0, 0.0), (0.0, 0.0, 1.0))
-        return [CountedFrame([bytes([channel]) * size for channel in range(4)], [contact]) for _ in range(frames)]
+        return [
+            CountedFrame([bytes([channel]) * size for channel in range(4)], [contact], 300.0) for _ in range(frames)
+        ]
 
 
 class Bench:
     """A board and a host, wired by hand."""
 
-    def __init__(self, plate: FakePlate | None = None, queue_limit_bytes: int = 100_000) -> None:
+    def __init__(
+        self, plate: FakePlate | None = None, queue_limit_bytes: int = 100_000, drop_rate: float = 0.0, seed: int = 0
+    ) -> None:
         self.plate = plate or FakePlate()
-        self.board = Board(self.plate, IDENTITY, 77, queue_limit_bytes)
+        self.board = Board(self.plate, IDENTITY, 77, queue_limit_bytes, drop_rate=drop_rate, seed=seed)
         self.host = HostSession()
         self.now = 0
 
@@ -106,6 +112,7 @@ def test_handshake_then_a_frame_for_each_gate_numbered_from_0() -> None:
         (k, 12_345 + (k + 1) * GATE_TICKS, 12_345 + (k + 1) * GATE_TICKS) for k in range(3)
     ]
     assert made[0].contacts[0].force_newton == (0.0, 0.0, 1.0)
+    assert made[0].plate_kelvin == 300.0
     assert bench.board.frames_made == 3
 
 
@@ -141,6 +148,36 @@ def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_g
     assert [type(event) for event in bench.exchange()] == [Frame, Frame]
     bench.advance(5 * GATE_TICKS)
     assert bench.exchange()[0] == BoardStatus(9)
+
+
+def test_a_board_that_loses_frames_counts_and_tells_them_and_knows_what_was_true() -> None:
+    bench = Bench(drop_rate=0.3, seed=5)
+    bench.start()
+    made = bench.advance(400 * GATE_TICKS)
+    assert [frame.sequence for frame in made] == list(range(400))
+    events = bench.exchange()
+    status = events[0]
+    assert isinstance(status, BoardStatus)
+    sent = [frame.sequence for frame in frames_in(events)]
+    assert len(sent) + status.frames_dropped == 400
+    assert bench.board.frames_lost == status.frames_dropped == pytest.approx(120, abs=28)  # 3 sigma
+    assert bench.board.frames_crowded_out == 0
+    gaps = [second - first for first, second in pairwise(sent)]
+    assert max(gaps) > 2  # one by one, not every third
+    again = Bench(drop_rate=0.3, seed=5)
+    again.start()
+    again.advance(400 * GATE_TICKS)
+    assert [frame.sequence for frame in frames_in(again.exchange())] == sent
+
+
+def test_frames_that_a_full_queue_and_a_forgetful_board_lose_count_apart() -> None:
+    bench = Bench(queue_limit_bytes=3 * FRAME_BYTES + 20, drop_rate=0.5, seed=5)
+    bench.start()
+    bench.advance(100 * GATE_TICKS)
+    assert bench.board.frames_queued == 3
+    assert bench.board.frames_lost + bench.board.frames_crowded_out == 97
+    assert bench.board.frames_lost == pytest.approx(50, abs=15)
+    assert bench.exchange()[0] == BoardStatus(97)
 
 
 def test_an_answer_takes_the_room_of_the_oldest_frame() -> None:

@@ -22,6 +22,7 @@ from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostS
 from firmware_protocol.messages import Configuration
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
+from simulators.stamps import stamped_sums
 
 WAIT_S = 20.0  # after which a test fails; none waits that long
 _SILENCE_S = 0.1  # after which a host asks
@@ -116,9 +117,26 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     assert truth[0]["plate_kelvin"] == 298.15
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert report["frames_dropped"] == 0
+    assert report["dropped_by_cause"] == {"drop_rate": 0, "queue_full": 0, "discarded": 0}
+    assert report["truth_lines_lost"] == 0
     assert report["bytes_sent"] >= host.session.bytes.received >= 300 * 204
     assert not path.is_symlink()
     assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_the_truth_goes_into_a_pipe_while_somebody_reads_it(tmp_path: Path) -> None:
+    path, pipe = tmp_path / "board", tmp_path / "truth"
+    os.mkfifo(pipe)
+    options = EmulatorOptions("quartz16", pty=path, scenario="held", truth=pipe)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 20)
+        for _ in range(2):  # a reader that comes, leaves and comes again
+            with pipe.open() as reader:
+                lines = [json.loads(reader.readline()) for _ in range(20)]
+            assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * 19
+            seen = len(host.frames)
+            host.read_until(lambda seen=seen: len(host.frames) >= seen + 20)
+    assert emulator.report()["truth_lines_lost"] >= 20
 
 
 def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up(tmp_path: Path) -> None:
@@ -129,7 +147,7 @@ def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up
         wait_for(lambda: len(truths(truth_path)) >= 3000)
     report = emulator.report()
     assert report["frames_unsent"] == pytest.approx(256 * 1024 / 204, abs=2)
-    assert report["frames_dropped"] > 1000
+    assert report["frames_dropped"] == report["dropped_by_cause"]["queue_full"] > 1000
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
 
 
@@ -160,6 +178,49 @@ def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
     assert emulator.report()["bytes_sent"] >= 80 * parts_a_frame * 36
 
 
+def test_a_comb_of_force_sites_sends_all_its_tones_on_four_channels_over_tcp(tmp_path: Path) -> None:
+    truth_path = tmp_path / "truth.jsonl"
+    with emulated(EmulatorOptions("comb16", tcp=("127.0.0.1", 0), truth=truth_path, scenario="held")) as emulator:
+        host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
+        with socket.create_connection((host_name, int(port))) as client:
+            host = Host(client.fileno(), 1_250_000)
+            host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 50)
+    parts = [event for event in host.events if isinstance(event, FramePart)][:50]
+    tones = [part.block.tones for part in parts if part.sequence == 0]
+    assert sum(tones) == 4 * 16
+    assert [part.sequence for part in parts] == list(np.repeat(np.arange(50), len(tones))[:50])
+    (contact,) = truths(truth_path)[0]["contacts"]
+    assert (contact["site"], contact["force_newton"]) == (7, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(("given", "seeds_alike"), [(None, True), (7, True), (8, False)])
+def test_the_scenario_fixes_the_seed_unless_another_is_given(
+    tmp_path: Path, given: int | None, seeds_alike: bool
+) -> None:
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text("seed = 7\n[plate]\ndrop_rate = 0.2\n")
+    lost = []
+    for seed in (given, 7):
+        options = EmulatorOptions("quartz16", pty=tmp_path / "board", scenario=str(scenario), seed=seed)
+        with emulated(options) as emulator, opened(tmp_path / "board") as host:
+            host.read_until(lambda host=host: bool(host.frames) and host.frames[-1].sequence >= 200)
+        lost.append(set(range(200)) - {frame.sequence for frame in host.frames})
+        report = emulator.report()
+        assert report["dropped_by_cause"]["drop_rate"] >= len(lost[-1]) > 20
+        assert sum(report["dropped_by_cause"].values()) == report["frames_dropped"]
+        assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+    assert (lost[0] == lost[1]) == seeds_alike
+
+
+def test_a_counter_that_makes_every_stamp_sends_frames_like_the_other(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=path, scenario="held", counter="stamps", speed=0.1)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 5)
+    assert [frame.sequence for frame in host.frames[:5]] == list(range(5))
+    assert emulator._board._plate._sums is stamped_sums
+
+
 def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "board"
     faults = FaultPlan(unplug_at_s=0.2, unplug_for_s=0.3)
@@ -176,7 +237,7 @@ def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -
             assert host.frames[0].board_ticks > 500_000_000  # of the same boot
     report = emulator.report()
     assert report["faults"]["unplugs"] == 1
-    assert report["frames_dropped"] >= 250
+    assert report["dropped_by_cause"]["discarded"] == report["frames_dropped"] >= 250
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
 
 
@@ -241,6 +302,16 @@ def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
     assert stamps[199] - stamps[0] == pytest.approx(199e6 / 2, abs=2e6)
 
 
+def test_a_fast_reference_makes_gates_short(tmp_path: Path) -> None:
+    path, truth_path, scenario = tmp_path / "board", tmp_path / "truth.jsonl", tmp_path / "mine.toml"
+    scenario.write_text("[plate]\nreference_error = 0.05\n")
+    options = EmulatorOptions("quartz16", pty=path, truth=truth_path, scenario=str(scenario))
+    with emulated(options), opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 200)
+    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
+    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
+
+
 def test_a_run_that_ends_while_it_is_being_stopped_does_not_pull_the_pipe_away(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,6 +339,8 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         Emulator(EmulatorOptions("quartz16", pty=path, speed=0.0))
     with pytest.raises(ValueError, match="no shipped scenario"):
         Emulator(EmulatorOptions("quartz16", pty=path, scenario="tuches"))
+    with pytest.raises(ValueError, match="plate skin32 is channelised, and only a single-tone"):
+        Emulator(EmulatorOptions("skin32", pty=path, counter="stamps"))
     with pytest.raises(FileNotFoundError):
         Emulator(EmulatorOptions("quartz16", pty=path, truth=tmp_path / "nowhere" / "truth.jsonl"))
     assert not path.is_symlink()

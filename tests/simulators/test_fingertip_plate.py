@@ -12,7 +12,7 @@ from scipy.spatial.distance import pdist, squareform
 
 from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.acquisition.fit import misfits, oscillator_hz
-from resonator_daemon.measurement.channelised import ToneArray
+from resonator_daemon.measurement.skin_tones import ToneArray
 from resonator_daemon.plate import Plate, load_plate
 from simulators.scenario import Scenario, Touch
 from simulators.skin_plate import SkinPlate

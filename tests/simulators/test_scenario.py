@@ -1,19 +1,38 @@
 """Scenario files: what they say, and what is said of those that are wrong."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from resonator_daemon.plate import load_plate
-from simulators.scenario import Scenario, Touch, default_scenario, load_scenario, shipped_scenarios
+from simulators import scenario_file
+from simulators.physics import Physics
+from simulators.scenario import Scenario, load_scenario
+from simulators.scenario_file import Touch, default_scenario, shipped_scenarios
 
 QUARTZ = load_plate("quartz16")
+COMB = load_plate("comb16")
 SKIN = load_plate("skin32")
+# What needs force sites or a skin; all others play on any plate.
+ON_FORCE_SITES = {
+    "creep", "hysteresis", "real", "slide", "slow-drift", "thermal-shock", "warm-finger", "whole-plate"
+}  # fmt: skip
+ON_A_SKIN = {"press-and-shear"}
+
+
+SHIPPED = sorted(Path(scenario_file.__file__).with_name("scenarios").glob("*.toml"))
 
 
 def forces(scenario: Scenario, *times_s: float) -> list[list[float]]:
     return scenario.at(np.array(times_s)).force_newton[..., 2].tolist()
+
+
+def held(**what: Any) -> Touch:
+    return Touch.model_validate(
+        {"start_s": 0.0, "force_newton": 1.0, "rise_s": 0.0, "hold_s": 1.0, "fall_s": 0.0} | what
+    )
 
 
 def test_a_touch_rises_holds_and_falls_smoothly() -> None:
@@ -51,16 +70,125 @@ def test_each_repetition_of_a_touch_is_a_contact_of_its_own() -> None:
     assert pressing.ids[pressed].tolist() == [1, 2, 3, 4, 5, 9]
 
 
+def test_a_sliding_touch_goes_straight_to_its_end_while_it_is_held() -> None:
+    touch = Touch(
+        start_s=1.0, site=7, to_mm=(3.3, 3.5), force_newton=1.0, rise_s=0.5, hold_s=2.0, fall_s=0.5, kelvin=305.0
+    )
+    scenario = Scenario((touch, held(site=8, hold_s=9.0)), None, QUARTZ)
+    pressing = scenario.at(np.array([0.5, 1.2, 1.5, 2.0, 3.5, 3.9, 9.0]))
+    start, end = np.array([-0.5e-3, 2.0e-3]), np.array([3.3e-3, 3.5e-3])
+    expected = [start + share * (end - start) for share in (0.0, 0.0, 0.0, 0.25, 1.0, 1.0, 1.0)]
+    assert np.allclose(pressing.position_m[:, 0], expected, atol=1e-12)
+    assert (pressing.position_m[:, 1] == scenario.positions_m[1]).all()
+    assert np.allclose(scenario.positions_m[0], start)
+    sites = [[contact.site for contact in scenario.contacts(pressing, moment)] for moment in (1, 3, 5)]
+    assert sites == [[7, 8], [None, 8], [9, 8]]
+
+
+def test_a_touch_warms_while_it_presses() -> None:
+    scenario = Scenario((held(site=7, kelvin=305.0), held(site=8)), 2.0, QUARTZ)
+    kelvin = scenario.at(np.array([0.5, 1.5, 2.5])).contact_kelvin
+    assert np.array_equal(kelvin, [[305.0, np.nan], [np.nan, np.nan], [305.0, np.nan]], equal_nan=True)
+
+
+def test_a_touch_of_the_whole_plate_is_a_contact_on_every_site() -> None:
+    scenario = Scenario((held(site=7), held(whole_plate=True), held(site=8)), 2.0, QUARTZ)
+    assert scenario.whole_plate.tolist() == [False, True, False]
+    assert scenario.site_ids == (7, None, 8)
+    pressing = scenario.at(np.array([0.5, 2.5]))
+    assert pressing.ids.tolist() == [[1, 2, 18], [19, 20, 36]]
+    assert pressing.position_m[0, 1].tolist() == [0.0, 0.0]
+    contacts = scenario.contacts(pressing, 1)
+    assert [contact.id for contact in contacts] == list(range(19, 37))
+    assert [contact.site for contact in contacts] == [7, *QUARTZ.site_ids.tolist(), 8]
+    assert np.array_equal([contact.position_m for contact in contacts[1:-1]], QUARTZ.site_positions_m)
+    assert {contact.force_newton for contact in contacts} == {(0.0, 0.0, 1.0)}
+
+
+def test_the_environment_is_a_line_through_points_that_stays_after_the_last(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("environment_kelvin = [[10, 300], [20, 310.0], [40, 300]]")
+    kelvin = load_scenario(str(path), QUARTZ).environment_kelvin(np.array([0.0, 10.0, 12.0, 20.0, 30.0, 100.0]))
+    assert kelvin.tolist() == pytest.approx([300.0, 300.0, 302.0, 310.0, 305.0, 300.0])
+    path.write_text("environment_kelvin = 301")
+    assert load_scenario(str(path), QUARTZ).environment_kelvin(np.array([0.0, 9.0])).tolist() == [301.0, 301.0]
+    assert Scenario((), None, QUARTZ).environment_kelvin(np.array([0.0, 9.0])).tolist() == [298.15, 298.15]
+
+
+def test_a_file_says_what_the_plate_is_like_and_which_seed_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("seed = 7\n[plate]\nideal = true\ncreep_fraction = 0.02\ndrop_rate = 0.1\n")
+    scenario = load_scenario(str(path), QUARTZ)
+    assert scenario.seed == 7
+    assert scenario.physics == Physics(ideal=True, creep_fraction=0.02, drop_rate=0.1)
+    assert scenario.physics.hysteresis_fraction == 0.0
+    assert load_scenario("still", QUARTZ).physics == Physics()
+    assert load_scenario("still", QUARTZ).seed == 0
+
+
 @pytest.mark.parametrize("name", shipped_scenarios())
-def test_shipped_scenarios_fit_the_plates_they_are_for(name: str) -> None:
-    for plate in (QUARTZ, SKIN):
-        assert load_scenario(name, plate).at(np.array([0.0])).ids.shape[0] == 1
+def test_shipped_scenarios_play_on_the_plates_they_are_for_and_refuse_others_in_one_sentence(name: str) -> None:
+    for plate, has_force_sites in ((QUARTZ, True), (COMB, True), (SKIN, False)):
+        if name in (ON_A_SKIN if has_force_sites else ON_FORCE_SITES):
+            with pytest.raises(
+                ValueError, match=f"only for plates with .*, and {plate.name} has none; leave"
+            ) as caught:
+                load_scenario(name, plate)
+            assert len(str(caught.value).splitlines()) == 1
+        else:
+            pressing = load_scenario(name, plate).at(np.arange(0.0, 700.0, 0.5))
+            assert np.isfinite(pressing.force_newton).all()
+
+
+def test_shipped_scenarios_begin_with_a_sentence_on_what_happens() -> None:
+    for path in SHIPPED:
+        first, second = path.read_text().splitlines()[:2]
+        assert first.startswith("# ")
+        assert first.endswith(".")
+        assert not second.startswith("#")
 
 
 def test_the_shipped_ones_are_those_that_are_named() -> None:
-    assert set(shipped_scenarios()) == {"touches", "press-and-shear", "still", "held", "between", "too-hard"}
-    assert default_scenario(QUARTZ) == "touches"
+    others = {"touches", "still", "held", "between", "too-hard", "two-touches"}
+    assert set(shipped_scenarios()) == ON_FORCE_SITES | ON_A_SKIN | others
+    assert (default_scenario(QUARTZ), default_scenario(COMB)) == ("touches", "touches")
     assert default_scenario(SKIN) == "press-and-shear"
+
+
+def test_scenarios_of_one_effect_have_only_that() -> None:
+    ideal = Physics(ideal=True)
+    for name in ("touches", "held", "between", "too-hard", "two-touches", "slide", "whole-plate"):
+        assert load_scenario(name, QUARTZ).physics == ideal
+    assert load_scenario("creep", QUARTZ).physics == ideal.model_copy(update={"creep_fraction": 0.005})
+    assert load_scenario("hysteresis", QUARTZ).physics == ideal.model_copy(update={"hysteresis_fraction": 0.01})
+    for name in ("warm-finger", "slow-drift", "real"):
+        assert load_scenario(name, QUARTZ).physics == Physics()
+
+
+def test_two_touches_come_in_pairs_at_least_5_mm_apart() -> None:
+    scenario = load_scenario("two-touches", QUARTZ)
+    pressed = scenario.at(np.arange(0.0, 16.0, 0.01)).force_newton[..., 2] > 0
+    assert pressed.sum(axis=1).max() == 2
+    pairs = {tuple(np.flatnonzero(row).tolist()) for row in pressed if row.sum() == 2}
+    assert len(pairs) == 5
+    for a, b in pairs:
+        assert np.hypot(*(scenario.positions_m[a] - scenario.positions_m[b])) >= 5e-3
+
+
+def test_drift_shock_warmth_and_slide_are_what_they_are_called() -> None:
+    drift = load_scenario("slow-drift", QUARTZ)
+    times_s = np.arange(0.0, 660.0, 1.0)
+    kelvin = drift.environment_kelvin(times_s) - 298.15
+    assert (kelvin.min(), kelvin.max()) == (pytest.approx(-2.0), pytest.approx(2.0))
+    assert (drift.at(times_s).force_newton[..., 2] == 2.0).sum() >= 600
+    shock = load_scenario("thermal-shock", QUARTZ)
+    assert len(shock.positions_m) == 0
+    assert np.ptp(shock.environment_kelvin(np.array([10.0, 15.0]))) == 10.0
+    pressing = load_scenario("warm-finger", QUARTZ).at(np.arange(0.0, 480.0, 1.0))
+    assert set(pressing.contact_kelvin[pressing.force_newton[..., 2] > 0]) == {305.0}
+    assert ((pressing.force_newton[..., 2] > 0).sum(axis=0) >= 180).all()
+    path = load_scenario("slide", QUARTZ).at(np.arange(0.0, 14.0, 0.01)).position_m
+    assert (np.hypot(*np.moveaxis(path[-1] - path[0], -1, 0)) > 4e-3).all()
 
 
 def test_touches_visits_every_site_once_with_all_forces() -> None:
@@ -108,17 +236,37 @@ def findings(tmp_path: Path, text: str) -> list[str]:
 def test_every_mistake_in_a_file_is_named(tmp_path: Path) -> None:
     lines = findings(
         tmp_path,
-        "period = 3\n[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = -1\nhold = 2\n"
+        "period = 3\nseed = -1\nenvironment_kelvin = [[0, 25.0]]\n[plate]\nideal = 1\ncrep_fraction = 1\n"
+        "drop_rate = 1.0\n[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = -1\nhold = 2\n"
         '[[touches]]\nsite = 2\nforce_newton = "1 N"\nshear = { peak_ratio = 2, directon_deg = 1 }\n',
     )
-    assert "mine.toml: period: unknown key; did you mean period_s?" in lines
-    assert "mine.toml: touches[0].force_newton: got -1; input should be greater than 0" in lines
-    assert "mine.toml: touches[0].hold: unknown key; did you mean hold_s?" in lines
-    assert "mine.toml: touches[1].start_s: field required" in lines
-    assert "mine.toml: touches[1].force_newton: got '1 N'; input should be a valid number" in lines
-    assert "mine.toml: touches[1].shear.peak_ratio: got 2; input should be less than or equal to 1" in lines
-    assert "mine.toml: touches[1].shear.directon_deg: unknown key; did you mean direction_deg?" in lines
-    assert len(lines) == 7
+    assert sorted(lines) == [
+        "mine.toml: environment_kelvin[0][1]: got 25.0; input should be greater than or equal to 100",
+        "mine.toml: period: unknown key; did you mean period_s?",
+        "mine.toml: plate.crep_fraction: unknown key; did you mean creep_fraction?",
+        "mine.toml: plate.drop_rate: got 1.0; input should be less than 1",
+        "mine.toml: plate.ideal: got 1; input should be a valid boolean",
+        "mine.toml: seed: got -1; input should be greater than or equal to 0",
+        "mine.toml: touches[0].force_newton: got -1; input should be greater than 0",
+        "mine.toml: touches[0].hold: unknown key; did you mean hold_s?",
+        "mine.toml: touches[1].force_newton: got '1 N'; input should be a valid number",
+        "mine.toml: touches[1].shear.directon_deg: unknown key; did you mean direction_deg?",
+        "mine.toml: touches[1].shear.peak_ratio: got 2; input should be less than or equal to 1",
+        "mine.toml: touches[1].start_s: field required",
+    ]
+
+
+@pytest.mark.parametrize("value", ["[]", "[[5, 300], [5, 301]]", "[[5, 300], [4, 301]]"])
+def test_times_of_temperatures_rise(tmp_path: Path, value: str) -> None:
+    (line,) = findings(tmp_path, f"environment_kelvin = {value}")
+    assert line.endswith("give a number, or points [[t_s, kelvin], ...] with times that rise")
+
+
+@pytest.mark.parametrize("value", ['"warm"', "[300, 301]", "[[1, 2, 3]]", "true"])
+def test_what_is_no_temperature_is_refused(tmp_path: Path, value: str) -> None:
+    assert all(
+        line.startswith("mine.toml: environment_kelvin") for line in findings(tmp_path, f"environment_kelvin = {value}")
+    )
 
 
 def test_a_scenario_that_does_not_fit_the_plate_is_refused(tmp_path: Path) -> None:
@@ -127,15 +275,34 @@ def test_a_scenario_that_does_not_fit_the_plate_is_refused(tmp_path: Path) -> No
         tmp_path,
         "period_s = 2.0\n"
         f"{touch}site = 17\n{touch}position_mm = [11, 0]\n{touch}\n{touch}site = 1\nposition_mm = [0, 0]\n"
-        f"{touch}site = 1\nhold_s = 3\n",
+        f"{touch}site = 1\nhold_s = 3\n{touch}site = 1\nwhole_plate = true\n{touch}site = 1\nto_mm = [0, -11]\n"
+        f"{touch}whole_plate = true\nto_mm = [1, 1]\n{touch}site = 1\nto_mm = [1, 1]\nhold_s = 0\n",
     )
+    place = "give exactly one of site, position_mm and whole_plate = true"
     assert lines == [
         "mine.toml: touches[0].site: got 17; plate quartz16 has 1 to 16",
         "mine.toml: touches[1].position_mm: got [11.0, 0.0]; plate quartz16 reaches over x -10 to 10, y -10 to 10",
-        "mine.toml: touches[2]: give either site or position_mm",
-        "mine.toml: touches[3]: give either site or position_mm",
+        f"mine.toml: touches[2]: {place}",
+        f"mine.toml: touches[3]: {place}",
         "mine.toml: touches[4]: lasts 3.2 s; at most one period_s, 2 s",
+        f"mine.toml: touches[5]: {place}",
+        "mine.toml: touches[6].to_mm: got [0.0, -11.0]; plate quartz16 reaches over x -10 to 10, y -10 to 10",
+        "mine.toml: touches[7].to_mm: a touch of the whole plate cannot slide; leave it out",
+        "mine.toml: touches[8].hold_s: got 0; a touch slides during its hold, which must last longer than 0 s",
     ]
+
+
+def test_what_a_plate_cannot_do_is_named_key_by_key(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(
+        "environment_kelvin = 300\n[plate]\nideal = true\nageing = 0.0\n"
+        "[[touches]]\nstart_s = 0\nforce_newton = 1\nsite = 1\nto_mm = [0, 0]\nkelvin = 300\n"
+    )
+    with pytest.raises(ValueError, match="with force sites, and skin32 has none") as caught:
+        load_scenario(str(path), SKIN)
+    keys = str(caught.value).removeprefix(f"{path}: ").split(": only")[0]
+    assert keys.split(", ") == ["environment_kelvin", "plate.ageing", "touches.kelvin", "touches.to_mm"]
+    assert load_scenario(str(path), QUARTZ).site_ids == (1,)
 
 
 def test_a_file_that_is_none_is_refused(tmp_path: Path) -> None:

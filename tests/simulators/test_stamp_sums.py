@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from simulators.stamp_sums import StampCounter, StampSums
+from simulators.stamp_sums import closed_form_sums
+from simulators.strides import StampErrors, StampSums, StrideCounter, Strides
 
 GATE_TICKS = 1_000_000
 PERIOD_TICKS = 1000.0 + (np.sqrt(5.0) - 1.0) / 2.0  # incommensurate: rounding errors of a line are white
@@ -32,11 +33,18 @@ def brute_force_stamps(trials: int, gates: int, jitter_ticks: float = JITTER_TIC
     return [np.array(stamps).astype(np.int64) for stamps in by_count.values()]
 
 
+def with_jitter(strides: Strides, jitter_ticks: float, random: np.random.Generator) -> StampSums:
+    nothing = np.zeros(strides.stamps.shape)
+    return closed_form_sums(strides, StampErrors(nothing + jitter_ticks, nothing, nothing), None, random)
+
+
 def closed_form(frames: int, jitter_ticks: float = JITTER_TICKS) -> StampSums:
-    counter = StampCounter(4, 10, np.random.default_rng(3))
+    random = np.random.default_rng(3)
     shape = (frames, 4)
-    period, jitter = np.full(shape, PERIOD_TICKS), np.full(shape, jitter_ticks)
-    return counter.count(0, GATE_TICKS, period, jitter, np.zeros(shape, dtype=np.bool_))
+    strides = StrideCounter(4, 10, random).count(
+        0, GATE_TICKS, np.full(shape, PERIOD_TICKS), np.zeros(shape, dtype=np.bool_)
+    )
+    return with_jitter(strides, jitter_ticks, random)
 
 
 def residuals(n: int, s1: npt.ArrayLike, s2: npt.ArrayLike, span: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -102,14 +110,13 @@ def test_sums_scatter_together_as_those_of_stamps(jitter_ticks: float, q2_tolera
 
 def test_stamps_go_on_across_gates_and_calls() -> None:
     random = np.random.default_rng(2)
-    counter = StampCounter(4, 10, random, strides=2**32 // 10 - 3_000)
+    counter = StrideCounter(4, 10, random, strides=2**32 // 10 - 3_000)
     board_ticks = 2**32 - 5 * GATE_TICKS
     rows = []
     for frames in (3, 1, 7, 2):
         period = 1000.0 + random.random((frames, 4))
-        rows.append(
-            counter.count(board_ticks, GATE_TICKS, period, np.full((frames, 4), 0.3), np.zeros((frames, 4), np.bool_))
-        )
+        strides = counter.count(board_ticks, GATE_TICKS, period, np.zeros((frames, 4), np.bool_))
+        rows.append(with_jitter(strides, 0.3, random))
         gate_starts = board_ticks + GATE_TICKS * np.arange(frames)[:, np.newaxis]
         assert np.all(rows[-1].first_ticks >= gate_starts - 2)
         assert np.all(rows[-1].first_ticks + rows[-1].span_ticks <= gate_starts + GATE_TICKS + 2)
@@ -125,18 +132,21 @@ def test_stamps_go_on_across_gates_and_calls() -> None:
 
 
 def test_a_new_tone_has_a_phase_of_its_own() -> None:
-    counter = StampCounter(1, 10, np.random.default_rng(4))
-    period, jitter = np.full((400, 1), 1000.25), np.full((400, 1), 0.1)
-    sums = counter.count(0, GATE_TICKS, period, jitter, np.ones((400, 1), dtype=np.bool_))
+    random = np.random.default_rng(4)
+    strides = StrideCounter(1, 10, random).count(
+        0, GATE_TICKS, np.full((400, 1), 1000.25), np.ones((400, 1), dtype=np.bool_)
+    )
+    sums = with_jitter(strides, 0.1, random)
     gap = sums.first_ticks[1:] - sums.first_ticks[:-1] - sums.span_ticks[:-1]
     phases = (gap / 1000.25) % 1.0
     assert np.histogram(phases, bins=4, range=(0.0, 1.0))[0].min() > 60
 
 
 def test_nothing_heard_counts_nothing_and_ends() -> None:
-    counter = StampCounter(2, 10, np.random.default_rng(1))
+    random = np.random.default_rng(1)
     period = np.array([[np.inf, 1000.3], [1000.3, np.inf]])
-    sums = counter.count(0, GATE_TICKS, period, np.full((2, 2), 0.3), np.zeros((2, 2), dtype=np.bool_))
+    strides = StrideCounter(2, 10, random).count(0, GATE_TICKS, period, np.zeros((2, 2), dtype=np.bool_))
+    sums = with_jitter(strides, 0.3, random)
     for values in sums:
         assert values[0, 0] == values[1, 1] == 0
     assert sums.stamps[1, 0] in (999, 1000)

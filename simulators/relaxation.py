@@ -1,0 +1,36 @@
+"""Quantities that follow their target with one time constant, streamed gate by gate."""
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.signal import lfilter
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Relaxation:
+    """dx/dt = (target - x) / time, exactly for a target that holds through each gate.
+
+    Parameters
+    ----------
+    time_s
+        Time constant.
+    start
+        x (k,) at the start of the first gate.
+    """
+
+    def __init__(self, time_s: float, start: FloatArray) -> None:
+        self._time_s = time_s
+        self._now = start
+
+    def advance(self, dt_s: float, target: FloatArray) -> FloatArray:
+        """Return x (n, k) in the middle of each of n gates, for the targets (n, k) in them."""
+        half = math.exp(-0.5 * dt_s / self._time_s)
+        decay = half * half
+        gain = -math.expm1(-dt_s / self._time_s)
+        ends, _ = lfilter([gain], [1.0, -decay], target, axis=0, zi=decay * self._now[np.newaxis])
+        starts = np.concatenate([self._now[np.newaxis], ends[:-1]])
+        self._now = ends[-1]
+        middles: FloatArray = target + half * (starts - target)
+        return middles

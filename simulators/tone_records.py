@@ -1,0 +1,57 @@
+"""Tones as a channelised counter sends them: evenly spaced oscillators, and the records of offsets against these."""
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_protocol.layouts import TONE_FIELDS, ToneFlag
+from resonator_daemon.plate import Plate
+from simulators.plate import record_type
+
+FloatArray = npt.NDArray[np.float64]
+
+_TONE = record_type(TONE_FIELDS)
+
+
+def even_oscillators(plate: Plate) -> tuple[FloatArray, float]:
+    """Return the frequencies (tones,) that tones are counted against, evenly spaced, and their spacing."""
+    f0_hz = plate.tones.f0_hz.mean(axis=1)
+    spacing_hz = float(f0_hz[-1] - f0_hz[0]) / max(len(f0_hz) - 1, 1)
+    oscillator_hz = f0_hz[0] + spacing_hz * np.arange(len(f0_hz))
+    off_hz = np.abs(plate.tones.f0_hz - oscillator_hz[:, np.newaxis]).max()
+    if not off_hz < abs(spacing_hz) / 2.0:
+        raise ValueError(
+            f"tones of plate {plate.name} lie up to {off_hz:.0f} Hz off an even spacing of {spacing_hz:.0f} Hz, must "
+            "be within half of it, in the order of the file: the emulated counter's oscillators are spaced evenly"
+        )
+    return oscillator_hz, spacing_hz
+
+
+def tone_records(
+    offset_hz: FloatArray,
+    middle_turns: FloatArray,
+    sigma_hz: FloatArray,
+    attenuation_db256: npt.NDArray[np.uint16],
+    half_spacing_hz: float,
+) -> list[bytes]:
+    """Return the records of each channel of one gate; all arrays are (channels, tones).
+
+    Parameters
+    ----------
+    offset_hz
+        Against the tone's oscillator, noise included.
+    middle_turns
+        Phase against it in the middle of the gate; whole turns do not matter.
+    sigma_hz
+        Standard deviation of the offset.
+    attenuation_db256
+        Level below full scale in 1/256 dB.
+    half_spacing_hz
+        Offset beyond which a tone is out of its band.
+    """
+    records = np.empty(offset_hz.shape, dtype=_TONE)
+    records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
+    records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
+    records["attenuation_db256"] = attenuation_db256
+    records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
+    records["flags"] = ToneFlag.OUT_OF_BAND * (np.abs(offset_hz) > half_spacing_hz)
+    return [channel.tobytes() for channel in records]

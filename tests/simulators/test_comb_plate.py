@@ -1,0 +1,191 @@
+"""The emulated plate whose force tones are all heard: forces, noise, phase and warmth, read back from its records."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from firmware_protocol.layouts import ToneFlag
+from resonator_daemon.plate import Plate, load_plate
+from simulators.comb_plate import CombPlate
+from simulators.physics import Physics
+from simulators.scenario import Scenario
+from simulators.scenario_file import Touch
+
+GATE_TICKS = 1_250_000
+GATE_S = 5e-3
+PLATE, QUARTZ = load_plate("comb16"), load_plate("quartz16")
+INDEX = {int(site): index for index, site in enumerate(PLATE.site_ids)}
+RECORD = np.dtype(
+    [
+        ("phase_turn32", "<i4"),
+        ("offset_hz16", "<i4"),
+        ("attenuation_db256", "<u2"),
+        ("sigma_code", "u1"),
+        ("flags", "u1"),
+    ]
+)
+Array = npt.NDArray[np.float64]
+
+
+def held(force_newton: float, **keys: object) -> Touch:
+    return Touch(start_s=0.0, force_newton=force_newton, rise_s=0.0, hold_s=1000.0, fall_s=0.0, **keys)
+
+
+def emulated(*touches: Touch, plate: Plate = PLATE, seed: int = 4, **physics: float) -> CombPlate:
+    chosen = Physics(ideal=True, **{"white_fm": 0.0, "reference_error": 0.0, **physics})
+    return CombPlate(plate, Scenario(touches, None, plate, physics=chosen), seed)
+
+
+def count(plate: CombPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Array]:
+    """Fields (frames, channels, tones)."""
+    counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
+    rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
+    return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
+
+
+def frequency_hz(plate: CombPlate, fields: dict[str, Array]) -> Array:
+    description = plate.description
+    oscillator_hz = (
+        description.oscillator_millihertz + description.oscillator_spacing_millihertz * np.arange(description.tones)
+    ) * 1e-3
+    return fields["offset_hz16"] / 2**16 + oscillator_hz
+
+
+def test_its_sites_are_those_of_quartz16_in_the_order_of_frequency() -> None:
+    by_id = {site.id: site for site in QUARTZ.sites}
+    assert all(site == by_id[site.id] for site in PLATE.sites)
+    assert len(PLATE.sites) == len(by_id)
+    assert np.all(np.diff(PLATE.tones.f0_hz.mean(axis=1)) > 0)
+    assert (PLATE.counter.kind, PLATE.counter.reference_hz, PLATE.counter.frame_rate_hz) == ("channelised", 250e6, 200)
+
+
+@pytest.mark.parametrize("reference_error", [-12e-6, 0.0, 1.5e-6])
+def test_forces_of_two_touches_come_back_from_every_site_and_corner(reference_error: float) -> None:
+    plate = emulated(held(5.0, site=7), held(0.4, site=16), reference_error=reference_error, sensitivity_scatter=0.0)
+    fields = count(plate, 40)
+    true_hz = frequency_hz(plate, fields).mean(axis=0).T * (1 + reference_error)
+    force = (1 - PLATE.tones.f0_hz / true_hz) / PLATE.tones.sensitivity
+    place = {site.id: np.array(site.position_mm) for site in PLATE.sites}
+    for site, index in INDEX.items():
+        spread = [
+            newton / (1 + ((place[site] - place[at]) ** 2).sum() / 6.25) ** 1.5 for newton, at in ((5, 7), (0.4, 16))
+        ]
+        assert force[index] == pytest.approx(np.full(4, sum(spread)), abs=2e-3)
+    assert set(fields["flags"].ravel()) == {0}
+
+
+def test_noise_is_that_of_100_dbhz_at_the_best_corner_and_by_level_in_the_others() -> None:
+    plate = emulated()
+    fields = count(plate, 800)
+    offset_hz = fields["offset_hz16"] / 2**16
+    bound_hz = np.sqrt(6 / (4 * np.pi**2 * 1e10 * GATE_S**3))
+    level_db = -fields["attenuation_db256"][0] / 256
+    expected = bound_hz * 10 ** ((level_db.max(axis=0) - level_db) / 20)
+    ratio = offset_hz.std(axis=0, ddof=1) / expected
+    assert np.sqrt((ratio**2).mean()) == pytest.approx(1.0, abs=0.02)
+    assert ratio.std() < 0.05
+    assert 2 ** ((fields["sigma_code"][0] - 128) / 8) == pytest.approx(expected, rel=0.045)
+    assert np.abs(np.corrcoef(offset_hz[:, :, 3].T) - np.eye(4)).max() < 0.15
+
+
+def test_a_longer_gate_is_less_noisy_by_its_length_to_the_power_of_three_halves() -> None:
+    spread = [
+        (count(emulated(), 300, gate_ticks=ticks)["offset_hz16"] / 2**16).std(axis=0) for ticks in (10**6, 4 * 10**6)
+    ]
+    assert np.sqrt((spread[0] ** 2).mean() / (spread[1] ** 2).mean()) == pytest.approx(8.0, rel=0.03)
+
+
+def test_phase_goes_on_from_gate_to_gate_and_call_to_call() -> None:
+    plate = emulated(held(3.0, site=9))
+    parts = [count(plate, frames) for frames in (5, 1, 14)]
+    phase = np.concatenate([part["phase_turn32"] for part in parts]) / 2**32
+    offset_hz = np.concatenate([part["offset_hz16"] for part in parts]) / 2**16
+    advance = np.diff(phase, axis=0) - offset_hz.mean(axis=0) * GATE_S
+    assert np.abs(advance - np.rint(advance)).max() < 0.01  # of a turn
+
+
+def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_of_a_regression() -> None:
+    plate = emulated(white_fm=1e-7)
+    offset_hz = count(plate, 3000)["offset_hz16"] / 2**16
+    y = (offset_hz - offset_hz.mean(axis=0)) / 1e7
+    # A regression over a gate sees 1.2 times the white noise of the mean.
+    assert (y**2).mean() / (1e-14 / GATE_S) == pytest.approx(1.2, rel=0.03)
+    correlation = np.corrcoef(y[:, :, [2, 11]].reshape(3000, -1).T)  # channel 0's two tones, channel 1's, ...
+    assert np.all(correlation[0::2, 0::2] > 0.98)
+    assert np.abs(correlation[0::2, 1::2]).max() < 0.1
+
+
+def test_merged_phases_see_the_white_noise_of_the_whole_time() -> None:
+    plate = emulated(white_fm=1e-7)
+    fields = count(plate, 3001)
+    phase = fields["phase_turn32"][:, 0] / 2**32
+    turns = np.diff(phase, axis=0)
+    expected = PLATE.tones.f0_hz[:, 0] * GATE_S
+    nominal = np.median(fields["offset_hz16"][:, 0] / 2**16, axis=0) * GATE_S
+    strayed = (turns - nominal + 0.5) % 1.0 - 0.5
+    # Mean phases of two neighbouring gates differ by 2/3 of the variance of a gate, as means of a random walk do.
+    relative = strayed / expected
+    assert relative.var() / (1e-14 / GATE_S) == pytest.approx(2 / 3, rel=0.03)
+
+
+def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_that_is() -> None:
+    content = PLATE.model_dump(mode="json", exclude_none=True)
+    for index, site in enumerate(content["sites"]):
+        site["tones"].append({"signal": "temperature", "sensitivity": [9e-6] * 4})
+        for number, tone in enumerate(site["tones"]):
+            tone["f0_hz"] = [9.9e6 + 4000.0 * (2 * index + number)] * 4
+    warm_plate = Plate.model_validate(content)
+    plate = emulated(
+        held(1.0, site=7, kelvin=308.15), plate=warm_plate, temperature_coefficient=-1e-6, sensitivity_scatter=0.0
+    )
+    plate.count(0, 0, 2 * 10**7, 200)  # 16 s: three time constants
+    fields = count(plate, 20, at_s=16.0)
+    hz = frequency_hz(plate, fields).mean(axis=0)
+    f0_hz, index = warm_plate.tones.f0_hz.T, INDEX[7]
+    warmer = 10.0 * (1 - np.exp(-16.05 / 5))
+    assert hz[:, 2 * index + 1] / f0_hz[:, 2 * index + 1] - 1 == pytest.approx(np.full(4, 9e-6 * warmer), rel=1e-3)
+    force = (1 - f0_hz[:, 2 * index] / hz[:, 2 * index]) / warm_plate.tones.sensitivity[2 * index]
+    expected = 1.0 - 1e-6 * warmer / warm_plate.tones.sensitivity[2 * index, 0]
+    assert force == pytest.approx(np.full(4, expected), abs=2e-3)
+    others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
+    assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
+
+
+def test_truth_tells_touches_and_warmth() -> None:
+    scenario = Scenario(
+        [held(2.0, site=9)], None, PLATE, physics=Physics(ideal=True), environment_kelvin=[(0.0, 301.0)]
+    )
+    (frame,) = CombPlate(PLATE, scenario, 1).count(0, 10**9, GATE_TICKS, 1)
+    (contact,) = frame.contacts
+    assert (contact.site, contact.force_newton) == (9, (0.0, 0.0, 2.0))
+    assert frame.plate_kelvin == pytest.approx(301.0, abs=0.1)
+
+
+def test_the_seed_fixes_everything_and_a_run_begins_anew() -> None:
+    def made(seed: int) -> list[list[bytes]]:
+        return [frame.channels for frame in emulated(held(1.0, site=9), seed=seed).count(0, 0, GATE_TICKS, 3)]
+
+    assert made(7) == made(7)
+    assert made(7) != made(8)
+    plate = emulated()
+    before = count(plate, 1)["phase_turn32"]
+    plate.start()
+    assert np.abs(count(plate, 1)["phase_turn32"] - before).min() > 0
+
+
+def test_a_tone_far_from_its_oscillator_is_out_of_band() -> None:
+    flags = count(emulated(held(60.0, site=1), sensitivity_scatter=0.0), 1)["flags"][0]
+    assert np.all(flags[:, INDEX[1]] == ToneFlag.OUT_OF_BAND)
+
+
+def test_plates_without_channelised_force_sites_are_refused() -> None:
+    with pytest.raises(ValueError, match="quartz16 has a single-tone counter"):
+        CombPlate(QUARTZ, Scenario((), None, QUARTZ), 1)
+    skin = load_plate("skin32")
+    with pytest.raises(ValueError, match="signals p_n"):
+        CombPlate(skin, Scenario((), None, skin), 1)
+    content = PLATE.model_dump(mode="json", exclude_none=True)
+    content["sites"] = content["sites"][::-2] + content["sites"][::2]
+    shuffled = Plate.model_validate(content)
+    with pytest.raises(ValueError, match="in the order of the file"):
+        emulated(plate=shuffled)

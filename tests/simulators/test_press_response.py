@@ -1,0 +1,83 @@
+"""Hysteresis and creep against closed forms, a stop operator moved in small steps, and numerical integration."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.integrate import solve_ivp
+
+from simulators.press_response import PressResponse
+
+Floats = npt.NDArray[np.float64]
+
+
+def column(values: npt.ArrayLike) -> Floats:
+    return np.asarray(values, dtype=np.float64)[:, np.newaxis]
+
+
+def forces(gates: int, sites: int, seed: int) -> Floats:
+    """Presses with reversals of all sizes, from far below the play to far above it."""
+    random = np.random.default_rng(seed)
+    return np.abs(np.cumsum(random.choice([-1, 1], (gates, sites)) * 0.2 * random.random((gates, sites)) ** 3, axis=0))
+
+
+def test_a_held_force_creeps_exponentially() -> None:
+    t_s = np.arange(0.5, 200) * 0.5
+    felt = PressResponse(1, 0.0, 0.005, 20.0).advance(0.5, np.full((200, 1), 4.0))[:, 0]
+    assert felt[:200] == pytest.approx(4.0 * (1 - 0.005 * np.exp(-t_s[:200] / 20)), abs=1e-12)
+
+
+def test_loading_and_unloading_run_half_a_play_below_and_above() -> None:
+    up, down = np.linspace(0, 8, 401), np.linspace(8, 0, 401)
+    felt = PressResponse(1, 0.1, 0.0, 20.0).advance(1e-3, column(np.concatenate([up, down])))[:, 0]
+    on_the_way_up, on_the_way_down = up >= 0.1, down <= 7.8
+    assert felt[:401][on_the_way_up] == pytest.approx(up[on_the_way_up] - 0.05, abs=1e-12)
+    assert felt[401:][on_the_way_down] == pytest.approx(down[on_the_way_down] + 0.05, abs=1e-12)
+    assert felt[:401][~on_the_way_up] == pytest.approx(up[~on_the_way_up] / 2, abs=1e-12)
+    assert felt[-1] == pytest.approx(0.05, abs=1e-12)  # what a press leaves behind
+
+
+def test_the_play_is_the_force_less_a_stop_that_gives_way() -> None:
+    force = forces(400, 3, seed=1)
+    felt = PressResponse(3, 0.1, 0.0, 20.0).advance(1e-3, force)
+    for site in range(3):
+        stop, last = 0.0, 0.0
+        for gate, now in enumerate(force[:, site]):
+            for _ in range(50):  # small steps
+                stop += (now - last) / 50
+                stop = 0.1 if stop > 0.1 else -0.1 if stop < -0.1 else stop
+            last = now
+            assert felt[gate, site] == pytest.approx(now - stop / 2, abs=1e-12)
+
+
+def test_creep_under_any_force_is_the_integral_of_its_differential_equation() -> None:
+    force = forces(60, 1, seed=2)[:, 0]
+    felt = PressResponse(1, 0.0, 0.3, 2.0).advance(0.1, column(force))[:, 0]
+    crept = solve_ivp(
+        lambda t, u: (force[min(int(t / 0.1), 59)] - u) / 2.0,
+        (0, 6),
+        [0.0],
+        t_eval=(np.arange(60) + 0.5) * 0.1,
+        max_step=1e-3,
+        rtol=1e-8,
+    ).y[0]
+    assert felt == pytest.approx(0.7 * force + 0.3 * crept, abs=2e-4)
+
+
+def test_without_play_and_creep_the_force_itself_is_felt() -> None:
+    force = forces(100, 4, seed=3)
+    assert PressResponse(4, 0.0, 0.0, 20.0).advance(1e-3, force) == pytest.approx(force, abs=1e-15)
+
+
+def test_a_run_is_the_same_however_it_is_split() -> None:
+    force = forces(200, 5, seed=4)
+    whole = PressResponse(5, 0.1, 0.005, 20.0).advance(1e-3, force)
+    split = PressResponse(5, 0.1, 0.005, 20.0)
+    parts = [split.advance(1e-3, part) for part in np.split(force, [1, 2, 42, 150])]
+    assert np.concatenate(parts) == pytest.approx(whole, abs=1e-13)
+
+
+def test_the_given_forces_stay_as_they_are() -> None:
+    force = forces(20, 2, seed=5)
+    before = force.copy()
+    PressResponse(2, 0.1, 0.005, 20.0).advance(1e-3, force)
+    assert np.array_equal(force, before)

@@ -1,0 +1,39 @@
+"""First-order lag against the exponential and against numerical integration."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from simulators.relaxation import Relaxation
+
+
+def test_a_step_is_followed_exponentially() -> None:
+    lag = Relaxation(5.0, np.array([300.0, 290.0]))
+    dt_s = 0.02
+    values = lag.advance(dt_s, np.full((1000, 2), 310.0))
+    t_s = (np.arange(1000) + 0.5) * dt_s
+    assert values[:, 0] == pytest.approx(310 - 10 * np.exp(-t_s / 5), abs=1e-10)
+    assert values[:, 1] == pytest.approx(310 - 20 * np.exp(-t_s / 5), abs=1e-10)
+
+
+def test_targets_that_change_are_followed_as_the_differential_equation_is() -> None:
+    dt_s, time_s = 0.3, 2.0
+    targets = np.random.default_rng(1).normal(size=40)
+    ours = Relaxation(time_s, np.array([0.7])).advance(dt_s, targets[:, np.newaxis])[:, 0]
+    now, middles = 0.7, []
+    for target in targets:
+        run = solve_ivp(
+            lambda _, x, target=target: (target - x) / time_s, (0, dt_s), [now], t_eval=[dt_s / 2, dt_s], rtol=1e-10
+        )
+        middles.append(run.y[0, 0])
+        now = run.y[0, 1]
+    assert ours == pytest.approx(np.array(middles), abs=1e-7)
+
+
+def test_gates_of_any_length_may_follow_each_other() -> None:
+    targets = np.repeat(np.random.default_rng(2).normal(size=(6, 3)), 10, axis=0)
+    fine = Relaxation(1.0, np.zeros(3))
+    fine.advance(0.01, targets[:50])
+    coarse = Relaxation(1.0, np.zeros(3))
+    coarse.advance(0.1, targets[:50:10])
+    assert fine.advance(0.01, targets[50:]) == pytest.approx(coarse.advance(0.01, targets[50:]), abs=1e-12)

@@ -1,0 +1,162 @@
+"""The JSON Schema of scenario files: what it says, and that it takes what the emulator takes."""
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from resonator_daemon.plate import load_plate
+from simulators import scenario_file
+from simulators.physics import Physics
+from simulators.scenario import load_scenario
+from simulators.scenario_file import shipped_scenarios
+from simulators.scenario_schema import scenario_schema
+
+SCHEMA = scenario_schema()
+SHIPPED = sorted(Path(scenario_file.__file__).with_name("scenarios").glob("*.toml"))
+
+_TYPES: dict[str, tuple[type, ...]] = {
+    "object": (dict,), "array": (list,), "string": (str,), "boolean": (bool,), "integer": (int,), "number": (int, float)
+}  # fmt: skip
+_SILENT = {"$schema", "$defs", "title", "description", "default"}
+
+
+def complaints(schema: dict[str, Any], value: Any, where: str = "") -> Iterator[str]:
+    """Judge by the keywords that JSON Schema 2020-12 defines; a keyword that is not known here is a failure."""
+    for keyword, limit in schema.items():
+        match keyword:
+            case "$ref":
+                yield from complaints(SCHEMA["$defs"][limit.removeprefix("#/$defs/")], value, where)
+            case "anyOf":
+                if all(any(True for _ in complaints(one, value, where)) for one in limit):
+                    yield f"{where}: none of anyOf"
+            case "type":
+                right = isinstance(value, _TYPES[limit]) and (limit == "boolean" or not isinstance(value, bool))
+                if not right:
+                    yield f"{where}: type"
+                    return
+            case "minimum" | "exclusiveMinimum" | "maximum" | "exclusiveMaximum":
+                right = {
+                    "minimum": value >= limit,
+                    "exclusiveMinimum": value > limit,
+                    "maximum": value <= limit,
+                    "exclusiveMaximum": value < limit,
+                }
+                if not right[keyword]:
+                    yield f"{where}: {keyword}"
+            case "minItems" | "maxItems":
+                if (len(value) < limit) if keyword == "minItems" else (len(value) > limit):
+                    yield f"{where}: {keyword}"
+            case "prefixItems":
+                for index, (one, item) in enumerate(zip(limit, value, strict=False)):
+                    yield from complaints(one, item, f"{where}[{index}]")
+            case "items":
+                for index, item in enumerate(value):
+                    yield from complaints(limit, item, f"{where}[{index}]")
+            case "properties":
+                for key in limit.keys() & value.keys():
+                    yield from complaints(limit[key], value[key], f"{where}.{key}")
+            case "required":
+                yield from (f"{where}.{key}: required" for key in limit if key not in value)
+            case "additionalProperties":
+                assert limit is False
+                yield from (f"{where}.{key}: unknown" for key in value.keys() - schema["properties"].keys())
+            case _:
+                assert keyword in _SILENT, keyword
+
+
+def sorted_by_type_first(schema: Any) -> Any:
+    """Put each "type" first: a value of another type is judged no further."""
+    if isinstance(schema, dict):
+        first = {"type": schema["type"]} if isinstance(schema.get("type"), str) else {}
+        return first | {key: sorted_by_type_first(value) for key, value in schema.items() if key not in first}
+    return [sorted_by_type_first(item) for item in schema] if isinstance(schema, list) else schema
+
+
+SCHEMA = sorted_by_type_first(SCHEMA)
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_shipped_scenarios_keep_to_the_schema(path: Path) -> None:
+    assert list(complaints(SCHEMA, tomllib.loads(path.read_text()))) == []
+
+
+def test_every_table_and_key_is_described() -> None:
+    tables = [SCHEMA, *SCHEMA["$defs"].values()]
+    assert len(tables) == 4
+    for table in tables:
+        assert table["description"]
+        for name, key in table["properties"].items():
+            assert key.get("description", "").endswith("."), name
+
+
+def test_nothing_in_it_is_null() -> None:
+    def values(node: Any) -> Iterator[Any]:
+        yield node
+        for child in node.values() if isinstance(node, dict) else node if isinstance(node, list) else ():
+            yield from values(child)
+
+    assert all(node is not None and node != "null" for node in values(SCHEMA))
+
+
+def test_the_page_on_the_emulator_knows_every_key_default_and_scenario(tmp_path: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/emulator.md").read_text()
+    rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
+    assert {row[0].strip("`") for row in rows} >= set(shipped_scenarios())
+    for table in SCHEMA, SCHEMA["$defs"]["Touch"], SCHEMA["$defs"]["Shear"]:
+        assert all(re.search(rf"\b{key}\b", page) for key in table["properties"])
+    physics = {row[0].split("`")[1]: (row[0].endswith("○"), row[1]) for row in rows}
+    ideal = Physics(ideal=True)
+    for key, default in Physics():
+        marked, said = physics[key]
+        assert marked == (key != "ideal" and getattr(ideal, key) != default), key
+        if isinstance(default, float):
+            assert float(said) == default, key
+    example = tmp_path / "example.toml"
+    example.write_text(
+        page[page.index("    period_s = ") : page.index("Under a skin a touch may")].replace("\n    ", "\n")
+    )
+    assert load_scenario(str(example), load_plate("quartz16")).seed == 3
+
+
+TOUCH = "[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 1\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "right"),
+    [
+        (TOUCH, True),
+        (f"{TOUCH}to_mm = [1, 2.5]\nkelvin = 300\n", True),
+        ("environment_kelvin = 300\n", True),
+        ("environment_kelvin = [[0, 300], [1.5, 301.0]]\n", True),
+        ("[plate]\nideal = true\nsensitivity_scatter = 0.01\n", True),
+        (f"{TOUCH}to_mm = [1]\n", False),
+        (f"{TOUCH}to_mm = [1, 2, 3]\n", False),
+        (f"{TOUCH}shear = {{ direction_deg = 3 }}\n", False),
+        (f"{TOUCH}rise = 1\n", False),
+        (f"{TOUCH}kelvin = 25\n", False),
+        (f"{TOUCH}whole_plate = 1\n", False),
+        ("[[touches]]\nsite = 1\nforce_newton = 1\n", False),
+        ("[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 0\n", False),
+        ("[[touches]]\nstart_s = 0\nsite = 1.5\nforce_newton = 1\n", False),
+        ('environment_kelvin = "warm"\n', False),
+        ("environment_kelvin = [300, 301]\n", False),
+        ("period_s = 0\n", False),
+        ("seed = 1.5\n", False),
+        ("[plate]\ndrop_rate = 1.0\n", False),
+        ("[plate]\nideal = 1\n", False),
+        ("touches = 3\n", False),
+    ],
+)
+def test_it_takes_what_the_emulator_takes_and_nothing_else(tmp_path: Path, text: str, right: bool) -> None:
+    assert (not list(complaints(SCHEMA, tomllib.loads(text)))) == right
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    if right:
+        load_scenario(str(path), load_plate("quartz16"))
+    else:
+        with pytest.raises(ValueError, match=r"mine\.toml"):
+            load_scenario(str(path), load_plate("quartz16"))

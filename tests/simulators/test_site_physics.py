@@ -1,0 +1,200 @@
+"""Sites of a plate file with a scenario's physics: which number goes where, and that runs are reproducible."""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from resonator_daemon.plate import Plate, load_plate
+from simulators.physics import Physics
+from simulators.site_physics import SiteFrames, SitePhysics
+
+Floats = npt.NDArray[np.float64]
+PLATE = load_plate("quartz16")
+SITES = 16
+REFERENCE_KELVIN = 298.15
+SILENT = {"ideal": True, "white_fm": 0.0}
+
+
+def plate_with(**keys: Any) -> Plate:
+    return Plate.model_validate({**PLATE.model_dump(mode="json", exclude_none=True), **keys})
+
+
+def physics(**keys: Any) -> Physics:
+    return Physics.model_validate({**SILENT, **keys})
+
+
+def advance(
+    sites: SitePhysics,
+    gates: int,
+    *,
+    force_newton: Floats | float = 0.0,
+    touch_id: npt.NDArray[np.int64] | int = 0,
+    contact_kelvin: Floats | float = math.nan,
+    kelvin: Floats | float = REFERENCE_KELVIN,
+    dt_s: float = 1e-3,
+) -> SiteFrames:
+    shape = (gates, SITES)
+    return sites.advance(
+        dt_s,
+        np.broadcast_to(np.float64(force_newton), shape),
+        np.broadcast_to(np.float64(contact_kelvin), shape),
+        np.broadcast_to(np.int64(touch_id), shape),
+        np.broadcast_to(np.float64(kelvin), gates),
+    )
+
+
+def made(plate: Plate, of: Physics, seed: int = 1) -> SitePhysics:
+    return SitePhysics(plate, of, np.random.default_rng(seed))
+
+
+def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
+    force = np.random.default_rng(1).random((30, SITES))
+    frames = advance(made(PLATE, physics(sensitivity_scatter=0.0)), 30, force_newton=force, touch_id=3, kelvin=303.0)
+    assert frames.felt_newton == pytest.approx(force, abs=1e-15)
+    assert np.all(frames.relative_shift == 0)
+    assert np.all(frames.sensitivity_factor == 1)
+    assert frames.kelvin == pytest.approx(np.full((30, SITES), 303.0))
+    assert frames.plate_kelvin == pytest.approx(np.full(30, 303.0))
+    assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
+
+
+def test_the_play_is_a_share_of_the_largest_force_whatever_the_file_believes() -> None:
+    believing = {"hysteresis_newton": 0.7, "creep_fraction": 0.2, "creep_time_s": 1.0}
+    for plate in (PLATE, plate_with(response=believing)):
+        frames = advance(made(plate, physics(hysteresis_fraction=0.01)), 5, force_newton=4.0)
+        assert frames.felt_newton == pytest.approx(np.full((5, SITES), 3.95))  # 4 N less half of 1 % of 10 N
+
+
+def test_creep_comes_as_late_and_as_large_as_given() -> None:
+    sites = made(PLATE, physics(creep_fraction=0.005, creep_time_s=20.0))
+    frames = advance(sites, 2000, force_newton=2.0, dt_s=0.01)
+    assert frames.felt_newton[-1, 0] == pytest.approx(2 * (1 - 0.005 * math.exp(-19.995 / 20)), abs=1e-12)
+
+
+def test_temperature_coefficients_are_drawn_for_sites_and_pilot() -> None:
+    drawn = []
+    for seed in range(200):
+        sites = made(PLATE, physics(temperature_coefficient=-5e-8, temperature_coefficient_std=3e-8), seed)
+        drawn.append(advance(sites, 1, kelvin=REFERENCE_KELVIN + 1).relative_shift[0])
+    of_one = np.array(drawn)
+    assert of_one.mean() == pytest.approx(-5e-8, abs=3e-9)
+    assert of_one.std(axis=0) / 3e-8 == pytest.approx(np.ones(SITES + 1), rel=0.25)
+    assert np.corrcoef(of_one.T) == pytest.approx(np.eye(SITES + 1), abs=0.3)
+
+
+def test_coefficients_of_the_plate_file_go_before_drawn_ones() -> None:
+    raw = PLATE.model_dump(mode="json", exclude_none=True)
+    raw["sites"][5]["tones"][0]["temperature_coefficients"] = [1e-6, 2e-7, 3e-8]
+    given = made(Plate.model_validate(raw), Physics.model_validate({"white_fm": 0.0, "flicker_fm": 0.0}))
+    drawn = made(PLATE, Physics.model_validate({"white_fm": 0.0, "flicker_fm": 0.0}))
+    warm = [advance(sites, 1, kelvin=REFERENCE_KELVIN + 2).relative_shift[0] for sites in (given, drawn)]
+    assert warm[0][5] == pytest.approx(2e-6 + 8e-7 + 2.4e-7, abs=1e-9)
+    others = np.arange(SITES + 1) != 5
+    assert np.array_equal(warm[0][others], warm[1][others])
+
+
+def test_a_warm_finger_heats_the_touched_site_and_not_the_plate() -> None:
+    sites = made(PLATE, physics(temperature_coefficient=-3e-7))
+    advance(sites, 1)
+    contact = np.full((5000, SITES), math.nan)
+    contact[:, [0, 2]] = 305.15
+    frames = advance(sites, 5000, contact_kelvin=contact)
+    warmer = 7 * (1 - math.exp(-4.9995 / 5))
+    assert frames.kelvin[-1, 2] == pytest.approx(REFERENCE_KELVIN + warmer, abs=1e-6)
+    assert frames.relative_shift[-1, 2] / -3e-7 == pytest.approx(warmer, rel=1e-6)
+    assert frames.plate_kelvin == pytest.approx(np.full(5000, REFERENCE_KELVIN), abs=1e-8)
+    assert np.all(np.abs(np.delete(frames.relative_shift, [0, 2], axis=1)) < 1e-14)
+
+
+def test_a_thermal_shock_of_10_kelvin_is_taken_in_5_s_by_sites_and_pilot() -> None:
+    sites = made(PLATE, physics(temperature_coefficient=-5e-8, temperature_transient_s=-2e-7))
+    advance(sites, 10)
+    frames = advance(sites, 10_000, kelvin=REFERENCE_KELVIN + 10)
+    t_s = (np.arange(10_000) + 0.5) * 1e-3
+    remaining = 10 * np.exp(-t_s / 5)
+    assert frames.plate_kelvin == pytest.approx(REFERENCE_KELVIN + 10 - remaining, abs=1e-7)
+    shift = -5e-8 * (10 - remaining) - 2e-7 * remaining / 5
+    assert frames.relative_shift == pytest.approx(np.repeat(shift[:, np.newaxis], SITES + 1, axis=1), abs=1e-14)
+
+
+def test_ageing_is_logarithmic_in_days() -> None:
+    sites = made(PLATE, physics(ageing=2e-7))
+    before = advance(sites, 864, dt_s=100.0).relative_shift
+    after = advance(sites, 2 * 864, dt_s=100.0).relative_shift
+    assert before[0, 0] / 2e-7 == pytest.approx(50 / 86_400, rel=1e-3)
+    assert before[-1] / 2e-7 == pytest.approx(np.full(SITES + 1, math.log(2)), rel=1e-3)
+    assert after[-1] / 2e-7 == pytest.approx(np.full(SITES + 1, math.log(4)), rel=1e-3)
+
+
+def test_sensitivity_scatters_from_touch_to_touch_site_and_corner() -> None:
+    plate = plate_with(calibration={"model_error": 0.02})
+    for of, std in ((physics(sensitivity_scatter=0.05), 0.05), (physics(sensitivity_scatter=None), 0.02)):
+        sites = made(plate, of)
+        each = np.array([advance(sites, 1, touch_id=touch).sensitivity_factor[0] - 1 for touch in range(1, 301)])
+        assert each.std() == pytest.approx(std, rel=0.02)
+        assert abs(each.mean()) < std / 30
+        assert np.corrcoef(each[:, 0].T) == pytest.approx(np.eye(4), abs=0.2)
+        assert np.corrcoef(each[:, :, 0].T) == pytest.approx(np.eye(SITES), abs=0.25)
+        assert np.unique(each).size == each.size
+
+
+def test_a_touch_keeps_its_sensitivity_also_after_an_interruption() -> None:
+    sites = made(PLATE, physics(sensitivity_scatter=0.015))
+    touch = np.zeros((8, SITES), dtype=np.int64)
+    touch[1:3, 4], touch[3:5, 4], touch[6:, 4] = 7, 8, 7
+    touch[:, 9] = 7
+    factor = advance(sites, 8, touch_id=touch).sensitivity_factor
+    assert np.all(factor[[0, 5], 4] == 1)
+    assert np.all(factor[1:3, 4] == factor[6:, 4])
+    assert np.all(factor[1, 4] != factor[3, 4])
+    assert np.all(factor[:, 9] == factor[0, 9])
+    assert np.all(factor[0, 9] != factor[1, 4])
+    assert np.all(factor[:, 0] == 1)
+
+
+def test_oscillator_noise_has_the_given_levels_at_every_site_and_the_pilot() -> None:
+    white = advance(made(PLATE, physics(white_fm=3e-10)), 20_000)
+    assert white.relative_shift.std(axis=0) / 3e-10 == pytest.approx(np.full(SITES + 1, math.sqrt(1e3)), rel=0.03)
+    assert white.phase_mean_s.std() / 3e-10 == pytest.approx(math.sqrt(1e-3 / 12), rel=0.01)
+    assert white.regression_excess.std() / 3e-10 == pytest.approx(math.sqrt(0.2 * 1e3), rel=0.01)
+    walk = advance(made(PLATE, physics(random_walk_fm=2e-12)), 20_000).relative_shift
+    assert allan_deviation(walk) / 2e-12 == pytest.approx(math.sqrt(1e-3), rel=0.01)
+    flicker = advance(made(PLATE, physics(flicker_fm=1e-10)), 20_000).relative_shift
+    assert allan_deviation(flicker) / 1e-10 == pytest.approx(1.0, rel=0.05)
+
+
+def allan_deviation(shift: Floats) -> float:
+    return math.sqrt(0.5 * np.mean(np.diff(shift, axis=0) ** 2))
+
+
+def test_a_run_is_the_same_however_it_is_split_and_another_with_another_seed() -> None:
+    random = np.random.default_rng(2)
+    gates = 90
+    force = np.cumsum(random.normal(size=(gates, SITES)), axis=0) ** 2
+    contact = np.where(random.random((gates, SITES)) < 0.5, math.nan, 305.0)
+    touch = random.integers(0, 4, (gates, SITES))
+    kelvin = REFERENCE_KELVIN + random.random(gates)
+
+    def run(seed: int, cuts: list[int]) -> list[Floats]:
+        sites = made(PLATE, Physics(), seed)
+        parts = [
+            advance(
+                sites,
+                len(part),
+                force_newton=force[part],
+                touch_id=touch[part],
+                contact_kelvin=contact[part],
+                kelvin=kelvin[part],
+            )
+            for part in np.split(np.arange(gates), cuts)
+        ]
+        return [np.concatenate(values) for values in zip(*parts, strict=True)]
+
+    whole, split, other = run(5, []), run(5, [1, 2, 3, 43, 44, 84]), run(6, [])
+    for name, one, two in zip(SiteFrames._fields, whole, split, strict=True):
+        assert np.allclose(one, two, rtol=1e-11, atol=1e-20), name
+    assert not np.allclose(whole[1], other[1], rtol=1e-3)
+    assert not np.allclose(whole[4], other[4], rtol=1e-5)

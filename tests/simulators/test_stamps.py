@@ -1,0 +1,144 @@
+"""Stamps made one by one: displaced edges against zero crossings, sums against plain loops and the closed form."""
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy.optimize import brentq
+
+from simulators.beats import Beats, beat_sums, displaced_ticks
+from simulators.stamp_sums import closed_form_sums
+from simulators.stamps import stamped_sums
+from simulators.strides import StampErrors, Strides
+
+Array = npt.NDArray[np.float64]
+CARRIER = 0.00994  # turns per tick: 9.94 MHz in ticks of 1 ns
+PERIOD = 10 / CARRIER
+
+
+def beats(ratio: npt.ArrayLike, start_turns: npt.ArrayLike, turns_per_tick: npt.ArrayLike) -> Beats:
+    """Beats (n, 1, 3) of n gates on one channel."""
+    shape = (-1, 1, 3)
+    fields = [np.asarray(field, dtype=float).reshape(shape) for field in (ratio, start_turns, turns_per_tick)]
+    return Beats(*fields, np.full((len(fields[0]), 1), CARRIER))
+
+
+def strides(first_ticks: npt.ArrayLike, stamps: int, period_ticks: float = PERIOD) -> Strides:
+    first = np.asarray(first_ticks, dtype=float).reshape(-1, 1)
+    gate_start = 1_000_000 * np.arange(len(first))[:, np.newaxis]
+    counts = np.full(first.shape, stamps)
+    return Strides(gate_start, counts * 0 + 7, counts, first, np.full(first.shape, period_ticks))
+
+
+def no_errors(gates: int, jitter_ticks: float = 0.0, strayed: float = 0.0, tilt: float = 0.0) -> StampErrors:
+    return StampErrors(*(np.full((gates, 1), value) for value in (jitter_ticks, strayed, tilt)))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "tolerance"), [((0.01, 0.0, 0.0), 1e-11), ((0.4, 0.2, 0.1), 1e-11), ((0.95, 0.0, 0.0), 1e-9)]
+)
+def test_edges_are_where_the_sum_of_all_tones_crosses_zero(ratio: tuple[float, ...], tolerance: float) -> None:
+    start, rate = np.array([0.31, 0.77, 0.05]), np.array([5.2e-5, -3.1e-5, 7.7e-5])
+
+    def wave(ticks: float) -> float:
+        phases = CARRIER * ticks + np.array([0.0, *(start + rate * ticks)])
+        return float(np.array([1.0, *ratio]) @ np.sin(2 * np.pi * phases))
+
+    edges = np.arange(3, 9900, 97) / CARRIER
+    found = displaced_ticks(edges, Beats(np.array(ratio), start, rate, CARRIER))
+    for edge, ours in zip(edges, found, strict=True):
+        # The sum leads by at most a quarter of a period or lags by as much.
+        true = brentq(wave, edge - 0.249 / CARRIER, edge + 0.249 / CARRIER, xtol=1e-12, rtol=1e-15)
+        assert abs(ours - true) * CARRIER < tolerance
+
+
+def root_mean_square(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "total_off", "moment_off", "roughness_off"),
+    [
+        ((0.02, 0.0, 0.0), 1e-3, 1e-3, 5e-3),
+        ((0.5, 0.0, 0.0), 0.01, 0.01, 0.02),
+        ((0.9, 0.0, 0.0), 0.05, 0.03, 0.1),
+        ((0.2, 0.15, 0.1), 0.04, 0.03, 0.05),
+        ((0.4, 0.3, 0.2), 0.25, 0.2, 0.6),  # products of four beats are left out, and matter where they are slow
+    ],
+)
+def test_sums_of_beats_are_those_of_displaced_edges(
+    ratio: tuple[float, ...], total_off: float, moment_off: float, roughness_off: float
+) -> None:
+    random = np.random.default_rng(8)
+    gates, stamps = 300, 990
+    first = random.uniform(0, PERIOD, gates)
+    # From two beats in a gate to one in 14 strides.
+    rate = random.choice([-1, 1], (gates, 3)) * random.uniform(2e-6, 7e-5, (gates, 3))
+    some = beats(np.tile(ratio, (gates, 1)), random.random((gates, 3)), rate)
+    ours = beat_sums(strides(first, stamps), some)
+
+    times = first[:, np.newaxis] + PERIOD * np.arange(stamps)
+    moved = [displaced_ticks(row, Beats(*(field[gate, 0] for field in some))) for gate, row in enumerate(times)]
+    made = np.array(moved) - times
+    middle = np.arange(stamps) - (stamps - 1) / 2
+    rough = (np.diff(made, 2, axis=1) ** 2).sum()
+    for sums, true, tolerance in (
+        (ours.first_ticks, made[:, 0], 5e-3),  # beats are taken where an edge was before it moved
+        (ours.last_ticks, made[:, -1], 5e-3),
+        (ours.total_ticks, made.sum(axis=1), total_off),
+        (ours.moment_ticks, made @ middle, moment_off),
+    ):
+        assert root_mean_square(sums[:, 0] - true) < tolerance * root_mean_square(true)
+    assert ours.roughness_ticks2.sum() == pytest.approx(rough, rel=roughness_off)
+
+
+def test_a_beat_that_stamps_see_stand_still_moves_them_all_alike() -> None:
+    stamps = 990
+    rates = np.array([0.0, 1 / PERIOD, 3 / PERIOD, 1e-13])[:, np.newaxis] * [1.0, 2.0, 0.0]
+    some = beats(np.tile((0.3, 0.1, 0.0), (4, 1)), np.tile((0.2, 0.9, 0.0), (4, 1)), rates)
+    ours = beat_sums(strides([10.0, 0.0, 0.0, 500.0], stamps), some)
+    assert ours.first_ticks[1:3] == pytest.approx(np.full((2, 1), ours.first_ticks[0, 0]))
+    assert ours.total_ticks == pytest.approx(stamps * ours.first_ticks, rel=0.01)
+    assert np.abs(ours.moment_ticks).max() < 1.0  # 1e-8 of what one end alone would make
+
+
+def test_a_record_of_stamps_is_what_its_definition_says() -> None:
+    lines = strides([12.25, 873.5], 40)
+    sums = stamped_sums(lines, no_errors(2), None, np.random.default_rng(1))
+    for gate, first in enumerate((12.25, 873.5)):
+        stamps = [int(first + k * PERIOD) for k in range(40)]
+        since = [stamp - stamps[0] for stamp in stamps]
+        assert sums.first_ticks[gate, 0] == 1_000_000 * gate + stamps[0]
+        assert (sums.first_edge[gate, 0], sums.stamps[gate, 0]) == (7, 40)
+        assert sums.span_ticks[gate, 0] == since[-1]
+        assert sums.s1_ticks[gate, 0] == sum(since)
+        assert sums.s2_ticks[gate, 0] == sum(k * t for k, t in enumerate(since))
+        assert sums.q2_ticks2[gate, 0] == sum((since[k] - 2 * since[k - 1] + since[k - 2]) ** 2 for k in range(2, 40))
+
+
+@pytest.mark.parametrize("make", [closed_form_sums, stamped_sums])
+def test_a_phase_that_strays_moves_mean_and_slope_as_it_says(make: object) -> None:
+    stamps, strayed, tilt = 1000, 40.0, -25.0
+    lines = strides([500.5], stamps, 1000.0)
+
+    def mean_and_slope(errors: StampErrors) -> tuple[float, float, float]:
+        sums = make(lines, errors, None, np.random.default_rng(1))
+        n, s1, s2 = stamps, sums.s1_ticks[0, 0], sums.s2_ticks[0, 0]
+        slope = 6 * (2 * s2 - (n - 1) * s1) / (n * (n**2 - 1))
+        return float(sums.first_ticks[0, 0] + s1 / n), float(slope), float(sums.span_ticks[0, 0])
+
+    straight, bent = mean_and_slope(no_errors(1)), mean_and_slope(no_errors(1, 0.0, strayed, tilt))
+    assert bent[0] - straight[0] == pytest.approx(strayed, abs=0.1)
+    assert (bent[1] - straight[1]) * stamps == pytest.approx(tilt, abs=0.1)
+    assert abs(bent[2] - straight[2]) <= 1  # the ends stay
+
+
+def test_closed_form_and_stamps_are_cut_to_ticks_alike() -> None:
+    gates = 4000
+    first = np.random.default_rng(3).uniform(0, PERIOD, gates)
+    lines, errors = strides(first, 12, PERIOD), no_errors(gates, 0.4)
+    offset = []
+    for make in (closed_form_sums, stamped_sums):
+        sums = make(lines, errors, None, np.random.default_rng(4))
+        starts = sums.first_ticks[:, 0] - lines.gate_start_ticks[:, 0] - first
+        offset.append((starts.mean(), (sums.s1_ticks[:, 0] / 12 + starts).mean() - 5.5 * PERIOD))
+    assert np.array(offset) == pytest.approx(np.full((2, 2), -0.5), abs=0.03)

@@ -1,0 +1,139 @@
+"""The truth beside the bytes: its lines, and how they get out of a file or a pipe whose reader comes and goes."""
+
+import json
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from simulators.board import MadeFrame
+from simulators.plate import Contact
+from simulators.truth import TruthOutput, truth_line
+
+LINE = "x" * 199 + "\n"
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Path:
+    path = tmp_path / "truth"
+    os.mkfifo(path)
+    return path
+
+
+def test_a_line_says_what_touches_where_how_hard_and_how_warm_the_plate_is() -> None:
+    contacts = [
+        Contact(1, None, (1e-3, 2e-3), (0.0, 0.0, 0.5)),
+        Contact(2, 7, (0.0, 0.0), (0.1, 0.0, 1.0), 2.5e-3, 2e-3, 0.5),
+    ]
+    line = truth_line(MadeFrame(3, 4000, 5000, contacts, 299.25), 1_789_000_000_000_000_000)
+    assert line.endswith("}\n")
+    assert json.loads(line) == {
+        "sequence": 3,
+        "board_ticks": 4000,
+        "t_ns": "1789000000000000000",
+        "contacts": [
+            {"id": 1, "site": None, "position_m": [1e-3, 2e-3], "force_newton": [0.0, 0.0, 0.5], "radius_m": None},
+            {
+                "id": 2,
+                "site": 7,
+                "position_m": [0.0, 0.0],
+                "force_newton": [0.1, 0.0, 1.0],
+                "radius_m": 2.5e-3,
+                "stick_radius_m": 2e-3,
+                "friction_coefficient": 0.5,
+            },
+        ],
+        "plate_kelvin": 299.25,
+    }
+
+
+def test_a_file_begins_anew_and_has_every_line_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "truth.jsonl"
+    path.write_text("of an earlier run\n" * 9)
+    output = TruthOutput(path)
+    output.write("one\n")
+    assert path.read_text() == "one\n"
+    output.write("two\n")
+    output.close()
+    assert path.read_text() == "one\ntwo\n"
+    assert output.lines_lost == 0
+    with pytest.raises(FileNotFoundError):
+        TruthOutput(tmp_path / "nowhere" / "truth.jsonl")
+
+
+def test_a_pipe_waits_for_no_reader_and_serves_one_that_comes(pipe: Path) -> None:
+    output = TruthOutput(pipe)
+    output.write(LINE)
+    output.write(LINE)
+    assert output.lines_lost == 2
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output.write("three\n")
+    assert os.read(reader, 100) == b"three\n"
+    os.close(reader)
+    output.write("four\n")
+    output.write("five\n")
+    assert output.lines_lost == 4
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output.write("six\n")
+    output.close()
+    assert os.read(reader, 100) == b"six\n"
+    assert os.read(reader, 100) == b""
+    os.close(reader)
+    assert output.lines_lost == 4
+
+
+def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones(pipe: Path) -> None:
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output = TruthOutput(pipe)
+    for _ in range(2000):  # several times what a pipe takes
+        output.write(LINE)
+    assert output.lines_lost == 0
+    for _ in range(40_000):
+        output.write(LINE)
+    lost = output.lines_lost
+    assert 10_000 < lost < 40_000
+    received: list[bytes] = []
+    os.set_blocking(reader, True)
+
+    def read() -> None:
+        while data := os.read(reader, 65536):
+            received.append(data)
+
+    reading = threading.Thread(target=read)
+    reading.start()
+    output.write("again\n")
+    while len(output._waiting):
+        output._flush()
+    output.close()
+    reading.join()
+    os.close(reader)
+    lines = b"".join(received).decode().splitlines(keepends=True)
+    assert lines[:-1] == [LINE] * (len(lines) - 1)
+    assert len(lines) + output.lines_lost == 42_001
+
+
+def test_what_a_reader_takes_until_the_end_still_goes_out(pipe: Path) -> None:
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output = TruthOutput(pipe)
+    for _ in range(400):  # more than a pipe takes, less than two
+        output.write(LINE)
+    received = os.read(reader, 1 << 20)
+    output.close()
+    while data := os.read(reader, 1 << 20):
+        received += data
+    os.close(reader)
+    assert received.decode() == LINE * 400
+    assert output.lines_lost == 0
+
+
+def test_lines_that_a_reader_left_behind_are_counted(pipe: Path) -> None:
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    output = TruthOutput(pipe)
+    for _ in range(1000):
+        output.write(LINE)
+    taken = 65536 // len(LINE)  # by the pipe; nobody can tell that they were not read
+    os.close(reader)
+    output.write(LINE)
+    assert output.lines_lost == pytest.approx(1001 - taken, abs=25)
+    output.close()
