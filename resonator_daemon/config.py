@@ -294,7 +294,7 @@ def _timing_findings(table: dict[str, Any], plate: Plate | None) -> list[InitErr
     if len(spans) == 2 and spans["step_ms"] > spans["window_ms"]:
         sentence = f"must be at most window_ms = {spans['window_ms']:g}, or counts would be lost between windows"
         findings.append(finding(("step_ms",), spans["step_ms"], sentence))
-    if plate and plate.counter.kind == "single-tone":
+    if plate and plate.skin is None:
         period_ms = 1e3 / plate.counter.frame_rate_hz
         for key, value in spans.items():
             frames = value / period_ms

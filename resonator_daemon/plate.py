@@ -232,10 +232,14 @@ class Calibration(Table):
     temperature_kelvin: Kelvin | None = None
     model_error: Annotated[Number, Field(gt=0, le=0.5)] = 0.015  # relative, of K from touch to touch and corner
     sensitivity_std: Annotated[Number, Field(ge=0, le=0.5)] = 0.0  # relative, of all K: the masses' own
-    residuals: tuple[Number, ...] = ()  # newton rms, by site
+    sites: tuple[Count, ...] = ()  # ids of those that were calibrated last, in the order of `residuals`
+    residuals: tuple[Number, ...] = ()  # newton rms
     coupling: tuple[Coupling, ...] = ()
     validity: Validity | None = None
     expiry: Day | None = None
+
+    def expired(self, today: Day) -> bool:
+        return self.expiry is not None and today > self.expiry
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,6 +4,8 @@ import math
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import asdict
+from datetime import UTC, datetime
 from importlib.metadata import version
 from typing import Any, TypedDict
 
@@ -17,9 +19,11 @@ from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement import contacts as measured
-from resonator_daemon.measurement.chain import ChannelisedReading, SingleToneReading
 from resonator_daemon.measurement.matching import SiteForce as MeasuredForce
+from resonator_daemon.measurement.readings import ForceReading, SkinReading
 from resonator_daemon.publishing.payloads import (
+    CalibrationInfo,
+    Compensation,
     Condition,
     Contact,
     ContactEvent,
@@ -73,11 +77,16 @@ class _ContactFields(TypedDict):
     site: int
     position_m: tuple[float, float]
     position_std_m: tuple[float, float]
+    position_correlation: float
     force_newton: float
     noise_newton: float
     systematic_newton: float
+    hidden_newton: float
+    peak_newton: float
     since_t_ns: int
+    duration_s: float
     status: Status
+    reason: str
     at_least_newton: float | None
 
 
@@ -130,7 +139,7 @@ class Reporter:
     def info(self, board: BoardOnline, link: str) -> Info:
         plate, measurement = self._plate, self._config.measurement
         gate_s = 1 / plate.counter.frame_rate_hz
-        windowed = plate.counter.kind == "single-tone"
+        windowed = plate.skin is None
         return Info(
             **self.header(INFO),
             daemon_version=version("resonatord"),
@@ -146,40 +155,46 @@ class Reporter:
                 SiteInfo(site=int(site), position_m=(float(x), float(y)))
                 for site, (x, y) in zip(plate.site_ids, plate.site_positions_m, strict=True)
             ),
+            calibration=self._calibration(),
         )
 
-    def forces(self, reading: SingleToneReading, gate_end: Instant) -> Forces:
+    def forces(self, reading: ForceReading, gate_end: Instant) -> Forces:
         return Forces(
             **self._measured(FORCES, reading, gate_end),
             window_s=reading.window_s,
             status=Status(reading.status),
+            reason=reading.reason,
             sites=tuple(self._site_force(force) for force in reading.sites),
+            beats=reading.beats,
+            compensation=Compensation(**asdict(reading.compensation)),
         )
 
-    def contacts(self, reading: SingleToneReading, gate_end: Instant) -> Contacts:
+    def contacts(self, reading: ForceReading, gate_end: Instant) -> Contacts:
         return Contacts(
             **self._measured(CONTACTS, reading, gate_end),
             status=Status(reading.status),
+            reason=reading.reason,
             contacts=tuple(Contact(**self._contact(contact, reading, gate_end)) for contact in reading.contacts),
         )
 
-    def event(self, event: measured.ContactEvent, reading: SingleToneReading, gate_end: Instant) -> ContactEvent:
+    def event(self, event: measured.ContactEvent, reading: ForceReading, gate_end: Instant) -> ContactEvent:
         contact = self._contact(event.contact, reading, gate_end)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
         return ContactEvent(
             **self._measured(CONTACT_EVENT, reading, gate_end),
             event=event.event,
-            contact=EventContact(**contact, peak_newton=event.contact.peak_newton),
+            reason=event.reason,
+            contact=EventContact(**contact),
         )
 
-    def signals(self, reading: ChannelisedReading, gate_end: Instant) -> Signals:
+    def signals(self, reading: SkinReading, gate_end: Instant) -> Signals:
         p_n, eps_xz, eps_yz = (_median(std) for std in reading.noise_std)
         return Signals(
             **self._measured(SIGNALS, reading, gate_end), signals=reading.signals, noise_std=(p_n, eps_xz, eps_yz)
         )
 
-    def decoded(self, reading: ChannelisedReading, gate_end: Instant, frame: DecodedFrame) -> Decoded:
+    def decoded(self, reading: SkinReading, gate_end: Instant, frame: DecodedFrame) -> Decoded:
         grid = self._plate.grid
         x, y = self._plate.site_positions_m[0]
         return Decoded(
@@ -190,7 +205,7 @@ class Reporter:
             grid=Grid(origin_m=(float(x), float(y)), pitch_m=grid.pitch_m) if grid else None,
         )
 
-    def summary(self, reading: ChannelisedReading, gate_end: Instant, surface: SurfaceReading) -> DecodedSummary:
+    def summary(self, reading: SkinReading, gate_end: Instant, surface: SurfaceReading) -> DecodedSummary:
         frame = surface.decoded
         return DecodedSummary(
             **self._measured(DECODED_SUMMARY, reading, gate_end),
@@ -202,14 +217,14 @@ class Reporter:
             patches=tuple(_patch(contact) for contact in surface.contacts),
         )
 
-    def skin_contacts(self, reading: ChannelisedReading, gate_end: Instant, surface: SurfaceReading) -> Contacts:
+    def skin_contacts(self, reading: SkinReading, gate_end: Instant, surface: SurfaceReading) -> Contacts:
         return Contacts(
             **self._measured(CONTACTS, reading, gate_end),
             status=Status(str(surface.decoded.status)),
             contacts=tuple(Contact(**self._skin_contact(contact, reading, gate_end)) for contact in surface.contacts),
         )
 
-    def skin_event(self, event: SkinEvent, reading: ChannelisedReading, gate_end: Instant) -> ContactEvent:
+    def skin_event(self, event: SkinEvent, reading: SkinReading, gate_end: Instant) -> ContactEvent:
         contact, slip = self._skin_contact(event.contact, reading, gate_end), _slip(event.contact)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
@@ -218,11 +233,22 @@ class Reporter:
             event=event.event,
             contact=EventContact(
                 **contact,
-                peak_newton=event.contact.peak_newton,
                 slip_margin=slip["slip_margin"],
                 slip_margin_std=slip["slip_margin_std"],
                 friction_coefficient=slip["friction_coefficient"],
             ),
+        )
+
+    def _calibration(self) -> CalibrationInfo:
+        calibration = self._plate.calibration
+        return CalibrationInfo(
+            id=calibration.id,
+            date=calibration.date.isoformat() if calibration.date else None,
+            unit=calibration.unit,
+            expiry=calibration.expiry.isoformat() if calibration.expiry else None,
+            model_error=calibration.model_error,
+            sensitivity_std=calibration.sensitivity_std,
+            response="on" if self._plate.response else "off",
         )
 
     def _header(self, topic: Topic[Any], at: Instant) -> _Header:
@@ -237,9 +263,7 @@ class Reporter:
             lost=self._lost(),
         )
 
-    def _measured(
-        self, topic: Topic[Any], reading: SingleToneReading | ChannelisedReading, gate_end: Instant
-    ) -> _Measured:
+    def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_end: Instant) -> _Measured:
         middle = gate_end._replace(utc_ns=gate_end.utc_ns - round(reading.window_s * _NS / 2))
         return _Measured(**self._header(topic, middle), board_ticks=reading.board_ticks)
 
@@ -249,41 +273,61 @@ class Reporter:
             force_newton=force.force_newton,
             noise_newton=force.noise_newton,
             systematic_newton=force.systematic_newton,
-            status=Status(force.status),
+            hidden_newton=force.hidden_newton,
+            status=self._worth(force.status),
             at_least_newton=force.at_least_newton,
         )
 
-    def _contact(self, contact: measured.Contact, reading: SingleToneReading, gate_end: Instant) -> _ContactFields:
+    def _worth(self, status: str) -> Status:
+        """Return what a force is worth: less once its calibration has expired."""
+        expired = self._plate.calibration.expired(datetime.now(UTC).date())
+        return Status.UNCALIBRATED if expired and status in ("ok", "possibly_more") else Status(status)
+
+    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_end: Instant) -> _ContactFields:
         if contact.id not in self._since_utc_ns:
             # Once and for all: told anew from the board's nominal rate, it would wander by milliseconds an hour.
             age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
             self._since_utc_ns[contact.id] = gate_end.utc_ns - round((age_s + reading.window_s / 2) * _NS)
+        touch = contact.touch
+        x_std, y_std = np.sqrt(np.diag(touch.position_covariance_m2)).tolist()
+        correlation = float(touch.position_covariance_m2[0, 1]) / (x_std * y_std) if x_std * y_std > 0 else 0.0
         return _ContactFields(
             id=contact.id,
-            site=int(self._plate.site_ids[contact.site]),
-            position_m=contact.position_m,
-            position_std_m=contact.position_std_m,
-            force_newton=contact.force_newton,
-            noise_newton=contact.noise_newton,
-            systematic_newton=contact.systematic_newton,
+            site=int(self._plate.site_ids[touch.site]),
+            position_m=touch.position_m,
+            position_std_m=(x_std, y_std),
+            position_correlation=correlation,
+            force_newton=touch.force_newton,
+            noise_newton=touch.noise_newton,
+            systematic_newton=touch.systematic_newton,
+            hidden_newton=touch.hidden_newton,
+            peak_newton=contact.peak_newton,
             since_t_ns=self._since_utc_ns[contact.id],
-            status=Status(contact.status),
-            at_least_newton=contact.at_least_newton,
+            duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
+            status=self._worth(touch.status),
+            reason=touch.reason,
+            at_least_newton=touch.at_least_newton,
         )
 
-    def _skin_contact(self, contact: SkinContact, reading: ChannelisedReading, gate_end: Instant) -> _ContactFields:
+    def _skin_contact(self, contact: SkinContact, reading: SkinReading, gate_end: Instant) -> _ContactFields:
         patch, middle_ns = contact.patch, gate_end.utc_ns - round(reading.window_s * _NS / 2)
         nearest = int(np.hypot(*(self._plate.site_positions_m - patch.centroid_m).T).argmin())
+        since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
         return _ContactFields(
             id=contact.id,
             site=int(self._plate.site_ids[nearest]),
             position_m=_pair(patch.centroid_m),
             position_std_m=_pair(patch.centroid_std_m),
+            position_correlation=math.nan,
             force_newton=float(patch.force_newton[2]),
             noise_newton=float(patch.force_std_newton[2]),
             systematic_newton=math.nan,  # the plate file does not say how well its elastic constants are known
-            since_t_ns=self._since_utc_ns.setdefault(contact.id, middle_ns),
+            hidden_newton=0.0,
+            peak_newton=contact.peak_newton,
+            since_t_ns=since_ns,
+            duration_s=(middle_ns - since_ns) / _NS,
             status=Status.OK,
+            reason="",
             at_least_newton=None,
         )
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 from resonator_daemon.publishing.payloads import Condition
 
-_ALL_READ = "all sites are read"
-_SITE_FORCES = "site forces only: one captured tone per corner gives no field to decode"
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
 
 _CONDITIONS = {
@@ -24,22 +22,36 @@ class SensorState:
     ----------
     announce
         Called with condition, reason and the UTC nanoseconds since when.
-    site_forces_only
-        Whether the plate has no field to decode, which the reason then says.
+    well
+        The reason to give while nothing is wrong: what the sensor reads.
     """
 
-    def __init__(self, announce: Callable[[Condition, str, int], None], *, site_forces_only: bool) -> None:
+    def __init__(self, announce: Callable[[Condition, str, int], None], well: str) -> None:
         self._announce = announce
-        self._good = self._well = _SITE_FORCES if site_forces_only else _ALL_READ
+        self._good = self._well = well
+        self._expiry = ""
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
 
     def explain(self, note: str) -> None:
         """Add to the reason of a sensor that is well; "" takes the addition back."""
-        before, self._good = self._good, f"{self._well}; {note}" if note else self._well
-        if self._current == (Condition.ONLINE, before):
-            self._become((Condition.ONLINE, self._good), self._since_utc_ns)
+        before = self._best
+        self._good = f"{self._well}; {note}" if note else self._well
+        if self._current == before:
+            self._become(self._best, self._since_utc_ns)
+
+    def calibration(self, expiry: str) -> None:
+        """Say why the calibration no longer holds; "" while it does. To be repeated: it comes with time."""
+        if expiry != self._expiry:
+            before, self._expiry = self._best, expiry
+            if self._current == before:
+                self._become(self._best, time.time_ns())
+
+    @property
+    def _best(self) -> tuple[Condition, str]:
+        """The state of a sensor whose frames tell of nothing wrong."""
+        return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
 
     def no_frames(self, reason: str) -> None:
         """Say that nothing comes which could be judged."""
@@ -50,7 +62,7 @@ class SensorState:
         """Take one reading's status; before the first judgement it counts at once."""
         learnt = not any(map(math.isnan, common_mode))
         if (condition := _CONDITIONS.get(status)) is None:
-            condition, reason = (Condition.ONLINE, self._good) if learnt else (Condition.STARTING, reason)
+            condition, reason = self._best if learnt else (Condition.STARTING, reason)
         seen = (condition, reason)
         if self._current is not None and condition == self._current[0]:
             self._candidate = None

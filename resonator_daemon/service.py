@@ -4,10 +4,12 @@ import asyncio
 import contextlib
 import gc
 import logging
+import math
 import secrets
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 from resonator_daemon.acquisition.board import BoardReader
@@ -25,6 +27,7 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
+from resonator_daemon.chains import Chain, make_chain
 from resonator_daemon.config import Config, SerialLink, topic_level
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
@@ -32,7 +35,13 @@ from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.health import HealthMonitor
-from resonator_daemon.measurement.chain import ChannelisedChain, ChannelisedReading, SingleToneChain, SingleToneReading
+from resonator_daemon.measurement.comb_chain import CombChain
+from resonator_daemon.measurement.contacts import ContactEvent
+from resonator_daemon.measurement.readings import ForceReading, SkinReading
+from resonator_daemon.measurement.single_tone_chain import ONSET_FRAMES, SingleToneChain
+from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.commands import CommandRefusedError, Respond
 from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, State
 from resonator_daemon.publishing.publisher import Publisher
 from resonator_daemon.publishing.topics import (
@@ -81,23 +90,21 @@ class Service:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._arrived = asyncio.Event()
-        gate_s = 1 / config.plate.counter.frame_rate_hz
         single_tone = config.plate.counter.kind == "single-tone"
-        self._step_frames = round(config.measurement.step_s / gate_s) if single_tone else 1
         wake = self._wake_from(asyncio.get_running_loop())
-        self._reader = BoardReader(config.link, config.plate, wake, step_frames=self._step_frames)
+        together = ONSET_FRAMES if single_tone else 1
+        self._reader = BoardReader(config.link, config.plate, wake, step_frames=together)
         self._daemon_boot_id = secrets.token_hex(8)
         self._reporter = Reporter(config, self._daemon_boot_id, self._lost)
         self._publisher: Publisher | None = None
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
-        self._sensor = SensorState(self._set_sensor, site_forces_only=single_tone)
+        self._sensor = SensorState(self._set_sensor, _what_is_read(config.plate))
         self._states: dict[Topic[State], State] = {}
-        self._single_tone: SingleToneChain | None = None
-        self._channelised: ChannelisedChain | None = None
+        self._chain: Chain | None = None
         self._stage = self._make_stage()
         self._board_boot_id: int | None = None
-        self._last_forces: tuple[SingleToneReading, Instant] | None = None
+        self._last_forces: tuple[ForceReading, Instant] | None = None
         self._fatal: OperatorError | None = None
         self._stopping = False
         self._started_utc_ns = time.time_ns()
@@ -151,7 +158,7 @@ class Service:
         return wake
 
     def _begin_publishing(self, name: str) -> None:
-        self._publisher = Publisher(self._config.mqtt, name, self._make_offline)
+        self._publisher = Publisher(self._config.mqtt, name, self._make_offline, self._command)
         for topic, state in self._states.items():
             self._publisher.publish(topic, state)
         self._tasks.create_task(self._publisher.run(), name="publishing")
@@ -183,9 +190,9 @@ class Service:
     def _handle(self, arrival: Arrival) -> None:
         match arrival:
             case SingleToneFrame():
-                self._measure_forces(arrival)
+                self._measure_single_tone(arrival)
             case ChannelisedFrame():
-                self._measure_signals(arrival)
+                self._measure_channelised(arrival)
             case Gap():
                 log.debug(
                     "gap of %d frames before frame %d", arrival.loss.total, arrival.first_index + arrival.loss.total
@@ -219,37 +226,14 @@ class Service:
         self._publish(INFO, self._reporter.info(board, _link_text(self._config)))
 
     def _begin_measuring(self, board: BoardOnline) -> None:
-        if self._single_tone is not None and self._last_forces is not None:
-            for event in self._single_tone.restart():
-                self._publish(CONTACT_EVENT, self._reporter.event(event, *self._last_forces))
-            return
-        plate, tones = self._config.plate, self._config.plate.tones
-        gate_s = 1 / plate.counter.frame_rate_hz
-        if plate.counter.kind == "single-tone":
-            measurement = self._config.measurement
-            self._single_tone = SingleToneChain(
-                tones.f0_hz,
-                tones.sensitivity,
-                plate.site_positions_m,
-                plate.outline_m,
-                force_max_newton=plate.force_max_newton,
-                pilot_hz=plate.pilot_hz,
-                reference_hz=plate.counter.reference_hz,
-                gate_s=gate_s,
-                window_frames=round(measurement.window_s / gate_s),
-                step_frames=self._step_frames,
-                load_sharing_exponent=plate.load_sharing_exponent,
-            )
-        elif plate.skin is not None:
-            self._channelised = ChannelisedChain(
-                tones.f0_hz,
-                tones.sensitivity,
-                oscillator_hz(board.description),
-                tones.site_index,
-                tones.signal_index,
-                youngs_modulus_pascal=plate.skin.youngs_modulus_pascal,
-                gate_s=gate_s,
-            )
+        if self._chain is None:
+            self._chain = make_chain(self._config, oscillator_hz(board.description))
+        elif isinstance(self._chain, SkinChain):
+            self._chain.restart()
+        else:
+            events = self._chain.restart()
+            if self._last_forces is not None:
+                self._tell(events, *self._last_forces)
 
     def _refuse(self, refused: BoardRefused) -> None:
         if self._board_boot_id is not None:
@@ -258,31 +242,56 @@ class Service:
         self._fatal = error(*refused.problems)
         self._set_state(STATE_DAEMON, Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
 
-    def _measure_forces(self, frame: SingleToneFrame) -> None:
-        if self._single_tone is None:
-            return
-        reading = self._single_tone.push(frame.index, frame.board_ticks, frame.records)
+    def _command(self, verb: str, _payload: dict[str, Any], respond: Respond) -> None:
+        """Do what a subscriber asks for; called by the publisher."""
+        if verb != "tare":
+            raise CommandRefusedError("unknown_verb", f"no command is called {verb!r}", "known: tare")
+        if not isinstance(self._chain, SingleToneChain | CombChain):
+            raise CommandRefusedError(
+                "not_ready", "no force sites are being measured", "see state/link and state/sensor"
+            )
+        if reason := self._chain.tare():
+            raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
+        common_mode = [None if math.isnan(g) else g for g in self._chain.compensation.common_mode]
+        log.info("tared: the present readings count as untouched")
+        respond({"ok": True, "did": "the present readings count as untouched", "common_mode": common_mode})
+
+    def _measure_single_tone(self, frame: SingleToneFrame) -> None:
+        if isinstance(self._chain, SingleToneChain):
+            reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
+            self._publish_forces(reading, frame.gate_end)
+
+    def _measure_channelised(self, frame: ChannelisedFrame) -> None:
+        if isinstance(self._chain, SkinChain):
+            self._measure_signals(self._chain, frame)
+        elif isinstance(self._chain, CombChain):
+            reading = self._chain.push(
+                frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
+            )
+            self._publish_forces(reading, frame.gate_end)
+
+    def _publish_forces(self, reading: ForceReading | None, gate_end: Instant) -> None:
         if reading is None:
             return
-        self._last_forces = (reading, frame.gate_end)
-        self._sensor.update(reading.status, reading.reason, reading.common_mode, frame.gate_end.utc_ns)
-        for event in reading.events:
-            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, frame.gate_end))
-        self._publish(FORCES, self._reporter.forces(reading, frame.gate_end))
-        self._publish(CONTACTS, self._reporter.contacts(reading, frame.gate_end))
+        self._last_forces = (reading, gate_end)
+        self._tell(reading.events, reading, gate_end)
+        if reading.at_step:
+            self._sensor.update(reading.status, reading.reason, reading.compensation.common_mode, gate_end.utc_ns)
+            self._publish(FORCES, self._reporter.forces(reading, gate_end))
+            self._publish(CONTACTS, self._reporter.contacts(reading, gate_end))
 
-    def _measure_signals(self, frame: ChannelisedFrame) -> None:
-        if self._channelised is None:
-            return
-        reading = self._channelised.push(
-            frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known
-        )
+    def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_end: Instant) -> None:
+        for event in events:
+            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_end))
+
+    def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
+        reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
         self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_end.utc_ns)
         self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_end))
         if self._stage is not None and reading.status == "ok":
             self._stage.offer((reading, frame.gate_end), reading.signals, reading.noise_std)
 
-    def _make_stage(self) -> DecodingStage[tuple[ChannelisedReading, Instant]] | None:
+    def _make_stage(self) -> DecodingStage[tuple[SkinReading, Instant]] | None:
         skin, wanted = self._config.plate.skin, self._config.decoding
         if skin is None:
             return None
@@ -304,7 +313,7 @@ class Service:
             self._sensor.explain,
         )
 
-    def _decoded(self, origin: tuple[ChannelisedReading, Instant], surface: SurfaceReading) -> None:
+    def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
         for event in surface.events:
             self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
         self._publish(DECODED, self._reporter.decoded(*origin, surface.decoded))
@@ -321,6 +330,7 @@ class Service:
 
     async def _report_health(self) -> None:
         while True:
+            self._sensor.calibration(_expiry(self._config.plate))
             await asyncio.sleep(_HEALTH_S)
             self._publish_health()
 
@@ -332,9 +342,27 @@ class Service:
             self.message_account,
             self._reader.clock_rate_ppm,
             self._stage.frames_skipped if self._stage is not None else 0,
-            dict(self._single_tone.unusable) if self._single_tone is not None else {},
+            dict(self._chain.unusable) if isinstance(self._chain, SingleToneChain) else {},
         )
         self._publish(HEALTH, Health(**self._reporter.header(HEALTH), **vitals))
+
+
+def _what_is_read(plate: Plate) -> str:
+    """Say what a sensor that is well does, and what it leaves in."""
+    if plate.skin is not None:
+        return "all sites are read"
+    read = "site forces only"
+    if plate.counter.kind == "single-tone":
+        read += ": one captured tone per corner gives no field to decode"
+    return read if plate.response else f"{read}; hysteresis and creep of the sites are not taken out: not calibrated"
+
+
+def _expiry(plate: Plate) -> str:
+    """Say that the plate's calibration has expired; empty where it has not."""
+    calibration = plate.calibration
+    if not calibration.expired(datetime.now(UTC).date()):
+        return ""
+    return f"calibration {calibration.id or 'of the plate file'} expired on {calibration.expiry}: calibrate anew"
 
 
 def _link_text(config: Config) -> str:

@@ -68,13 +68,13 @@ class Bench:
         return [json.loads(line) for line in self.truth_path.read_text().splitlines() if line.endswith("}")]
 
     def windows(self, messages: list[Any]) -> Iterator[tuple[Any, list[dict[str, Any]]]]:
-        """Give each message of forces with the truth of the ten gates that it was measured in."""
+        """Give each message of forces with the truth of the gates, of 1 ms, that it was measured in."""
         truth = self.truth()
         index = {line["board_ticks"]: n for n, line in enumerate(truth)}
         for message in messages:
-            last = index.get(int(message["board_ticks"]), 0)
-            if last >= 9:
-                yield message, truth[last - 9 : last + 1]
+            last, gates = index.get(int(message["board_ticks"]), 0), round(message["window_s"] * 1000)
+            if last + 1 >= gates:
+                yield message, truth[last + 1 - gates : last + 1]
 
 
 def events(observer: Observer) -> list[dict[str, Any]]:

@@ -12,9 +12,9 @@ from report_makers import GATE_END, LOST, NAN, Losses, configured, literal, repo
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import BoardOnline
-from resonator_daemon.measurement.chain import SensorStatus, SingleToneReading
-from resonator_daemon.measurement.contacts import Contact, ContactEvent
+from resonator_daemon.measurement.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.measurement.matching import SiteForce
+from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import HEALTH, STATE_LINK, STATE_SENSOR
 from resonator_daemon.reports import Reporter
@@ -58,30 +58,37 @@ def reading(
     contacts: tuple[Contact, ...] = (),
     window_s: float = 0.01,
     board_ticks: int = 2_000_000_000,
-) -> SingleToneReading:
-    return SingleToneReading(99, board_ticks, window_s, status, "", sites, contacts, (), (NAN,) * 4, (0.0,) * 4)
+) -> ForceReading:
+    compensation = Compensation((1e-6, NAN, 0.0, -1e-6), 2e-7, "held", 1.5, NAN, "off")
+    return ForceReading(99, board_ticks, window_s, True, status, "why", sites, contacts, (), compensation, (2,))
 
 
-def contact(**change: Any) -> Contact:
-    fields: dict[str, Any] = {
-        "id": 12,
-        "site": 1,
-        "position_m": (0.0125, 0.004),
-        "position_std_m": (2e-4, 3e-4),
-        "force_newton": 1.234,
-        "noise_newton": 0.0006,
-        "systematic_newton": 0.012,
-        "at_least_newton": None,
-        "peak_newton": 1.5,
-        "since_ticks": 1_625_000_000,  # 1.5 s before the reading at 250 MHz
-        "status": "ok",
-        "reason": "",
-    }
-    return Contact(**(fields | change))
+def contact(
+    site: int = 1,
+    force_newton: float = 1.234,
+    status: str = "ok",
+    *,
+    number: int = 12,
+    since_ticks: int = 1_625_000_000,
+) -> Contact:
+    """Set on 1.5 s before the reading at 250 MHz, if not told otherwise."""
+    known = status == "ok"
+    touch = Touch(
+        site,
+        (0.0125, 0.004),
+        np.array([[4e-8, 3e-8], [3e-8, 9e-8]]),
+        force_newton,
+        0.0006 if known else NAN,
+        0.012 if known else NAN,
+        2.5 if known else NAN,
+        status,
+        "another is heard",
+    )
+    return Contact(number, touch, 1.5, since_ticks, 125_000_000)
 
 
 def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
-    message = reporter.forces(reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok"),)), GATE_END)
+    message = reporter.forces(reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok", hidden_newton=6.17),)), GATE_END)
     assert literal(message) == {
         "seq": 0,
         "daemon_boot_id": "9f3c",
@@ -92,16 +99,27 @@ def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
         "board_ticks": "2000000000",
         "window_s": 0.01,
         "status": "ok",
+        "reason": "why",
         "sites": [
             {
                 "site": 30,
                 "force_newton": 1.234,
                 "noise_newton": 0.0006,
                 "systematic_newton": 0.012,
+                "hidden_newton": 6.17,
                 "status": "ok",
                 "at_least_newton": None,
             }
         ],
+        "beats": [2],
+        "compensation": {
+            "baseline": "held",
+            "common_mode": [1e-6, None, 0.0, -1e-6],
+            "common_mode_std": 2e-7,
+            "plate_kelvin": 1.5,
+            "plate_kelvin_std": None,
+            "response": "off",
+        },
     }
 
 
@@ -121,6 +139,7 @@ def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
             "force_newton": None,
             "noise_newton": None,
             "systematic_newton": None,
+            "hidden_newton": 0.0,
             "status": "overload",
             "at_least_newton": 10.0,
         }
@@ -130,7 +149,7 @@ def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
 @pytest.mark.parametrize("status", get_args(SensorStatus))
 def test_every_status_of_a_reading_has_its_word(reporter: Reporter, status: SensorStatus) -> None:
     assert literal(reporter.forces(reading(status), GATE_END))["status"] == status
-    unknown = contact(force_newton=NAN, status=status)
+    unknown = contact(1, NAN, status)
     said = literal(reporter.contacts(reading(status, contacts=(unknown,)), GATE_END))
     assert said["status"] == said["contacts"][0]["status"] == status
 
@@ -153,18 +172,23 @@ def test_measured_messages_are_dated_at_the_middle_of_the_window(
 
 
 def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
-    said = literal(reporter.contacts(reading(contacts=(contact(), contact(id=13, site=2))), GATE_END))
+    said = literal(reporter.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_END))
     first, second = said["contacts"]
     assert first == {
         "id": 12,
         "site": 30,
         "position_m": [0.0125, 0.004],
-        "position_std_m": [2e-4, 3e-4],
+        "position_std_m": [pytest.approx(2e-4), pytest.approx(3e-4)],
+        "position_correlation": pytest.approx(0.5),
         "force_newton": 1.234,
         "noise_newton": 0.0006,
         "systematic_newton": 0.012,
+        "hidden_newton": 2.5,
+        "peak_newton": 1.5,
         "since_t_ns": "1788999998495000123",  # 1.5 s of ticks before the middle of the window
+        "duration_s": 0.5,
         "status": "ok",
+        "reason": "another is heard",
         "at_least_newton": None,
     }
     assert (second["id"], second["site"]) == (13, 12)
@@ -187,23 +211,27 @@ def test_a_contact_keeps_its_date(reporter: Reporter) -> None:
 
 @pytest.mark.parametrize("word", ["onset", "release"])
 def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, word: Any) -> None:
-    gone = contact(id=3, site=0, force_newton=NAN, noise_newton=NAN, systematic_newton=NAN, status="no_signal")
+    gone = contact(0, NAN, "no_signal", number=3)
     present = reading(contacts=(contact(),))
     said = literal(reporter.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_END))
-    assert said["event"] == word
+    assert (said["event"], said["reason"]) == (word, "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
     assert said["contact"] == {
         "id": 3,
         "site": 70,
         "position_m": [0.0125, 0.004],
-        "position_std_m": [2e-4, 3e-4],
+        "position_std_m": [pytest.approx(2e-4), pytest.approx(3e-4)],
+        "position_correlation": pytest.approx(0.5),
         "force_newton": None,
         "noise_newton": None,
         "systematic_newton": None,
-        "since_t_ns": "1788999998495000123",
-        "status": "no_signal",
-        "at_least_newton": None,
+        "hidden_newton": None,
         "peak_newton": 1.5,
+        "since_t_ns": "1788999998495000123",
+        "duration_s": 0.5,
+        "status": "no_signal",
+        "reason": "another is heard",
+        "at_least_newton": None,
         "slip_margin": None,
         "slip_margin_std": None,
         "friction_coefficient": None,
@@ -251,6 +279,17 @@ def test_a_state_says_since_when_and_is_dated_when_it_is_made(reporter: Reporter
 BOARD = BoardOnline(
     Identity("quartz board", "0042", "1.2.3", 0), Description(0, 4, 1, 10**12, 1, 1, "three"), 1, Configuration(1)
 )
+
+
+@pytest.mark.parametrize(("expiry", "status"), [("2020-01-01", "uncalibrated"), ("9999-12-31", "ok")])
+def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str, status: str) -> None:
+    plate = FORCE_PLATE + f'[calibration]\nid = "c1"\ndate = 2019-01-01\nexpiry = {expiry}\n'
+    reporter = reporter_of(configured(tmp_path, plate))
+    measured = reading(sites=(SiteForce(1, 1.2, 0.1, 0.1, "ok"),), contacts=(contact(),))
+    assert literal(reporter.forces(measured, GATE_END))["sites"][0]["status"] == status
+    assert literal(reporter.contacts(measured, GATE_END))["contacts"][0]["status"] == status
+    said = literal(reporter.info(BOARD, "serial:/dev/ttyACM0?baud=4000000"))["calibration"]
+    assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
 
 
 def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:

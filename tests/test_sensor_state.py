@@ -6,7 +6,7 @@ from typing import get_args
 
 import pytest
 
-from resonator_daemon.measurement.chain import SensorStatus
+from resonator_daemon.measurement.readings import SensorStatus
 from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.sensor_state import SensorState
 
@@ -18,9 +18,9 @@ LEARNT, UNLEARNT = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
 class Sensor:
     """A sensor's state that is fed readings by milliseconds, and what it has announced."""
 
-    def __init__(self, *, site_forces_only: bool = True) -> None:
+    def __init__(self) -> None:
         self.said: list[tuple[Condition, str, int]] = []
-        self.state = SensorState(lambda *said: self.said.append(said), site_forces_only=site_forces_only)
+        self.state = SensorState(lambda *said: self.said.append(said), "sites are read")
 
     def read(
         self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT
@@ -47,11 +47,18 @@ def test_a_well_sensor_is_online_from_its_first_reading_and_says_so_once() -> No
     assert reason
 
 
-def test_only_a_plate_without_a_field_says_why_nothing_is_decoded() -> None:
-    for site_forces_only in (True, False):
-        sensor = Sensor(site_forces_only=site_forces_only)
-        sensor.read(0, "ok")
-        assert ("decode" in sensor.said[0][1]) == site_forces_only
+def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> None:
+    sensor = online()
+    for _ in range(3):
+        sensor.state.calibration("c1 expired")
+    assert [(condition, reason) for condition, reason, _ in sensor.said[1:]] == [(Condition.UNCALIBRATED, "c1 expired")]
+    for at_ms in (5, 10, 300):
+        sensor.read(at_ms, "no_signal")
+    assert sensor.said[-1][0] is Condition.STALLED
+    sensor.read(400, "ok")
+    assert sensor.read(700, "ok") == [Condition.UNCALIBRATED]
+    sensor.state.calibration("")
+    assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
 
 
 @pytest.mark.parametrize("common_mode", [UNLEARNT, (0.0, 0.0, math.nan, 0.0), (math.nan,)])
@@ -176,7 +183,7 @@ def test_trouble_before_an_outage_does_not_count_after_it() -> None:
 
 
 def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back() -> None:
-    sensor = Sensor(site_forces_only=False)
+    sensor = Sensor()
     sensor.read(0, "ok")
     for note in ("the decoder is built; step 1", "the decoder is built; step 2", ""):
         sensor.state.explain(note)
@@ -190,7 +197,7 @@ def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back()
 
 
 def test_the_same_explanation_is_announced_once() -> None:
-    sensor = Sensor(site_forces_only=False)
+    sensor = Sensor()
     sensor.read(0, "ok")
     for note in ("", "busy", "busy", "", ""):
         sensor.state.explain(note)
@@ -198,7 +205,7 @@ def test_the_same_explanation_is_announced_once() -> None:
 
 
 def test_an_explanation_waits_until_the_sensor_is_well() -> None:
-    sensor = Sensor(site_forces_only=False)
+    sensor = Sensor()
     sensor.state.explain("before anything was judged")
     sensor.read(0, "no_signal", "nothing is heard")
     sensor.state.explain("decoding is off")

@@ -18,6 +18,7 @@ from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardErro
 from resonator_daemon.service import Service
 from simulators.faults import parse_faults
 
+IDEAL = "[plate]\nideal = true\n"
 LONG_TOUCH = """
 [[touches]]
 start_s = 0.4
@@ -40,7 +41,7 @@ def mean_newton(window: list[dict[str, Any]]) -> float:
 
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
-    scenario = bench.scenario(LONG_TOUCH.format(hold_s=0.3))
+    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=0.3))
     async with (
         bench.emulated(scenario=scenario),
         observe(broker.url) as heard,
@@ -127,7 +128,7 @@ async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto
 
 async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=0.7,unplug_for_s=0.5")
-    scenario = bench.scenario(LONG_TOUCH.format(hold_s=2.0))
+    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=2.0))
     async with (
         bench.emulated(scenario=scenario, faults=faults),
         observe(mosquitto.url) as heard,
@@ -204,14 +205,14 @@ async def test_beyond_the_range_there_is_no_number(bench: Bench, mosquitto: Mosq
     assert all(site["force_newton"] <= 10.5 for site in sites if site["force_newton"] is not None)
 
 
-async def test_between_sites_the_bound_holds_or_the_reading_is_ambiguous(bench: Bench, mosquitto: Mosquitto) -> None:
+async def test_between_sites_what_is_not_seen_stays_within_the_bound(bench: Bench, mosquitto: Mosquitto) -> None:
     places = ((-0.5, 1.5), (1.4, 2.75), (-2.0, -2.0), (6.2, -3.9))  # from half a millimetre off a site to midway
     between = "".join(
         LONG_TOUCH.format(hold_s=0.2).replace("site = 7", f"position_mm = [{x}, {y}]").replace("0.4", f"{start_s:.1f}")
         for (x, y), start_s in zip(places, (0.4, 1.0, 1.6, 2.2), strict=True)
     )
     async with (
-        bench.emulated(scenario=bench.scenario(between)),
+        bench.emulated(scenario=bench.scenario(IDEAL + between)),
         observe(mosquitto.url) as heard,
         bench.running(bench.service()),
     ):
@@ -225,9 +226,12 @@ async def test_between_sites_the_bound_holds_or_the_reading_is_ambiguous(bench: 
         true = mean_newton(window)
         if true > 0.1:
             seen.add(message["status"])
-            for site in message["sites"]:
-                assert -0.005 <= true - site["force_newton"] <= site["systematic_newton"]
-    assert seen <= {"ok", "ambiguous", "settling", "rejected"}
+            if message["sites"]:
+                seen_newton = sum(site["force_newton"] for site in message["sites"])
+                hidden = max(site["hidden_newton"] for site in message["sites"])
+                noise = sum(site["noise_newton"] for site in message["sites"])
+                assert -0.005 - 3 * noise <= true - seen_newton <= hidden
+    assert seen <= {"ok", "ambiguous", "settling", "rejected", "possibly_more"}
     assert "ok" in seen
 
 

@@ -16,7 +16,7 @@ from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.patches import Patch as FoundPatch
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.measurement.chain import ChannelisedReading
+from resonator_daemon.measurement.readings import SkinReading
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.reports import Reporter
@@ -47,8 +47,8 @@ def skin_reporter(tmp_path: Path) -> Reporter:
     return reporter_of(configured(tmp_path, "skin32"))
 
 
-def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> ChannelisedReading:
-    return ChannelisedReading(7, 2**63 + 1, window_s, "ok", "", signals, np.ones_like(signals), 0.0)
+def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> SkinReading:
+    return SkinReading(7, 2**63 + 1, window_s, "ok", "", signals, np.ones_like(signals), 0.0)
 
 
 def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> DecodedFrame:
@@ -175,11 +175,16 @@ CONTACT_LITERAL = {
     "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1
     "position_m": [1e-3, -2.1e-3],
     "position_std_m": [1e-5, 2e-5],
+    "position_correlation": None,
     "force_newton": 1.5,
     "noise_newton": 5e-3,
     "systematic_newton": None,
+    "hidden_newton": 0.0,
+    "peak_newton": 1.75,
     "since_t_ns": "1788999999995000123",
+    "duration_s": 0.0,
     "status": "ok",
+    "reason": "",
     "at_least_newton": None,
 }
 MEASURED_OF_SKIN = channelised(np.zeros((3, 1024)))
@@ -254,7 +259,7 @@ def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: Re
     said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_END))
     assert said["event"] == word
     of_slip = {"slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6}
-    assert said["contact"] == CONTACT_LITERAL | {"peak_newton": 1.75} | of_slip
+    assert said["contact"] == CONTACT_LITERAL | of_slip
 
 
 def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:

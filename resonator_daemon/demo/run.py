@@ -17,7 +17,7 @@ import psutil
 from rich.console import Console
 from rich.live import Live
 
-from resonator_daemon.config import Measurement, Mqtt
+from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.processes import Child, start_daemon, start_emulator
 from resonator_daemon.demo.score import PlateScore
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
@@ -103,8 +103,7 @@ class _Demo:
         emulator, link, truth_path = await start_emulator(name, folder, plate.counter.kind)
         daemon = await start_daemon(name, link, broker_url, folder)
         truth = TruthTable(truth_path)
-        window_frames = round(Measurement().window_s * plate.counter.frame_rate_hz)
-        score = PlateScore(truth, window_frames, plate.site_positions_m)
+        score = PlateScore(truth, plate.counter.frame_rate_hz, plate.site_positions_m)
         station = _Station(plate, emulator, daemon, truth, score, PlateView(name))
         self._stations[name] = station
         return station

@@ -53,15 +53,15 @@ class PlateScore:
     ----------
     truth
         Of the emulated board.
-    window_frames
-        Gates in one window of the `forces` topic.
+    frame_rate_hz
+        Of the board: a window of the `forces` topic is so many gates long.
     site_positions_m
         (n, 2): where the traction of scattered sites is compared with the truth, point by point.
     """
 
-    def __init__(self, truth: TruthTable, window_frames: int, site_positions_m: NDArray[np.float64]) -> None:
+    def __init__(self, truth: TruthTable, frame_rate_hz: float, site_positions_m: NDArray[np.float64]) -> None:
         self._truth = truth
-        self._window_frames = window_frames
+        self._frame_rate_hz = frame_rate_hz
         self._site_positions_m = site_positions_m
         self._waiting: list[tuple[Forces | Decoded | DecodedSummary, int]] = []
         self._onsets: list[tuple[int, int]] = []  # arrival, site
@@ -123,7 +123,7 @@ class PlateScore:
         self._lines_seen = len(self._truth.lines)
         still_waiting = []
         for message, arrived_ns in self._waiting:
-            frames = self._window_frames if isinstance(message, Forces) else 1
+            frames = round(message.window_s * self._frame_rate_hz) if isinstance(message, Forces) else 1
             window = self._truth.window(message.board_ticks or 0, frames)
             if window is None:
                 still_waiting.append((message, arrived_ns))

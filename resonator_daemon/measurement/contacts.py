@@ -1,37 +1,47 @@
-"""Contacts over time: identity, onset and release with hysteresis, peak, and what is unknown meanwhile."""
+"""Contacts over time: identity, onset and release with hysteresis, duration, peak, and what is unknown meanwhile."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal
 
+import numpy as np
+
 from resonator_daemon.measurement.force import FloatArray
-from resonator_daemon.measurement.matching import SiteForce
 
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
-    """A touch of one site, an index into the plate's sites; its position is the site's.
+class Touch:
+    """What one reading tells of one touch: the nearest site, an index, and the place with its covariance (2, 2)."""
 
-    `position_std_m` is the spread of touches nearest to the site. `since_ticks` is the end of the window in which the
-    contact set on. While the force is not known it is NaN, and `status` and `reason` say why.
-    """
-
-    id: int
     site: int
     position_m: tuple[float, float]
-    position_std_m: tuple[float, float]
+    position_covariance_m2: FloatArray
     force_newton: float
     noise_newton: float
     systematic_newton: float
-    at_least_newton: float | None
+    hidden_newton: float
+    status: str
+    reason: str = ""
+    at_least_newton: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A touch from its onset on. While its force is not known it is NaN, and the touch's status and reason say why.
+
+    `since_ticks` is the end of the window in which it set on, `duration_ticks` the time from there to the last reading
+    that told its force.
+    """
+
+    id: int
+    touch: Touch
     peak_newton: float
     since_ticks: int
-    status: str
-    reason: str
+    duration_ticks: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,26 +55,18 @@ class ContactEvent:
 
 
 class ContactTracker:
-    """Turns forces on sites into contacts.
+    """Turns touches, reading by reading, into contacts.
 
-    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when the plate is heard untouched. A gap
-    does not end it: its force is unknown, and only when that lasts longer than `unknown_ticks` is it released for that
-    reason.
+    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when a reading that tells of all touches
+    tells of none there. A gap does not end it: its force is unknown, and only when that lasts longer than
+    `unknown_ticks` is it released for that reason. A touch belongs to the nearest contact within `reach_m`: 0 where
+    positions are those of sites.
     """
 
-    def __init__(self, site_positions_m: FloatArray, position_std_m: FloatArray, unknown_ticks: int) -> None:
-        """Take positions and their standard deviations as (m, 2)."""
-        if (
-            site_positions_m.ndim != 2
-            or site_positions_m.shape[1] != 2
-            or position_std_m.shape != site_positions_m.shape
-        ):
-            raise ValueError(f"positions {site_positions_m.shape} and their std {position_std_m.shape} must be (m, 2)")
-        self._positions_m = [(float(x), float(y)) for x, y in site_positions_m]
-        self._position_std_m = [(float(x), float(y)) for x, y in position_std_m]
+    def __init__(self, unknown_ticks: int, reach_m: float = 0.0) -> None:
         self._unknown_ticks = unknown_ticks
-        self._open: dict[int, Contact] = {}  # by site
-        self._known_ticks: dict[int, int] = {}  # by site: when its force was last known
+        self._reach_m = reach_m
+        self._open: dict[int, Contact] = {}
         self._last_id = 0
 
     @property
@@ -72,61 +74,85 @@ class ContactTracker:
         return tuple(self._open.values())
 
     def update(
-        self, board_ticks: int, forces: Sequence[SiteForce], *, untouched: bool, status: str, reason: str
+        self, board_ticks: int, touches: Sequence[Touch], *, complete: bool, status: str, reason: str
     ) -> tuple[ContactEvent, ...]:
-        """Take one reading; `status` and `reason` say why the force on sites that are not in `forces` is not known."""
-        events = []
-        for site in [] if untouched else [site for site in self._open if all(force.site != site for force in forces)]:
-            self._open[site] = replace(
-                self._open[site],
-                force_newton=math.nan,
-                noise_newton=math.nan,
-                systematic_newton=math.nan,
-                at_least_newton=None,
-                status=status,
-                reason=reason,
-            )
-            if board_ticks - self._known_ticks[site] > self._unknown_ticks:
-                events.append(self._release(site, board_ticks, "its state was unknown for too long"))
-        if untouched:
-            events += [self._release(site, board_ticks, "the pilot is heard") for site in list(self._open)]
-        for force in forces:
-            events += self._take(board_ticks, force)
+        """Take one reading.
+
+        `complete` says that there are no touches but these; else `status` and `reason` say why the force of contacts
+        without a touch is not known.
+        """
+        events = [
+            self._release(contact.id, board_ticks, "its state was unknown for too long")
+            for contact in self.contacts
+            if board_ticks - contact.since_ticks - contact.duration_ticks > self._unknown_ticks
+        ]
+        taken = self._associate(touches)
+        for contact in list(self._open.values()):
+            if contact.id in taken.values():
+                continue
+            if complete:
+                events.append(self._release(contact.id, board_ticks, "no longer felt"))
+                continue
+            self._open[contact.id] = replace(contact, touch=_unknown(contact.touch, status, reason))
+        for index, touch in enumerate(touches):
+            events += self._take(board_ticks, touch, taken.get(index))
         return tuple(events)
 
     def close(self, board_ticks: int, reason: str) -> tuple[ContactEvent, ...]:
         """Release every contact, as when the board starts anew and its past no longer tells anything."""
-        return tuple(self._release(site, board_ticks, reason) for site in list(self._open))
+        return tuple(self._release(number, board_ticks, reason) for number in list(self._open))
 
-    def _take(self, board_ticks: int, force: SiteForce) -> list[ContactEvent]:
-        site, newton = force.site, force.force_newton
-        before = self._open.get(site)
-        if before is None and not (force.status == "overload" or newton >= ONSET_NEWTON):
-            return []
-        self._last_id += before is None
-        at_least = newton if force.at_least_newton is None else force.at_least_newton
-        contact = Contact(
-            id=before.id if before else self._last_id,
-            site=site,
-            position_m=self._positions_m[site],
-            position_std_m=self._position_std_m[site],
-            force_newton=newton,
-            noise_newton=force.noise_newton,
-            systematic_newton=force.systematic_newton,
-            at_least_newton=force.at_least_newton,
-            peak_newton=max(before.peak_newton, at_least) if before else at_least,
-            since_ticks=before.since_ticks if before else board_ticks,
-            status=force.status,
-            reason="",
-        )
-        self._open[site] = contact
-        self._known_ticks[site] = board_ticks
-        if before is None:
+    def _associate(self, touches: Sequence[Touch]) -> dict[int, int]:
+        """Contact's id by index of touch, nearest pairs first."""
+        if not touches or not self._open:
+            return {}
+        contacts = list(self._open.values())
+        place = np.array([touch.position_m for touch in touches])
+        before = np.array([contact.touch.position_m for contact in contacts])
+        distance_m = np.hypot(*(place[:, None] - before).transpose(2, 0, 1))
+        taken: dict[int, int] = {}
+        for flat in np.argsort(distance_m, axis=None, kind="stable"):
+            index, which = divmod(int(flat), len(contacts))
+            if distance_m[index, which] > self._reach_m:
+                break
+            if index not in taken and contacts[which].id not in taken.values():
+                taken[index] = contacts[which].id
+        return taken
+
+    def _take(self, board_ticks: int, touch: Touch, number: int | None) -> list[ContactEvent]:
+        newton = touch.force_newton
+        at_least = newton if touch.at_least_newton is None else touch.at_least_newton
+        if number is None:
+            if not (touch.status == "overload" or newton >= ONSET_NEWTON):
+                return []
+            self._last_id += 1
+            contact = Contact(self._last_id, touch, at_least, board_ticks, 0)
+            self._open[contact.id] = contact
             return [ContactEvent("onset", board_ticks, contact, "")]
+        before = self._open[number]
+        self._open[number] = replace(
+            before,
+            touch=touch,
+            peak_newton=max(before.peak_newton, at_least),
+            duration_ticks=board_ticks - before.since_ticks,
+        )
         if newton < RELEASE_NEWTON:
-            return [self._release(site, board_ticks, f"below {RELEASE_NEWTON:g} N")]
+            return [self._release(number, board_ticks, f"below {RELEASE_NEWTON:g} N")]
         return []
 
-    def _release(self, site: int, board_ticks: int, reason: str) -> ContactEvent:
-        del self._known_ticks[site]
-        return ContactEvent("release", board_ticks, self._open.pop(site), reason)
+    def _release(self, number: int, board_ticks: int, reason: str) -> ContactEvent:
+        return ContactEvent("release", board_ticks, self._open.pop(number), reason)
+
+
+def _unknown(touch: Touch, status: str, reason: str) -> Touch:
+    """Return the touch without the numbers that the last reading did not give."""
+    return replace(
+        touch,
+        force_newton=math.nan,
+        noise_newton=math.nan,
+        systematic_newton=math.nan,
+        hidden_newton=math.nan,
+        at_least_newton=None,
+        status=status,
+        reason=reason,
+    )

@@ -1,82 +1,58 @@
-"""Frames in, readings out: the stages of measurement in their order, one chain for each kind of counter."""
+"""Counts of one captured tone per corner to forces, sites and contacts: the stages of measurement in their order."""
 
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Final, Literal
+from dataclasses import replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.measurement.baseline import CommonMode
-from resonator_daemon.measurement.channelised import TONES_MIN, ToneArray
-from resonator_daemon.measurement.contacts import Contact, ContactEvent, ContactTracker
-from resonator_daemon.measurement.counting import SlidingWindow, Sums, counter_std, frequency_hz, oscillator_std
+from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch
+from resonator_daemon.measurement.counting import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
 from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fraction
-from resonator_daemon.measurement.matching import Match, Matcher, OverloadLatch, SiteForce
+from resonator_daemon.measurement.force_sites import ForceSites
+from resonator_daemon.measurement.matching import Match, Matcher, SiteForce
+from resonator_daemon.measurement.other_tones import (
+    beat_std_hz,
+    hears_another_tone,
+    pilot_residual_ticks2,
+)
+from resonator_daemon.measurement.overload_latch import OverloadLatch
+from resonator_daemon.measurement.quantisation import EXCESS_LIMIT, STAMPS_MIN, excess_bound, stamp_jitter_ticks
+from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.measurement.site_errors import SiteErrors
+from resonator_daemon.measurement.sliding_window import SlidingWindow
 
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
 BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
-BASELINE_MEMORY_S: Final = 1.0
 UNKNOWN_CONTACT_S: Final = 0.5
-SIGMA_HZ: Final[FloatArray] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
-
-SensorStatus = Literal[
-    "ok", "settling", "no_signal", "pilot_lost", "pressed_at_start", "ambiguous", "rejected", "overload"
-]
-
-
-@dataclass(frozen=True, slots=True)
-class SingleToneReading:
-    """Forces and contacts from one window; NaN or absent where not known, `status` and `reason` say why.
-
-    `board_ticks` is the end of the last gate in the window. `frequency_hz` is as counted, per channel, the common mode
-    still in it; `common_mode` per channel is what was taken out of it for the forces.
-    """
-
-    sequence: int
-    board_ticks: int
-    window_s: float
-    status: SensorStatus
-    reason: str
-    sites: tuple[SiteForce, ...]
-    contacts: tuple[Contact, ...]
-    events: tuple[ContactEvent, ...]
-    frequency_hz: tuple[float, ...]
-    common_mode: tuple[float, ...]
+EVALUATE_FRAMES: Final = 2  # forces are followed this often, however seldom they are published
+ONSET_FRAMES: Final = 2  # window of the fast path
+CROWDED_FRAMES: Final = 3
+EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
 
 
-@dataclass(frozen=True, slots=True)
-class ChannelisedReading:
-    """Signals of one frame, the dimensionless triple [3 p_n / (2 E), eps_xz, eps_yz] and its noise, both (3, sites).
+class _Counted(NamedTuple):
+    """Channels (c,): frequency without the common mode, relative noise, whether more is heard, and which beat."""
 
-    `board_ticks` is the end of the gate. NaN where not known, `status` and `reason` say why.
-    """
-
-    sequence: int
-    board_ticks: int
-    window_s: float
-    status: SensorStatus
-    reason: str
-    signals: FloatArray
-    noise_std: FloatArray
-    common_mode: float
+    frequency_hz: FloatArray
+    std: FloatArray
+    others: NDArray[np.bool_]
+    beats: tuple[int, ...]
 
 
 class SingleToneChain:
-    """Counts of one captured tone per corner to forces, sites and contacts."""
+    """Frames of a single-tone board in, readings out."""
 
     def __init__(
         self,
-        f0_hz: FloatArray,
-        sensitivity: FloatArray,
-        site_positions_m: FloatArray,
-        outline_m: FloatArray,
+        sites: ForceSites,
         *,
-        force_max_newton: float,
         pilot_hz: float,
         reference_hz: float,
         gate_s: float,
@@ -84,40 +60,44 @@ class SingleToneChain:
         step_frames: int,
         load_sharing_exponent: float | None = None,
     ) -> None:
-        """Take a plate's codes by site.
-
-        Parameters
-        ----------
-        f0_hz, sensitivity
-            (m, channels); sensitivity K is signed, in 1/N.
-        site_positions_m, outline_m
-            (m, 2) and the polygon (p, 2).
-        load_sharing_exponent
-            A touch loads sites by distance^-exponent; None for a plate whose sites are touched one by one.
-        """
+        """Take a plate's sites; a touch loads them by distance^-exponent, None where they are touched one by one."""
         if step_frames < 1:
             raise ValueError(f"step of {step_frames} frames, at least 1")
-        channels = f0_hz.shape[1]
+        channels = sites.f0_hz.shape[1]
         hidden = None
         if load_sharing_exponent is not None:
-            hidden = hidden_fraction(site_positions_m, outline_m, load_sharing_exponent)
+            hidden = hidden_fraction(sites.positions_m, sites.outline_m, load_sharing_exponent)
         band_hz = (
-            (1 - BAND_MARGIN) * min(pilot_hz, float(f0_hz.min())),
-            (1 + BAND_MARGIN) * max(pilot_hz, float(f0_hz.max())),
+            (1 - BAND_MARGIN) * min(pilot_hz, float(sites.f0_hz.min())),
+            (1 + BAND_MARGIN) * max(pilot_hz, float(sites.f0_hz.max())),
         )
+        self._sites = sites
         self._pilot_hz = pilot_hz
         self._reference_hz = reference_hz
+        self._gate_s = gate_s
         self._step_frames = step_frames
-        self._window_s = window_frames * gate_s
-        self._oscillator_std = oscillator_std(self._window_s)
+        self._window_frames = window_frames
+        self._onset_frames = min(ONSET_FRAMES, window_frames)
         self._windows = [SlidingWindow(window_frames, reference_hz, band_hz) for _ in range(channels)]
-        memory = round(BASELINE_MEMORY_S / (step_frames * gate_s))
-        self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, memory=max(memory, BASELINE_READINGS))
-        self._matcher = Matcher(f0_hz, sensitivity, force_max_newton, hidden_fraction=hidden)
+        reading_std = oscillator_std(window_frames * gate_s)
+        self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
+        self._matcher = Matcher(
+            sites.f0_hz,
+            sites.sensitivity,
+            sites.force_max_newton,
+            model_error=sites.model_error,
+            hidden_fraction=hidden,
+        )
         self._latch = OverloadLatch()
-        position_std_m = cell_std_m(site_positions_m, outline_m)
-        self._tracker = ContactTracker(site_positions_m, position_std_m, round(UNKNOWN_CONTACT_S * reference_hz))
+        self._errors = SiteErrors(sites)
+        self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
+        self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
+        self._attenuation_db = [math.nan] * channels
+        self._pilot_attenuation_db = [math.nan] * channels
+        self._crowded = [0] * channels  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
+        self._evaluated_ticks: int | None = None
+        self._pilot: tuple[float, ...] = (math.nan,) * channels  # g by the pilot in the last reading
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
 
     def restart(self) -> tuple[ContactEvent, ...]:
@@ -126,14 +106,29 @@ class SingleToneChain:
         for window in self._windows:
             window.restart()
         self._common_mode.reset()
+        self._errors.reset()
         self._latch.release()
-        self._last = None
+        self._last = self._evaluated_ticks = None
         return events
 
-    def push(self, sequence: int, board_ticks: int, records: Sequence[SingleToneRecord]) -> SingleToneReading | None:
-        """Take one frame, a record per channel; gives a reading at every `step_frames`-th sequence number.
+    def tare(self) -> str:
+        """Take the pilot as it is heard now for the common mode; returns why it was not done, "" where it was."""
+        if any(map(math.isnan, self._pilot)):
+            return "the pilot is not heard on all channels: the plate is touched, or channels are silent"
+        self._common_mode.tare(self._pilot)
+        return ""
 
-        `sequence` and `board_ticks` are unwrapped; frames that are missing between two calls restart the windows.
+    @property
+    def compensation(self) -> Compensation:
+        """What is taken out now."""
+        return self._compensation(untouched=not any(map(math.isnan, self._pilot)))
+
+    def push(self, sequence: int, board_ticks: int, records: Sequence[SingleToneRecord]) -> ForceReading | None:
+        """Take one frame, a record per channel.
+
+        Gives a reading at every `step_frames`-th sequence number, and between them where something has happened to a
+        contact. `sequence` and `board_ticks` are unwrapped; frames that are missing between two calls restart the
+        windows.
         """
         if len(records) != len(self._windows):
             raise ValueError(f"{len(records)} records for {len(self._windows)} channels")
@@ -141,63 +136,171 @@ class SingleToneChain:
             for window in self._windows:
                 window.restart()
         self._last = sequence, board_ticks
-        for window, record in zip(self._windows, records, strict=True):
+        for channel, (window, record) in enumerate(zip(self._windows, records, strict=True)):
             fault = window.push(record)
+            self._attenuation_db[channel] = record.attenuation_db256 / 256.0
+            self._crowded[channel] = self._crowded[channel] + 1 if fault == "capture_switch" else 0
             if fault is not None:
                 self.unusable[fault] += 1
-        if (sequence + 1) % self._step_frames:
-            return None
-        return self._read(sequence, board_ticks)
+        at_step = (sequence + 1) % self._step_frames == 0
+        reading = None
+        touched = bool(self._tracker.contacts)
+        if at_step or (touched and (sequence + 1) % EVALUATE_FRAMES == 0) or (not touched and self._something_new()):
+            reading = self._read(sequence, board_ticks, at_step=at_step)
+        return reading if reading is not None and (at_step or reading.events) else None
 
-    def _read(self, sequence: int, board_ticks: int) -> SingleToneReading:
-        sums = [window.sums() for window in self._windows]
-        heard_hz = [math.nan if s is None else frequency_hz(s, self._reference_hz) for s in sums]
-        pilot = [
-            f / self._pilot_hz - 1 if abs(f / self._pilot_hz - 1) < PILOT_TOLERANCE else math.nan for f in heard_hz
+    def _something_new(self) -> bool:
+        """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""
+        if not self._common_mode.known:
+            return False
+        others = 0
+        for window in self._windows:
+            gates = window.gate_hz
+            others += len(gates) >= self._onset_frames and abs(gates[-1] / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
+        return others >= 2
+
+    def _read(self, sequence: int, board_ticks: int, *, at_step: bool) -> ForceReading:
+        # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
+        held = [len(window.gate_hz) for window in self._windows]
+        frames = min((count for count in held if count >= self._onset_frames), default=self._window_frames)
+        sums = [
+            window.sums(frames) if count >= frames else None for window, count in zip(self._windows, held, strict=True)
         ]
+        heard_hz = [math.nan if s is None else frequency_hz(s, self._reference_hz) for s in sums]
+        pilot = tuple(
+            f / self._pilot_hz - 1 if abs(f / self._pilot_hz - 1) < PILOT_TOLERANCE else math.nan for f in heard_hz
+        )
         pilots = sum(not math.isnan(g) for g in pilot)
         tones = sum(not math.isnan(f) for f in heard_hz) - pilots
-
         untouched = tones == 0 and pilots >= 2
+        self._follow(board_ticks, pilot, untouched=untouched and frames == self._window_frames)
+
         status: SensorStatus
-        force: SiteForce | None = None
+        forces: tuple[SiteForce, ...] = ()
+        beats: tuple[int, ...] = ()
         if untouched:
-            # Channels without a signal stay out of it: a touch would have taken the pilot's place on the others, too.
-            self._common_mode.update(pilot)
-            self._latch.release()
             status, reason = ("ok", self._missing()) if self._common_mode.known else self._learning(pilots)
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            match = self._latch.apply(self._match(sums, heard_hz, pilot))
-            status, reason, force = match.status, match.reason, match.force
+            counted = self._counted(sums, heard_hz, pilot, frames)
+            beats = counted.beats
+            match = self._latch.apply(self._match(counted, frames))
+            status, reason, forces = match.status, match.reason, match.forces
+            if status == "ok" and counted.others.any():
+                status, reason = "possibly_more", "more than the counted tone is heard"
+            elif status == "ok" and max(self._crowded) >= CROWDED_FRAMES:
+                status, reason = "possibly_more", f"two tones are alike: {self._missing()}"
         else:
             status, reason = self._silent(tones, pilots)
 
-        forces = (force,) if force else ()
-        unheard = ("no_signal", "another site is heard instead") if force else (status, reason)
-        events = self._tracker.update(board_ticks, forces, untouched=untouched, status=unheard[0], reason=unheard[1])
-        return SingleToneReading(
+        forces = tuple(self._complete(force, board_ticks / self._reference_hz, status) for force in forces)
+        touches = [self._touch(force) for force in forces]
+        unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
+        events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
+        return ForceReading(
             sequence,
             board_ticks,
-            self._window_s,
+            frames * self._gate_s,
+            at_step,
             status,
             reason,
             forces,
             self._tracker.contacts,
             events,
-            tuple(heard_hz),
-            self._common_mode.value,
+            self._compensation(untouched=untouched),
+            beats,
         )
 
-    def _match(self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float]) -> Match:
-        """Match the channels that hear a tone other than the pilot."""
-        counted = [
-            (f / (1 + g), counter_std(s)) if s and math.isnan(p) else (math.nan, math.nan)
-            for s, f, p, g in zip(sums, heard_hz, pilot, self._common_mode.value, strict=True)
-        ]
-        frequency, std = np.array(counted).T
-        return self._matcher.match(frequency, std, self._oscillator_std)
+    def _follow(self, board_ticks: int, pilot: tuple[float, ...], *, untouched: bool) -> None:
+        """Let the baseline follow the pilot while nothing is touched, and become less certain meanwhile."""
+        before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
+        self._evaluated_ticks = board_ticks
+        elapsed_s = max(board_ticks - before, 0) / self._reference_hz
+        # Channels without a signal stay out of it: a touch would have taken the pilot's place on the others, too.
+        self._common_mode.update(pilot if untouched else (math.nan,) * len(pilot), elapsed_s)
+        self._pilot = pilot
+        if untouched:
+            self._latch.release()
+            self._errors.silence(board_ticks / self._reference_hz)
+            for channel, g in enumerate(pilot):
+                if not math.isnan(g):
+                    self._pilot_attenuation_db[channel] = self._attenuation_db[channel]
+
+    def _counted(
+        self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float], frames: int
+    ) -> _Counted:
+        """Tell what the channels that hear another tone than the pilot count, and how well."""
+        used = np.array([s is not None and math.isnan(g) for s, g in zip(sums, pilot, strict=True)])
+        frequency = np.where(used, heard_hz, np.nan)
+        parts = np.array([_parts(s, f, self._reference_hz) for s, f in zip(sums, heard_hz, strict=True)])
+        window_std, interval, jitter, stamps, noise_ticks2 = parts.T
+        excess = np.clip(excess_bound(interval, jitter, stamps), 0.0, EXCESS_CAP)
+
+        blank = (math.nan,) * frames
+        rows = [(w, u) for w, u in zip(self._windows, used, strict=True)]
+        gates = np.array([w.gate_hz[-frames:] if u else blank for w, u in rows])
+        residual_ticks2 = np.array([np.mean(w.residual_ticks2[-frames:]) if u else math.nan for w, u in rows])
+        ratio_db = np.subtract(self._attenuation_db, self._pilot_attenuation_db)
+        ratio = np.fmin(10.0 ** (ratio_db / 20.0), 1.0)
+        pilot_ticks2 = pilot_residual_ticks2(ratio, frequency, self._reference_hz)
+        others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_ticks2)
+        beat_std = beat_std_hz(gates, frequency * window_std * frames**1.5) / frequency
+        std = np.sqrt(window_std**2 * (1.0 + excess) + np.nan_to_num(beat_std) ** 2)
+        rational = tuple(int(channel) for channel in np.flatnonzero(used & (excess > EXCESS_LIMIT)))
+        return _Counted(frequency / (1.0 + np.array(self._common_mode.value)), std, others, rational)
+
+    def _match(self, counted: _Counted, frames: int) -> Match:
+        oscillator = oscillator_std(frames * self._gate_s)
+        return self._matcher.match(counted.frequency_hz, counted.std, oscillator, self._common_mode.std)
+
+    def _complete(self, force: SiteForce, time_s: float, status: SensorStatus) -> SiteForce:
+        """Return the force with the site's response taken out and with every systematic error."""
+        if force.status == "overload":
+            return force
+        per_shift = self._sites.newton_per_shift(force.site, force.channels)
+        pressed = self._errors.press(
+            np.array([force.site]),
+            np.array([force.force_newton]),
+            np.array([force.noise_newton]),
+            np.array([force.systematic_newton]),
+            np.array([per_shift]),
+            time_s,
+        )
+        return replace(
+            force,
+            force_newton=float(pressed.force_newton[0]),
+            noise_newton=float(pressed.noise_newton[0]),
+            systematic_newton=float(pressed.systematic_newton[0]),
+            status=("possibly_more" if status == "possibly_more" else "ok")
+            if pressed.calibrated[0]
+            else "uncalibrated",
+        )
+
+    def _touch(self, force: SiteForce) -> Touch:
+        x, y = self._sites.positions_m[force.site].tolist()
+        return Touch(
+            force.site,
+            (x, y),
+            self._covariance_m2[force.site],
+            force.force_newton,
+            force.noise_newton,
+            force.systematic_newton,
+            force.hidden_newton,
+            force.status,
+            at_least_newton=force.at_least_newton,
+        )
+
+    def _compensation(self, *, untouched: bool) -> Compensation:
+        common_mode = self._common_mode
+        return Compensation(
+            common_mode.value,
+            common_mode.std,
+            ("followed" if untouched else "held") if common_mode.known else "unknown",
+            math.nan,
+            math.nan,
+            "off" if self._sites.response is None else "on",
+        )
 
     def _learning(self, pilots: int) -> tuple[SensorStatus, str]:
         if pilots == len(self._windows) or self._settling:
@@ -210,6 +313,8 @@ class SingleToneChain:
             return "settling", self._missing()
         if tones:
             return "rejected", "heard on 1 channel, at least 2 needed"
+        if any(window.fault == "capture_switch" for window in self._windows):
+            return "rejected", f"no tone is the strongest for long: {self._missing()}"
         return ("pilot_lost" if pilots else "no_signal"), self._missing()
 
     @property
@@ -226,59 +331,9 @@ class SingleToneChain:
         return ", ".join(causes)
 
 
-class ChannelisedChain:
-    """Offsets of many tones on four channels to the sites' signals."""
-
-    def __init__(
-        self,
-        f0_hz: FloatArray,
-        sensitivity: FloatArray,
-        oscillator_hz: FloatArray,
-        site_index: NDArray[np.integer],
-        signal_index: NDArray[np.integer],
-        *,
-        youngs_modulus_pascal: float,
-        gate_s: float,
-    ) -> None:
-        """Take a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
-        self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
-        self._gate_s = gate_s
-        memory = max(round(BASELINE_MEMORY_S / gate_s), BASELINE_READINGS)
-        self._common_mode = CommonMode(1, needed=BASELINE_READINGS, memory=memory)
-
-    def restart(self) -> None:
-        """Forget the baseline: the board has booted or is configured anew."""
-        self._common_mode.reset()
-
-    def push(
-        self,
-        sequence: int,
-        board_ticks: int,
-        offset_hz16: NDArray[np.integer],
-        sigma_code: NDArray[np.uint8],
-        known: NDArray[np.bool_],
-    ) -> ChannelisedReading:
-        """Take one frame, each array (4, t): offsets in 2^-16 Hz, their noise as 2^((code - 128) / 8) Hz."""
-        shape = (4, self._tones.tones)
-        if offset_hz16.shape != shape or sigma_code.shape != shape or known.shape != shape:
-            raise ValueError(f"shapes {offset_hz16.shape}, {sigma_code.shape} and {known.shape} must be {shape}")
-        shifts = self._tones.shifts(offset_hz16.astype(np.float64) * 2.0**-16, SIGMA_HZ[sigma_code], known)
-        untouched = self._tones.untouched_common_mode(shifts)
-        if untouched is not None:
-            self._common_mode.update([untouched])
-        (common_mode,) = self._common_mode.value
-        # Without a common mode every signal is NaN, like the common mode itself.
-        signals, noise_std = self._tones.signals(shifts, common_mode)
-        status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.weight.any(axis=0))))
-        return ChannelisedReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
-
-    def _status(self, untouched: bool, heard: int) -> tuple[SensorStatus, str]:
-        if heard == 0:
-            return "no_signal", "no tone is known"
-        if self._common_mode.known:
-            return "ok", ""
-        if untouched:
-            return "settling", "the common mode is being learnt"
-        if heard < TONES_MIN:
-            return "no_signal", f"{heard} tones known, at least {TONES_MIN} needed to learn the common mode"
-        return "pressed_at_start", "touched before the common mode was learnt"
+def _parts(sums: Sums | None, frequency: float, reference_hz: float) -> tuple[float, float, float, int, float]:
+    """Relative noise, ticks between stamps, their jitter, number and variance; without sums, any that do not beat."""
+    if sums is None:
+        return math.nan, 0.5, 1.0, STAMPS_MIN, math.nan
+    interval_ticks = sums.stride_edges * reference_hz / frequency
+    return counter_std(sums), interval_ticks, stamp_jitter_ticks(sums), sums.stamps, stamp_std_ticks(sums) ** 2

@@ -11,8 +11,11 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
 
 from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.commands import Incoming
 
 KEEPALIVE_S: Final = 5
 CONNECT_TIMEOUT_S: Final = 5.0
@@ -30,7 +33,7 @@ _library_log = logging.getLogger(f"{__name__}.aiomqtt")
 _library_log.setLevel(logging.CRITICAL)  # it logs each failure where it happens; here it is once per change
 
 OnPublished = Callable[[int, bool], None]
-OnMessage = Callable[[str, bytes], None]
+OnMessage = Callable[[Incoming], None]
 
 
 class BrokerClient(aiomqtt.Client):
@@ -38,7 +41,7 @@ class BrokerClient(aiomqtt.Client):
 
     `send` takes the place of `publish`: it neither waits nor queues, and the number of system calls per message is
     one instead of six. `on_published(qos, refused)` is called when a QoS 0 message is written to the socket in full,
-    and when a QoS 1 message is acknowledged. `on_message(topic, payload)` takes the place of `messages`.
+    and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`.
     """
 
     def __init__(
@@ -66,6 +69,7 @@ class BrokerClient(aiomqtt.Client):
         )
         self.in_flight: dict[int, tuple[int, float]] = {}  # by message id: QoS, and when it was sent
         self.unacknowledged = 0
+        self.version = version
         self._tell_published = on_published
         self._tell_message = on_message
         self._thread = threading.get_ident()
@@ -97,14 +101,34 @@ class BrokerClient(aiomqtt.Client):
         oldest = next(iter(self.in_flight.values()), None)
         return oldest is not None and self._loop.time() - oldest[1] > PUBLISH_TIMEOUT_S
 
-    def send(self, topic: str, payload: bytes, *, qos: int, retain: bool) -> None:
-        """Write a message; only while `writable`."""
+    def send(
+        self,
+        topic: str,
+        payload: bytes,
+        *,
+        qos: int,
+        retain: bool = False,
+        correlation: bytes | None = None,
+        response_topic: str | None = None,
+    ) -> None:
+        """Write a message; only while `writable`. The last two are left out where the broker does not speak MQTT 5."""
+        properties = None
+        if self.version is aiomqtt.ProtocolVersion.V5 and (correlation or response_topic):
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            if correlation is not None:
+                properties.CorrelationData = correlation
+            if response_topic is not None:
+                properties.ResponseTopic = response_topic
         self._sending = True
-        info = self._client.publish(topic, payload, qos, retain)
+        info = self._client.publish(topic, payload, qos, retain, properties)
         self._sending = False
         self.in_flight[info.mid] = (qos, self._loop.time())
         self.unacknowledged += qos
         self._flush()
+
+    def listen(self, topic_filter: str) -> None:
+        """Ask for messages, QoS 1, without waiting for the broker's word."""
+        self._client.subscribe(topic_filter, 1)
 
     def abort(self) -> None:
         """End the connection without a farewell: the broker publishes the last will."""
@@ -143,7 +167,10 @@ class BrokerClient(aiomqtt.Client):
 
     def _received(self, _client: object, _userdata: object, message: Any) -> None:
         if self._tell_message is not None:
-            self._tell_message(message.topic, message.payload)
+            asked = message.properties  # of MQTT 5, else None
+            response_topic = getattr(asked, "ResponseTopic", None)
+            correlation = getattr(asked, "CorrelationData", None)
+            self._tell_message(Incoming(message.topic, message.payload, message.retain, response_topic, correlation))
 
 
 async def keep_connected(

@@ -39,7 +39,7 @@ class Status(StrEnum):
     OVERLOAD = "overload"  # beyond the plate's range: the force is null, at_least_newton is given
     NO_SIGNAL = "no_signal"  # nothing, or too little, is heard
     PILOT_LOST = "pilot_lost"  # the untouched reference tone is not heard
-    UNCALIBRATED = "uncalibrated"  # no valid calibration
+    UNCALIBRATED = "uncalibrated"  # beyond what the calibration covers, or later: force and errors are guesses
     PRESSED_AT_START = "pressed_at_start"  # touched before the untouched plate was known: no force can be given
 
 
@@ -54,6 +54,7 @@ class Condition(StrEnum):
     LOST = "lost"  # was there and went away; tried again for ever
     DRIFTING = "drifting"  # the baseline moves faster than touches and temperature explain
     PRESSED_AT_START = "pressed_at_start"  # touched before the untouched plate was known; release it
+    UNCALIBRATED = "uncalibrated"  # the calibration has expired
     REFUSED = "refused"  # the board or the plate file can never serve this configuration
 
 
@@ -97,8 +98,20 @@ class SiteForce(Message):
     force_newton: Float
     noise_newton: Float
     systematic_newton: Float
+    hidden_newton: Float = 0.0  # the most that a touch between sites may have put on others, where a cover shares it
     status: Status
     at_least_newton: float | None = None  # a lower bound, with "overload"
+
+
+class Compensation(Message):
+    """What was taken out of the frequencies before they became forces."""
+
+    baseline: Literal["followed", "held", "unknown"]  # held: during a touch, when nothing tells how it drifts
+    common_mode: tuple[Float, ...]  # relative frequency error by channel
+    common_mode_std: Float  # what it may be off by
+    plate_kelvin: Float  # temperature against the calibration's, null where no tone tells it
+    plate_kelvin_std: Float
+    response: Literal["on", "off"]  # hysteresis and creep of the sites; off: not calibrated
 
 
 class Forces(Measured):
@@ -106,7 +119,10 @@ class Forces(Measured):
 
     window_s: float
     status: Status
+    reason: str  # empty where there is nothing to say
     sites: tuple[SiteForce, ...]
+    beats: tuple[int, ...]  # channels whose tone beats with the counter's reference; noise_newton has it
+    compensation: Compensation
 
 
 class Contact(Message):
@@ -116,18 +132,22 @@ class Contact(Message):
     site: int
     position_m: Vector2
     position_std_m: Vector2
+    position_correlation: Float  # of x and y
     force_newton: Float
     noise_newton: Float
     systematic_newton: Float
+    hidden_newton: Float = 0.0
+    peak_newton: Float
     since_t_ns: Int64
+    duration_s: Float
     status: Status
+    reason: str = ""
     at_least_newton: float | None = None
 
 
 class EventContact(Contact):
     """A contact as an event tells of it; what belongs to slip is null on plates without a skin, or not known."""
 
-    peak_newton: Float
     slip_margin: Float = math.nan
     slip_margin_std: Float = math.nan
     friction_coefficient: Float = math.nan
@@ -137,6 +157,7 @@ class Contacts(Measured):
     """All present contacts."""
 
     status: Status
+    reason: str = ""
     contacts: tuple[Contact, ...]
 
 
@@ -144,6 +165,7 @@ class ContactEvent(Measured):
     """A contact begins, ends or slips."""
 
     event: Literal["onset", "release", "incipient_slip", "gross_slip"]
+    reason: str = ""  # of a release
     contact: EventContact
 
 
@@ -229,6 +251,18 @@ class SiteInfo(Message):
     position_m: tuple[float, float]
 
 
+class CalibrationInfo(Message):
+    """Where the plate's numbers come from; dates as YYYY-MM-DD."""
+
+    id: str | None
+    date: str | None
+    unit: str | None
+    expiry: str | None
+    model_error: float  # relative, of K from touch to touch and corner
+    sensitivity_std: float  # relative, of all K
+    response: Literal["on", "off"]  # hysteresis and creep are taken out, or not calibrated
+
+
 class Info(Header):
     """What does not change while the board stays the same."""
 
@@ -242,6 +276,7 @@ class Info(Header):
     force_max_newton: float
     outline_m: tuple[tuple[float, float], ...]
     sites: tuple[SiteInfo, ...]
+    calibration: CalibrationInfo
 
 
 class MessageAccount(Message):

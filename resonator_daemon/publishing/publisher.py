@@ -4,22 +4,26 @@ import asyncio
 import contextlib
 from collections import deque
 from collections.abc import Callable
-from typing import Final
+from typing import Final, TypeVar
 
 import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.commands import Commands, Handler, Outgoing
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.payloads import MessageAccount, State
 from resonator_daemon.publishing.topics import STATE_DAEMON, MessageT, Topic, full_topic
 
 STREAMS_WAITING_MAX: Final = 256  # about half a second of everything, 10 MB of the largest arrays
 EVENTS_WAITING_MAX: Final = 1024
+ANSWERS_WAITING_MAX: Final = 32
 UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 CLOSE_TIMEOUT_S: Final = 2.0
 
 _WATCH_S: Final = 1.0
+
+QueuedT = TypeVar("QueuedT")
 
 
 class Publisher:
@@ -38,16 +42,22 @@ class Publisher:
         connection, whose last will would otherwise come after the new birth message.
     make_offline
         Makes the state "offline" of the daemon for a reason: the last will, and the farewell of `close`.
+    handler
+        Takes the commands of `cmd/<verb>`, and answers them; without one nothing is subscribed to.
     """
 
-    def __init__(self, broker: Mqtt, name: str, make_offline: Callable[[str], State]) -> None:
+    def __init__(
+        self, broker: Mqtt, name: str, make_offline: Callable[[str], State], handler: Handler | None = None
+    ) -> None:
         self._broker = broker
         self._name = name
         self._make_offline = make_offline
         self._client: BrokerClient | None = None
         self._retained: dict[str, bytes] = {}  # last message by topic
         self._states: dict[str, bytes] = {}  # those of them that wait
+        self._commands = Commands(f"{broker.prefix}/{name}", handler, self._answer) if handler else None
         self._events: deque[tuple[str, bytes]] = deque()
+        self._answers: deque[Outgoing] = deque()
         self._streams: deque[tuple[str, bytes]] = deque()
         self._pumping = False
         self._closed = False
@@ -85,7 +95,7 @@ class Publisher:
     @property
     def _waiting(self) -> int:
         in_flight = len(self._client.in_flight) if self._client else 0
-        return len(self._states) + len(self._events) + len(self._streams) + in_flight
+        return len(self._states) + len(self._events) + len(self._answers) + len(self._streams) + in_flight
 
     def publish(self, topic: Topic[MessageT], message: MessageT) -> None:
         """Send a message as soon as may be, or drop it by the rules of its topic; returns at once."""
@@ -103,9 +113,9 @@ class Publisher:
                 self._superseded += 1
             self._retained[name] = self._states[name] = payload
         elif topic.qos:
-            self._queue(self._events, EVENTS_WAITING_MAX, name, payload)
+            self._queue(self._events, EVENTS_WAITING_MAX, (name, payload))
         else:
-            self._queue(self._streams, STREAMS_WAITING_MAX, name, payload)
+            self._queue(self._streams, STREAMS_WAITING_MAX, (name, payload))
         self._idle.clear()
         self._pump_soon()
 
@@ -119,6 +129,7 @@ class Publisher:
             self._dropped += len(self._states) + len(self._events)
             self._states.clear()
             self._events.clear()
+            self._drop_answers()
             self._ended.set()
 
     async def close(self, *, wait_for_broker: bool = False) -> None:
@@ -149,6 +160,7 @@ class Publisher:
                 retain=STATE_DAEMON.retained,
             ),
             on_published=self._on_published,
+            on_message=self._commands.take if self._commands else None,
         )
 
     async def _serve(self, client: BrokerClient) -> None:
@@ -157,6 +169,8 @@ class Publisher:
         self._made += len(again)
         self._restored += len(again)
         self._client = client
+        if self._commands is not None:
+            client.listen(self._commands.topic_filter)
         self._pump_soon()
         try:
             while not client.overdue:  # noqa: ASYNC110  it is the passing of time that is watched
@@ -168,12 +182,28 @@ class Publisher:
             client.in_flight.clear()
             self._dropped += len(self._streams)
             self._streams.clear()
+            self._drop_answers()
 
-    def _queue(self, queue: deque[tuple[str, bytes]], limit: int, topic: str, payload: bytes) -> None:
+    def _answer(self, answer: Outgoing) -> None:
+        """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
+        self._made += 1
+        if self._closed or self._client is None:
+            self._dropped += 1
+            return
+        self._queue(self._answers, ANSWERS_WAITING_MAX, answer)
+        self._idle.clear()
+        self._pump_soon()
+
+    def _drop_answers(self) -> None:
+        """Forget answers of a connection that is over: whoever asked may be gone, too."""
+        self._dropped += len(self._answers)
+        self._answers.clear()
+
+    def _queue(self, queue: deque[QueuedT], limit: int, message: QueuedT) -> None:
         if len(queue) >= limit:
             queue.popleft()
             self._dropped += 1
-        queue.append((topic, payload))
+        queue.append(message)
 
     def _pump_soon(self) -> None:
         if not self._pumping and self._client is not None:
@@ -189,9 +219,12 @@ class Publisher:
                 topic = next(iter(self._states))
                 client.send(topic, self._states.pop(topic), qos=1, retain=True)
             elif room and self._events:
-                client.send(*self._events.popleft(), qos=1, retain=False)
+                client.send(*self._events.popleft(), qos=1)
+            elif room and self._answers:
+                answer = self._answers.popleft()
+                client.send(answer.topic, answer.payload, qos=1, correlation=answer.correlation)
             elif self._streams:
-                client.send(*self._streams.popleft(), qos=0, retain=False)
+                client.send(*self._streams.popleft(), qos=0)
             else:
                 break
         self._pumping = False
@@ -203,7 +236,7 @@ class Publisher:
             self._acknowledged += 1
         else:
             self._handed_to_socket += 1
-        if self._states or self._events or self._streams:
+        if self._states or self._events or self._answers or self._streams:
             self._pump_soon()
         elif not self._waiting:
             self._idle.set()

@@ -10,6 +10,7 @@ import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import decode
+from resonator_daemon.publishing.commands import Incoming
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import TOPICS, Topic, full_topic, split_topic
@@ -38,8 +39,8 @@ async def subscribe(
     received: deque[tuple[str, bytes]] = deque(maxlen=RECEIVED_MAX)
     closing = asyncio.get_running_loop().create_future()
 
-    def on_message(topic: str, payload: bytes) -> None:
-        received.append((topic, payload))
+    def on_message(message: Incoming) -> None:
+        received.append((message.topic, message.payload))
         arrived.set()
 
     def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:

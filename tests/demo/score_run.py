@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from resonator_daemon.demo.score import Accuracy, PlateScore
 from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.publishing.payloads import (
+    Compensation,
     ContactEvent,
     Decoded,
     DecodedSummary,
@@ -59,10 +60,10 @@ SITES_M = np.array([[0.0, 0.0], [1.5e-3, 0.0], [0.0, -2.0e-3], [4e-3, 4e-3]])
 class Run:
     """A plate's truth file and score."""
 
-    def __init__(self, path: Path, window_frames: int) -> None:
+    def __init__(self, path: Path) -> None:
         self._path = path
         self._truth = TruthTable(path)
-        self.score = PlateScore(self._truth, window_frames, SITES_M)
+        self.score = PlateScore(self._truth, 1000.0, SITES_M)
         self.frames = 0
 
     def truth(self, *contacts: dict[str, Any]) -> int:
@@ -100,10 +101,12 @@ class Run:
             site=site,
             position_m=(0.0, 0.0),
             position_std_m=(0.0, 0.0),
+            position_correlation=0.0,
             force_newton=0.02,
             noise_newton=0.0,
             systematic_newton=0.0,
             since_t_ns=T0_NS,
+            duration_s=0.0,
             status="ok",
             peak_newton=0.02,
         )
@@ -115,7 +118,23 @@ class Run:
             SiteForce(site=site, force_newton=newton, noise_newton=0.0, systematic_newton=0.0, status="ok")
             for site, newton in sites
         )
-        message = Forces(**HEADER, board_ticks=TICKS * (number + 1), window_s=0.01, status="ok", sites=forces)
+        message = Forces(
+            **HEADER,
+            board_ticks=TICKS * (number + 1),
+            window_s=0.01,
+            status="ok",
+            reason="",
+            sites=forces,
+            beats=(),
+            compensation=Compensation(
+                baseline="held",
+                common_mode=(0.0,) * 4,
+                common_mode_std=0.0,
+                plate_kelvin=0.0,
+                plate_kelvin_std=0.0,
+                response="off",
+            ),
+        )
         self.score.take(message, arrived_ns)
 
     def decoded(

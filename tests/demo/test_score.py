@@ -15,7 +15,7 @@ from resonator_daemon.publishing.payloads import Contacts
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Run]:
     """Windows of two frames."""
-    run = Run(tmp_path / "truth.jsonl", window_frames=2)
+    run = Run(tmp_path / "truth.jsonl")
     yield run
     run.close()
 

@@ -14,7 +14,7 @@ from score_run import PITCH_M, SITES_M, Run, touch
 @pytest.fixture
 def run(tmp_path: Path) -> Iterator[Run]:
     """Windows of two frames."""
-    run = Run(tmp_path / "truth.jsonl", window_frames=2)
+    run = Run(tmp_path / "truth.jsonl")
     yield run
     run.close()
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from resonator_daemon.measurement.channelised import ToneArray
+from resonator_daemon.measurement.skin_tones import ToneArray
 
 YOUNGS_MODULUS_PASCAL = 2e5
 NY, NX = 8, 8

@@ -1,0 +1,88 @@
+"""From the force that a site feels to the force that presses: response taken out, and all that it may be off by."""
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.measurement.force import FloatArray
+from resonator_daemon.measurement.force_sites import ForceSites
+from resonator_daemon.measurement.site_response import ResponseInverse
+from resonator_daemon.measurement.warm_contact import warming_std
+
+RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
+
+
+class Pressed(NamedTuple):
+    """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them."""
+
+    force_newton: FloatArray
+    noise_newton: FloatArray
+    systematic_newton: FloatArray
+    calibrated: NDArray[np.bool_]
+
+
+class SiteErrors:
+    """Follows every site's presses: hysteresis, creep, and how long something has lain on it."""
+
+    def __init__(self, sites: ForceSites) -> None:
+        self._sites = sites
+        low, high = sites.valid_newton
+        margin = RANGE_MARGIN * high if math.isfinite(high) else 0.0
+        self._lowest_newton, self._highest_newton = low - margin, high + margin
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all presses; what was before is not known."""
+        response, count = self._sites.response, len(self._sites.positions_m)
+        self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
+        self._since_s = np.full(count, math.nan)
+        self._silent = np.zeros(count, dtype=bool)
+
+    def silence(self, time_s: float) -> None:
+        """Take that nothing presses any site, and none is heard, until they are pressed again."""
+        begun = np.flatnonzero(~self._silent)
+        if begun.size and self._inverse is not None:
+            self._inverse.release(begun, time_s)
+        self._silent[:] = True
+        self._since_s[:] = math.nan
+
+    def press(
+        self,
+        sites: NDArray[np.intp],
+        felt_newton: FloatArray,
+        noise_newton: FloatArray,
+        systematic_newton: FloatArray,
+        newton_per_shift: FloatArray,
+        time_s: float,
+        touched: NDArray[np.bool_] | None = None,
+    ) -> Pressed:
+        """Take what sites (k,) feel now; those that are not `touched` are heard all the same, and rest.
+
+        `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
+        that of a warm or cold touch, which `newton_per_shift` makes a force of.
+        """
+        since_s = self._since_s[sites]
+        since_s = np.where(np.isnan(since_s), time_s, since_s)
+        self._since_s[sites] = since_s if touched is None else np.where(touched, since_s, math.nan)
+        self._silent[sites] = False
+        force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
+        if self._inverse is not None:
+            force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
+        warmth = self._sites.warmth
+        held_s = time_s - since_s
+        per_kelvin = warming_std(
+            held_s,
+            warmth.coefficients[sites, 0],
+            1.0,
+            transient_s=warmth.transient_s,
+            relaxation_s=warmth.contact_time_s,
+        )
+        # The slope itself is not known better than that.
+        unknown = warmth.coefficient_std * -np.expm1(-held_s / warmth.contact_time_s)
+        warming = warmth.contact_std_kelvin[sites] * np.hypot(per_kelvin, unknown)
+        parts = systematic_newton, self._sites.sensitivity_std * force, warming * newton_per_shift, of_response
+        systematic = np.sqrt(sum(part**2 for part in parts))
+        calibrated = (force >= self._lowest_newton) & (force <= self._highest_newton)
+        return Pressed(force, noise, systematic, calibrated)
