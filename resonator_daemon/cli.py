@@ -11,7 +11,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from resonator_daemon.calibration.options import add_options as add_calibrate_options
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.planning.options import add_parser as add_plan_codes
 
 Verb = Callable[[argparse.Namespace], ExitCode | None]
 
@@ -42,19 +44,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from resonator_daemon.code_check import findings
     from resonator_daemon.config import load_config
+    from resonator_daemon.errors import ConfigError
     from resonator_daemon.service import serve
 
-    asyncio.run(serve(load_config(options.config)))
+    config = load_config(options.config)
+    if overlapping := findings(config.plate):
+        raise ConfigError(*overlapping)
+    asyncio.run(serve(config))
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon import code_check
     from resonator_daemon.config import load_config
 
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     try:
-        notes = load_config(options.file).notes
+        config = load_config(options.file)
+        notes, findings = config.notes, code_check.findings(config.plate)
     except OperatorError as error:
         findings = error.messages
     if options.json:
@@ -92,6 +101,7 @@ def _emulate(options: argparse.Namespace) -> None:
                 scenario=options.scenario,
                 truth=options.truth,
                 faults=parse_faults(options.faults),
+                counter=options.counter,
                 seed=options.seed,
                 speed=options.speed,
                 json=options.json,
@@ -99,6 +109,16 @@ def _emulate(options: argparse.Namespace) -> None:
         )
     except (ValueError, OSError) as error:
         raise OperatorError(str(error)) from error
+
+
+class _PrintScenarioSchema(argparse.Action):
+    """Like --help: prints and ends, whatever else is given or missing."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from simulators.scenario_schema import scenario_schema
+
+        _print_json(scenario_schema())
+        parser.exit()
 
 
 def _watch(options: argparse.Namespace) -> None:
@@ -141,10 +161,24 @@ def _plan_sensors(options: argparse.Namespace) -> None:
         Console(highlight=False).print(plan)
 
 
-def _calibrate_skin(options: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.calibrate import calibrate_skin
+def _plan_codes(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.planning.run import plan_codes_as_asked
 
-    return calibrate_skin(options.config, options.seconds, as_json=options.json)
+    logging.getLogger().setLevel(logging.WARNING)  # matplotlib tells of its fonts
+    return plan_codes_as_asked(options)
+
+
+def _calibrate(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.calibration.options import calibrate_as_asked
+
+    return calibrate_as_asked(options)
+
+
+def _tare(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.tare import tare
+
+    logging.getLogger().setLevel(logging.WARNING)  # that a broker is connected goes without saying
+    return tare(options.config, as_json=options.json)
 
 
 def _print_json(value: Any) -> None:
@@ -225,9 +259,18 @@ def _parser() -> argparse.ArgumentParser:
     link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
     link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
     emulate.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
+    emulate.add_argument(
+        "--scenario-schema", action=_PrintScenarioSchema, nargs=0, help="print the JSON Schema of scenario files"
+    )
     emulate.add_argument("--truth", type=Path, metavar="FILE.jsonl", help="write what is true, a line a frame")
     emulate.add_argument("--faults", default="", metavar="SPEC", help=_faults_help())
-    emulate.add_argument("--seed", type=int, default=0, help="of noise and gain errors (default: 0)")
+    emulate.add_argument(
+        "--counter",
+        choices=("sums", "stamps"),
+        default="sums",
+        help="of a single-tone plate: sums in closed form, or of every time stamp, which is slow (default: sums)",
+    )
+    emulate.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
     emulate.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times real time (default: 1)")
     emulate.add_argument("--json", action="store_true", help="say link and accounts as JSON lines on stdout")
 
@@ -240,22 +283,22 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("file", type=Path, metavar="FILE")
     check.add_argument("--json", action="store_true", help="print the findings as one JSON object")
 
-    calibrate = verbs.add_parser("calibrate", help="fit what a plate file says to what a plate publishes")
-    calibrate_verbs = calibrate.add_subparsers(title="verbs", required=True, metavar="VERB")
-    calibrate_skin = calibrate_verbs.add_parser(
-        "skin",
-        help="fit the decoder's prior to a skin and to what touches it",
-        description="Capture signals of a running daemon while the skin is pressed and sheared, fit the correlation "
-        "length and the tangential ratio of the decoder's prior, and print the lines that belong into [skin] of the "
-        "plate file. Exit code 1: too few frames hold load. docs/decoding.md tells more.",
-        epilog="Example: resonatord calibrate skin --config left-index.toml",
+    calibrate = add(
+        "calibrate",
+        _calibrate,
+        "calibrate a force plate with known masses, or the decoder's prior to a skin",
+        "resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --sites all",
     )
-    calibrate_skin.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
-    calibrate_skin.add_argument(
-        "--seconds", type=_positive, default=20.0, help="how long, from the first frame (default: 20)"
+    add_calibrate_options(calibrate)
+
+    tare = add(
+        "tare",
+        _tare,
+        "have the running daemon take the present readings as untouched",
+        "resonatord tare --config left-index.toml",
     )
-    calibrate_skin.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
-    calibrate_skin.set_defaults(verb=_calibrate_skin)
+    tare.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
+    tare.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
 
     plan = verbs.add_parser("plan", help="help with the design of a plate")
     plan_verbs = plan.add_subparsers(title="verbs", required=True, metavar="VERB")
@@ -296,6 +339,8 @@ def _parser() -> argparse.ArgumentParser:
     sensors.add_argument("--picture", type=_picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
     sensors.add_argument("--json", action="store_true", help="print one JSON object, in SI units, and nothing else")
     sensors.set_defaults(verb=_plan_sensors, refuse=sensors.error)
+
+    add_plan_codes(plan_verbs).set_defaults(verb=_plan_codes)
 
     config = verbs.add_parser("config", help="help with the configuration file")
     config_verbs = config.add_subparsers(title="verbs", required=True, metavar="VERB")

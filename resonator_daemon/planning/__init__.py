@@ -1,0 +1,1 @@
+"""Planning a plate: which tone each of its force sites gets."""

@@ -1,0 +1,309 @@
+"""`resonatord plan codes` as a user meets it."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from resonator_daemon import code_check
+from resonator_daemon.cli import main
+from resonator_daemon.plate import load_plate
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+GRID = ("--grid", "4x4", "--pitch-mm", "5")
+FEW = ("--touches", "500")
+
+
+def plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], list[str]]:
+    """Return exit code, the object on stdout, and the lines on stderr."""
+    code = main(["plan", "codes", "--json", *FEW, *arguments])
+    said = capsys.readouterr()
+    return code, json.loads(said.out) if said.out else {}, said.err.splitlines()
+
+
+def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(tmp_path: Path) -> None:
+    path, config = tmp_path / "new-plate.toml", tmp_path / "config.toml"
+    run = subprocess.run(
+        [*COMMAND, "plan", "codes", *GRID, *FEW, "--output", str(path), "--json"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+    found = json.loads(run.stdout)
+    config.write_text('plate = "new-plate.toml"\nlink = "tcp://127.0.0.1:1"\n')
+    checked = subprocess.run([*COMMAND, "check", str(config)], capture_output=True, text=True, timeout=60, check=False)
+    assert checked.returncode == 0, checked.stderr
+    plate = load_plate(str(path))
+    assert plate.name == "new-plate"
+    assert plate.tones.f0_hz.tolist() == [site["f0_hz"] for site in found["sites"]]
+    assert plate.tones.sensitivity.tolist() == [site["sensitivity"] for site in found["sites"]]
+    assert plate.site_positions_m.tolist() == [site["position_m"] for site in found["sites"]]
+    assert not plate.counter.codes_may_overlap
+    assert plate.counter.reference_hz == 1e9
+    assert plate.calibration.sensitivity_std == pytest.approx(np.std(np.linspace(-0.3, 0.3, 100_001)), rel=1e-4)
+    assert found["ok"] is True
+    assert found["guard_band_ppm"]["step"] == pytest.approx(
+        81.9 + 20 * 6 * 5e-2 + 2 + 2 * 25 + 2 * 20 + 2 * 13.8**0.5 * 81.9 * 0.015, abs=0.01
+    )
+    assert found["step_ppm"] == pytest.approx(np.ceil(found["guard_band_ppm"]["step"]))
+    assert found["trials"]["plates_overlapping"] == 0
+    assert found["trials"]["one_touch"]["wrong"] == 0
+
+
+def test_the_name_of_the_file_may_hold_any_sign(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / 'the "new" \\ ü.toml'
+    assert plan(capsys, *GRID, "--output", str(path))[0] == 0
+    assert load_plate(str(path)).name == path.stem
+
+
+@pytest.mark.parametrize("extra", [(), ("--step-ppm", "400"), ("--seed", "5")])
+def test_the_numbers_of_quartz16_give_a_ladder_without_collisions(
+    extra: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "again.toml"
+    code, found, complaints = plan(capsys, "--plate", "quartz16", "--output", str(path), *extra)
+    assert (code, complaints) == (0, [])
+    plate, shipped = load_plate(str(path)), load_plate("quartz16")
+    assert code_check.overlaps(plate) == ()
+    np.testing.assert_array_equal(plate.site_positions_m, shipped.site_positions_m)
+    np.testing.assert_array_equal(plate.tones.sensitivity, shipped.tones.sensitivity)
+    assert plate.load_sharing_exponent == shipped.load_sharing_exponent
+    assert found["neighbours_too_near"] == []
+    trials = found["trials"]
+    assert (trials["plates_overlapping"], trials["one_touch"]["wrong"], trials["two_touches"]["wrong"]) == (0, 0, 0)
+    if "400" in extra:
+        assert 9_936_000.0 in plate.tones.f0_hz
+        assert found["band"]["used_ppm"] == pytest.approx(1000 + 15 * 400 + 50, rel=0.02)
+
+
+def test_a_plate_says_what_no_option_says(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    sites = "".join(
+        f"""
+[[sites]]
+id = {site_id}
+position_mm = [{x_mm}, 0]
+[[sites.tones]]
+signal = "force"
+f0_hz = [{f0_hz}, {f0_hz}, {f0_hz}, {f0_hz}]
+sensitivity = [4e-6, 4e-6, 4e-6, 4e-6]
+temperature_coefficients = [-5e-8, -5e-10, 1e-10]
+"""
+        for site_id, x_mm, f0_hz in ((4, -5, 4.99e6), (9, 5, 4.98e6))
+    )
+    square = "[[-9, -9], [9, -9], [9, 9], [-9, 9]]"
+    path, new = tmp_path / "known.toml", tmp_path / "new.toml"
+    path.write_text(
+        f"""
+format = 1
+name = "known"
+outline_mm = {square}
+transducers_mm = {square}
+force_max_newton = 5
+[counter]
+kind = "single-tone"
+reference_hz = 250e6
+frame_rate_hz = 500
+pilot_hz = 5.005e6
+[thermal]
+range_kelvin = [295, 300]
+coefficient_std = 1e-8
+{sites}"""
+    )
+    code, found, _ = plan(capsys, "--plate", str(path), "--output", str(new))
+    assert code == 0
+    assert found["guard_band_ppm"]["force"] == pytest.approx(4 * 5)
+    assert found["guard_band_ppm"]["temperature"] == pytest.approx(6 * 0.01 * 5)
+    assert found["link"]["single-tone"]["bytes_per_s"] == 500 * 204
+    # 12 s^2 / (N T^2) with s of 4 ns / sqrt(12) and 0.3 ns, N = 1e5, T = 10 ms.
+    counter_std = ((4e-9**2 / 12 + 0.3e-9**2) * 12 / 1e5) ** 0.5 / 10e-3
+    assert found["force_noise"]["one_channel"]["counter_newton"] == pytest.approx(counter_std / 4e-6)
+    plate = load_plate(str(new))
+    assert (plate.counter.reference_hz, plate.counter.frame_rate_hz, plate.force_max_newton) == (250e6, 500, 5)
+    assert plate.thermal.range_kelvin == (295.65, 300.65)
+    assert plate.site_ids.tolist() == [4, 9]
+    assert plate.calibration.sensitivity_std == 0
+    # The ladder begins one step below what the pilot is 0.1 % above.
+    assert plate.tones.f0_hz.max() == pytest.approx(5e6 * (1 - 1e-6 * found["step_ppm"]), abs=0.1)
+    code, found, _ = plan(capsys, "--plate", str(path), "--counter-tick-ns", "1", "--temperature-span-kelvin", "10")
+    assert found["guard_band_ppm"]["temperature"] == pytest.approx(6 * 0.01 * 10)
+    assert found["force_noise"]["one_channel"]["counter_newton"] < 0.4 * counter_std / 4e-6
+
+
+def test_the_codes_of_quartz16_are_judged_as_they_are(capsys: pytest.CaptureFixture[str]) -> None:
+    code, found, complaints = plan(capsys, "--plate", "quartz16", "--keep-codes")
+    assert (code, complaints) == (0, [])
+    assert found["overlaps"] == []
+    assert found["trials"]["plates"] == 1
+    assert 350 < found["step_ppm"] < 400
+    assert [site["code"] for site in found["sites"]][:3] == [6, 4, 16]
+    assert found["link"]["single-tone"]["bytes_per_s"] == 204_000
+    assert found["link"]["single-tone"]["share_of_baud"] == pytest.approx(0.51)
+    assert found["link"]["channelised"]["frame_bytes"] == 4 * (28 + 8 + 16 * 12)
+
+
+def test_kept_codes_that_overlap_for_the_forces_asked_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ("--plate", "quartz16", "--keep-codes", "--force-max-newton", "80")
+    code, found, complaints = plan(capsys, *arguments)
+    assert code == 1
+    assert found["ok"] is False
+    assert "can be mistaken for each other" in complaints[0]
+    worst = found["overlaps"][0]
+    assert worst["needed_ppm"] > worst["spacing_ppm"]
+    assert worst["needed_ppm"] > 350
+    code, found, complaints = plan(capsys, *arguments, "--accept-overlap")
+    assert (code, complaints, found["ok"]) == (0, [], True)
+    assert found["overlaps"]
+
+
+def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_insisted(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "narrow.toml"
+    arguments = (*GRID, "--step-ppm", "60", "--pull-ppm", "0", "--output", str(path))
+    code, found, complaints = plan(capsys, *arguments)
+    assert code == 1
+    assert not path.exists()
+    (complaint,) = complaints
+    one, other = (site["site"] for site in found["sites"] if site["code"] in (1, 2))
+    for word in (f"sites {one} and {other} ", "60 ppm apart", "guard band is 139 ppm", "raise --step-ppm", "--accept"):
+        assert word in complaint
+    code, found, complaints = plan(capsys, *arguments, "--accept-overlap")
+    assert (code, complaints) == (0, [])
+    plate = load_plate(str(path))
+    assert plate.counter.codes_may_overlap
+    assert code_check.overlaps(plate)
+    assert code_check.findings(plate) == ()
+    assert found["trials"]["plates_overlapping"] == found["trials"]["plates"]
+    assert found["trials"]["one_touch"]["undecided"] > 10
+
+
+def test_more_sites_than_the_band_has_room_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    code, found, complaints = plan(capsys, "--grid", "9x9", "--pitch-mm", "5")
+    assert code == 1
+    assert "172 ppm apart, the guard band is 189 ppm" in complaints[0]
+    assert "widen --band-ppm, take fewer sites" in complaints[0]
+    assert found["band"]["share"] <= 1.0
+
+
+def test_a_link_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, complaints = plan(capsys, *GRID, "--baud", "2e6")
+    assert code == 1
+    assert complaints == [
+        "resonatord: --baud 2000000: 1000 frames/s of 204 bytes need more than 2040000; raise --baud, or lower "
+        "--frame-rate-hz"
+    ]
+
+
+def test_neighbours_get_codes_for_which_the_ladder_is_lengthened(capsys: pytest.CaptureFixture[str]) -> None:
+    code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5")
+    assert (code, found["neighbours_too_near"]) == (0, [])
+    assert sorted(site["code"] for site in found["sites"]) == [1, 3, 5, 7]
+    code, found, _ = plan(capsys, "--grid", "3x1", "--pitch-mm", "4", "--coupling", "1150@4,220@5")
+    codes = [site["code"] for site in found["sites"]]
+    assert code == 0
+    assert min(abs(codes[0] - codes[1]), abs(codes[1] - codes[2])) * found["step_ppm"] * 10 >= 11_500
+    code, found, _ = plan(capsys, "--grid", "2x2", "--pitch-mm", "5", "--band-ppm", "2000")
+    assert (code, len(found["neighbours_too_near"])) == (0, 3)
+
+
+def test_without_a_pilot_the_common_shift_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    _, pilot, _ = plan(capsys, *GRID)
+    _, none, _ = plan(capsys, *GRID, "--no-pilot", "--common-ppm", "15")
+    assert none["step_ppm"] == pilot["step_ppm"] + 30
+    assert none["band"]["pilot_hz"] is None
+    assert none["band"]["used_ppm"] == pytest.approx(pilot["band"]["used_ppm"] - 1000 + 15 * 30, rel=0.01)
+
+
+def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "sites.csv"
+    path.write_text("x_mm,y_mm\n0,0\n5,0\n10,2.5\n")
+    code, found, _ = plan(capsys, "--sites", str(path), "--sensitivity-ppm-per-newton", "4", "--f0-mhz", "5")
+    assert code == 0
+    assert [site["position_m"] for site in found["sites"]] == [[0, 0], [0.005, 0], [0.01, 0.0025]]
+    assert found["sites"][0]["sensitivity"] == [4e-6] * 4
+    assert all(4.99e6 < site["f0_hz"][0] < 5e6 for site in found["sites"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "one of the arguments --sites --plate --grid is required"),
+        (("--grid", "4"), "'4' is not NXxNY, columns and rows from 1 to 1000, as 4x4"),
+        (("--grid", "0x4"), "'0x4' is not NXxNY"),
+        (("--grid", "4x4"), "--grid and --pitch-mm belong together"),
+        (("--plate", "quartz16", "--pitch-mm", "5"), "--grid and --pitch-mm belong together"),
+        (("--grid", "100x100", "--pitch-mm", "5"), "10000 sites; at most 1000 can be planned: take fewer"),
+        ((*GRID, "--force-max-newton", "0"), "'0' is not a number from 0.001 to 10000"),
+        ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
+        ((*GRID, "--sensitivity-ppm-per-newton", "0"), "must not be zero; give the expected, signed value, as -6.3"),
+        ((*GRID, "--sensitivity-spread", "1"), "'1' is not a number from 0 to 0.8"),
+        ((*GRID, "--tolerance-ppm", "nan"), "'nan' is not a number from 0 to 10000"),
+        ((*GRID, "--temperature-span-kelvin", "-1"), "'-1' is not a number from 0.1 to 300"),
+        ((*GRID, "--seed", "-1"), "'-1' is not a whole number from 0 to 1e18"),
+        ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
+        ((*GRID, "--coupling", "220"), "'220' is not HZ@MM,HZ@MM"),
+        ((*GRID, "--picture", "codes.gif"), "'codes.gif' must end in .svg, .png or .pdf"),
+        ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),
+        ((*GRID, "--no-pilot", "--output", "new.toml"), "--output does not go with --no-pilot"),
+        ((*GRID, "--output", "/"), "exists already; name a new file"),
+        ((*GRID, "--output", "/none/new.toml"), "/none is no directory; make it first"),
+        ((*GRID, "--stamps-per-s", "1e8"), "100000 in a frame, at most 65535 fit into a record; lower it"),
+        (("--grid", "40x2", "--pitch-mm", "1000", "--band-ppm", "1e5"), "must be greater than or equal to -10000"),
+        ((*GRID, "--keep-codes"), "--keep-codes needs --plate"),
+        (("--plate", "quartz16", "--keep-codes", "--step-ppm", "9"), "--step-ppm does not go with --keep-codes"),
+        (("--plate", "quartz61"), "did you mean quartz16?"),
+        (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
+        (("--sites", "none.csv"), "--sites: none.csv: cannot be read: No such file"),
+    ],
+)
+def test_bad_values_are_usage_errors_of_one_sentence(
+    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    try:
+        code = main(["plan", "codes", *arguments])
+    except SystemExit as stopped:
+        code = int(str(stopped.code))
+    said = capsys.readouterr()
+    assert code == 2
+    assert said.out == ""
+    assert complaint in said.err.splitlines()[-1]
+
+
+def test_a_given_step_that_the_band_has_no_room_for_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    code, found, complaints = plan(capsys, *GRID, "--step-ppm", "2000")
+    assert (code, found) == (1, {})
+    assert "16 codes with the pilot need 33082 ppm, the trapped band has 15000" in complaints[0]
+    # 1000 ppm to the pilot, 16 steps, 81.9 ppm of force.
+    assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.9")[0] == 0
+    assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.8")[0] == 1
+
+
+def test_the_same_seed_gives_the_same_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    plans = [plan(capsys, *GRID, "--seed", seed)[1] for seed in ("3", "3", "4")]
+    assert plans[0] == plans[1]
+    assert plans[0]["sites"] != plans[2]["sites"]
+
+
+def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["plan", "codes", "--help"])
+    options = set(re.findall(r"--[a-z0-9-]+[a-z0-9]", capsys.readouterr().out)) - {"--help"}
+    page = (Path(__file__).parents[1] / "docs" / "codes.md").read_text()
+    assert set(re.findall(r"--[a-z0-9-]+[a-z0-9]", page)) == options
+
+
+def test_text_and_picture_are_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "codes.svg"
+    assert main(["plan", "codes", *GRID, *FEW, "--picture", str(path)]) == 0
+    said = capsys.readouterr()
+    assert said.err == ""
+    for words in ("a step must hold", "51% of 4000000 baud", "oscillator mN", "undecided", "pilot"):
+        assert words in said.out
+    assert path.read_text().startswith("<?xml")
