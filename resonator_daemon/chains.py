@@ -64,7 +64,7 @@ def force_sites(plate: Plate) -> ForceSites:
         has_thermometer = tones.signal_index == plate.signals.index(TEMPERATURE_SIGNAL)
         contact_std_kelvin[tones.site_index[has_thermometer]] = 0.0
     coefficients = tones.temperature_coefficients[of_force]
-    valid = calibration.validity
+    valid, kelvin = calibration.validity, thermal.reference_kelvin
     return ForceSites(
         tones.f0_hz[of_force],
         tones.sensitivity[of_force],
@@ -83,6 +83,7 @@ def force_sites(plate: Plate) -> ForceSites:
         calibration.model_error,
         calibration.sensitivity_std,
         (valid.force_newton[0], valid.force_newton[1]) if valid else (-math.inf, math.inf),
+        (valid.kelvin[0] - kelvin, valid.kelvin[1] - kelvin) if valid else (-math.inf, math.inf),
         _site_response(plate.response) if plate.response else None,
     )
 

@@ -239,7 +239,7 @@ def _parser() -> argparse.ArgumentParser:
         "--plate",
         action="append",
         metavar="NAME",
-        help="quartz16, skin32 or fingertip400; repeat it for several (default: the first two)",
+        help="quartz16, skin32, fingertip400 or comb16; repeat it for several (default: the first two)",
     )
     demo.add_argument("--seconds", type=_positive, default=60.0, help="how long, from the first frame (default: 60)")
     demo.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")

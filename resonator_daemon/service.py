@@ -246,7 +246,12 @@ class Service:
         """Do what a subscriber asks for; called by the publisher."""
         if verb != "tare":
             raise CommandRefusedError("unknown_verb", f"no command is called {verb!r}", "known: tare")
-        if not isinstance(self._chain, SingleToneChain | CombChain):
+        link = self._states.get(STATE_LINK)
+        if (
+            link is None
+            or link.state is not Condition.ONLINE
+            or not isinstance(self._chain, SingleToneChain | CombChain)
+        ):
             raise CommandRefusedError(
                 "not_ready", "no force sites are being measured", "see state/link and state/sensor"
             )

@@ -206,7 +206,7 @@ class _Demo:
     def _plate_result(self, station: _Station, seconds: float) -> dict[str, Any]:
         accuracy = station.score.accuracy(self._ended_ns)
         health = station.score.health[-1] if station.score.health else None
-        channelised = station.plate.counter.kind == "channelised"
+        skin = station.plate.skin is not None
         part = station.daemon.part
         return {
             "frames": station.score.frames,
@@ -215,10 +215,10 @@ class _Demo:
             "latency_ms": _percentiles(accuracy.latency_ms),
             "contacts_true": accuracy.touches,
             "contacts_found": accuracy.found,
-            "sites_right": None if channelised else accuracy.sites_right,  # a skin is touched anywhere
+            "sites_right": None if skin else accuracy.sites_right,  # a skin is touched anywhere
             "force_error_newton_rms": _rounded(accuracy.force_error_newton_rms),
             "position_error_mm_rms": _rounded(accuracy.position_error_m_rms, 1e3),  # None: the position is the site's
-            "decoded_frames": station.score.decoded_frames if channelised else None,
+            "decoded_frames": station.score.decoded_frames if skin else None,
             "traction_error": _rounded(accuracy.traction_error),
             "parts_lost": health.parts_lost if health else None,
             "cpu_percent": round(100 * self._usage[part] / seconds, 1),

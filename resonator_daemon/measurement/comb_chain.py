@@ -22,8 +22,10 @@ from resonator_daemon.measurement.tone_merging import merge_tones
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer
+KNOWN_KELVIN: Final = 2.0  # a temperature that is known worse says nothing about the calibration's range
 UNKNOWN_CONTACT_S: Final = 0.5
 SHARE_ERROR: Final = 0.003  # of a touch, by which a site's share differs from the law of the cover
+UNLAWFUL_SHARE_ERROR: Final = 0.05  # where the sites' forces do not follow that law
 UNEXPLAINED_MAX: Final = 0.2  # of the squares of the sites' forces: with more, no touch can be named
 SEARCH_EVERY: Final = 20  # readings that no touches explain between two searches for more
 REACH_PITCHES: Final = 1.0  # a touch that moves less between two readings is the same touch
@@ -67,15 +69,18 @@ class CombChain:
             local_kelvin_std=LOCAL_KELVIN_STD,
         )
         self._errors = SiteErrors(sites)
-        self._spread = None
+        self._spread = self._near = None
         reach_m = 0.0
         if spread_width_m is not None:
-            self._spread = SpreadFit(
-                sites.positions_m,
-                spread_width_m,
-                model_error=sites.model_error,
-                share_error=SHARE_ERROR,
-                outline_m=sites.outline_m,
+            self._spread, self._near = (
+                SpreadFit(
+                    sites.positions_m,
+                    spread_width_m,
+                    model_error=sites.model_error,
+                    share_error=share_error,
+                    outline_m=sites.outline_m,
+                )
+                for share_error in (SHARE_ERROR, UNLAWFUL_SHARE_ERROR)
             )
             reach_m = REACH_PITCHES * _pitch_m(sites.positions_m)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
@@ -151,15 +156,19 @@ class CombChain:
         forces = self._forces(shifts, before, time_s)
         load, pressed = np.zeros(len(heard)), np.zeros(len(heard), dtype=bool)
         if self._spread is not None:
-            found = self._found = self._fit(self._spread, forces)
+            rejected = self._found is not None and self._found.status == "rejected"
+            self._rejections = self._rejections + 1 if rejected else 0
+            found = self._found = self._fit(self._spread, forces, self._found)
             # What is too light for a contact is learnt as drift: a shock of temperature looks like that, site by site.
             load = self._spread.loads(found, ONSET_NEWTON)
             pressed = load >= ONSET_NEWTON
             if found.status == "rejected":
-                # What is left over belongs to the touches' errors, or tells of more touches than can be told apart.
-                load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
-                status = "possibly_more" if found.unexplained < UNEXPLAINED_MAX else "rejected"
+                # Far sites do not follow the law, or there is more: those near the touches tell of these alone.
                 reason = found.reason
+                found = self._fit(self._near, forces, found)
+                load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
+                told = found.status == "ok" or found.unexplained < UNEXPLAINED_MAX
+                status = "possibly_more" if told else "rejected"
             touches = self._touches_of(found, forces) if status in ("ok", "possibly_more") else []
         drift = before
         if self._drifted is not None:
@@ -167,9 +176,9 @@ class CombChain:
         if self._spread is None:
             touches = [self._touch_of_site(self._site_force(forces, s)) for s in np.flatnonzero(drift.in_contact)]
         self._drifted = drift
-        self._touched = bool(drift.in_contact.any())
         complete = status in ("ok", "possibly_more")
         events = self._tracker.update(board_ticks, touches, complete=complete, status=status, reason=reason)
+        self._touched = bool(self._tracker.contacts) or bool(pressed.any())
         return ForceReading(
             sequence,
             board_ticks,
@@ -190,7 +199,7 @@ class CombChain:
         """
         per_shift = 1.0 / np.abs(shifts.sensitivity)
         felt = (shifts.shift - drift.expected_shift) / shifts.sensitivity
-        return self._errors.press(
+        forces = self._errors.press(
             np.arange(len(felt)),
             felt,
             np.sqrt(shifts.variance) * per_shift,
@@ -199,15 +208,18 @@ class CombChain:
             time_s,
             drift.in_contact,
         )
+        low, high = self._sites.valid_kelvin
+        theta = drift.theta_kelvin if drift.theta_std_kelvin < KNOWN_KELVIN else math.nan
+        kelvin = np.where(np.isnan(shifts.kelvin), theta, shifts.kelvin)
+        return forces._replace(calibrated=forces.calibrated & ~((kelvin < low) | (kelvin > high)))
 
-    def _fit(self, spread: SpreadFit, forces: Pressed) -> Touches:
-        rejected = self._found is not None and self._found.status == "rejected"
-        self._rejections = self._rejections + 1 if rejected else 0
+    def _fit(self, spread: SpreadFit | None, forces: Pressed, before: Touches | None) -> Touches:
+        assert spread is not None  # noqa: S101 - for the type checker
         return spread.fit(
             forces.force_newton,
             forces.noise_newton**2,
             forces.systematic_newton**2,
-            self._found,
+            before,
             search=self._rejections % SEARCH_EVERY == 0,
         )
 
@@ -237,6 +249,7 @@ class CombChain:
             other = math.sqrt(max(widening * float(covariance[2, 2]) - noise**2, 0.0))
             x, y = position_m.tolist()
             over = newton > self._sites.force_max_newton
+            untold = float(self._errors.untold_newton(np.array(newton)))
             touches.append(
                 Touch(
                     nearest,
@@ -244,7 +257,7 @@ class CombChain:
                     widening * covariance[:2, :2],
                     math.nan if over else newton,
                     math.nan if over else noise,
-                    math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton),
+                    math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton, untold),
                     0.0,
                     _word(over=over, calibrated=bool(forces.calibrated[nearest]), alone=found.status == "ok"),
                     at_least_newton=self._sites.force_max_newton if over else None,
@@ -268,7 +281,7 @@ class CombChain:
 
     def _site_force(self, forces: Pressed, site: np.intp) -> SiteForce:
         newton, largest = float(forces.force_newton[site]), self._sites.force_max_newton
-        own = self._sites.model_error * newton
+        own = math.hypot(self._sites.model_error * newton, float(forces.untold_newton[site]))
         over = newton > largest
         return SiteForce(
             int(site),

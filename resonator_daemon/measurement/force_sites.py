@@ -36,7 +36,7 @@ class ForceSites:
 
     `f0_hz` and the signed `sensitivity` K in 1/N are (m, channels), `positions_m` (m, 2), `outline_m` (p, 2).
     `model_error` is the relative error of K from touch to touch and channel to channel, `sensitivity_std` the one that
-    all touches share. `valid_newton` is the range of forces at calibration; `response` is None where hysteresis and
+    all touches share. `valid_newton` and `valid_kelvin` are the ranges of calibration; `response` is None where hysteresis and
     creep were not calibrated.
     """
 
@@ -49,6 +49,7 @@ class ForceSites:
     model_error: float
     sensitivity_std: float = 0.0
     valid_newton: tuple[float, float] = (-math.inf, math.inf)
+    valid_kelvin: tuple[float, float] = (-math.inf, math.inf)  # against the temperature at which f0 holds
     response: SiteResponse | None = None
 
     def newton_per_shift(self, site: int, channels: tuple[int, ...]) -> float:

@@ -14,6 +14,7 @@ from resonator_daemon.measurement.loading_solution import LoadingSolution, StepM
 from resonator_daemon.measurement.loadings import IndexArray, Readings, Steps, felt_newton
 
 USUAL_SCATTER: Final = 0.015  # of K F from touch to touch, where too few loadings tell
+LITTLE_SCATTER: Final = 1e-3  # nobody lays masses on better than that, so less is no reason to doubt one of them
 SCATTER_RANGE: Final = (1e-6, 0.5)
 # Hysteresis relative to the largest load, creep fraction, log of the creep time in seconds. What is usual, with a wide
 # standard deviation, stands in where loadings do not tell: no unloading, no creep.
@@ -107,8 +108,8 @@ class LoadingProblem:
         return newton
 
     def deleted_chi2(self, fit: LoadingFit) -> FloatArray:
-        """Residual (u,) of each step against all others, with the scatter and the response of `fit`."""
-        return self._solution(_value(fit.response), fit.scatter).deleted_chi2()
+        """Residual (u,) of each step against all others, with the response of `fit` and its scatter, or a little."""
+        return self._solution(_value(fit.response), max(fit.scatter, LITTLE_SCATTER)).deleted_chi2()
 
     def _felt(self, response: FloatArray | None) -> FloatArray:
         if response is None:

@@ -15,14 +15,13 @@ IndexArray = NDArray[np.intp]
 class Steps:
     """Every change of the load on a site, taking masses off included.
 
-    `pressing` tells which masses press the site from `since_s` until its next step, and with what share of their force:
-    1 of those that lie on it, less of those on a neighbour. `common_std` is the
+    `pressing` tells which masses lie on the site from `since_s` until the site's next step. `common_std` is the
     standard deviation, relative, of what shifts all channels alike for as long as the step lasts: the held common mode.
     """
 
     site: IndexArray  # (t,)
     since_s: FloatArray  # (t,)
-    pressing: NDArray[np.floating] | NDArray[np.bool_]  # (t, masses)
+    pressing: NDArray[np.bool_]  # (t, masses)
     common_std: FloatArray  # (t,)
     plate_kelvin: FloatArray  # (t,), NaN where not known
 

@@ -44,6 +44,24 @@ def hears_another_tone(
     return residual_ticks2 > RESIDUAL_LIMIT * (noise_ticks2 + pilot_ticks2)
 
 
+def beat_bound_hz(
+    residual_ticks2: FloatArray,
+    noise_ticks2: FloatArray,
+    frequency_hz: FloatArray,
+    reference_hz: float,
+    distance_hz: FloatArray,
+    window_s: float,
+) -> FloatArray:
+    """Return the standard deviation of a regression over the window from the tone that ends of gates tell of.
+
+    `distance_hz` is the least that it may be away: where it beats with the gates themselves, these do not scatter.
+    """
+    surplus_ticks2 = np.fmax(residual_ticks2 - noise_ticks2, 0.0)
+    ratio = np.fmin(np.sqrt(2.0 * surplus_ticks2) * 2.0 * math.pi * frequency_hz / reference_hz, 1.0)
+    bound: FloatArray = 3.0 * ratio / (math.pi**2 * distance_hz * window_s**2) / math.sqrt(2.0)
+    return bound
+
+
 def beat_std_hz(gate_hz: FloatArray, gate_std_hz: FloatArray) -> FloatArray:
     """Return what beats leave in the regression over a window of k gates, (c, k) to (c,); it falls with k^2.
 

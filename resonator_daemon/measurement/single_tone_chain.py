@@ -17,6 +17,7 @@ from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fr
 from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.matching import Match, Matcher, SiteForce
 from resonator_daemon.measurement.other_tones import (
+    beat_bound_hz,
     beat_std_hz,
     hears_another_tone,
     pilot_residual_ticks2,
@@ -88,6 +89,11 @@ class SingleToneChain:
             model_error=sites.model_error,
             hidden_fraction=hidden,
         )
+        # Two tones that are heard at once are so far apart at least, by channel.
+        shifted_hz = 2.0 * float(np.abs(sites.sensitivity).max()) * sites.force_max_newton * sites.f0_hz.max(axis=0)
+        codes_hz = np.diff(np.sort(sites.f0_hz, axis=0), axis=0)
+        apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
+        self._distance_hz = np.maximum(apart_hz - shifted_hz, 1.0 / (window_frames * gate_s))
         self._latch = OverloadLatch()
         self._errors = SiteErrors(sites)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
@@ -108,7 +114,9 @@ class SingleToneChain:
         self._common_mode.reset()
         self._errors.reset()
         self._latch.release()
+        self._crowded = [0] * len(self._windows)
         self._last = self._evaluated_ticks = None
+        self._pilot = (math.nan,) * len(self._windows)
         return events
 
     def tare(self) -> str:
@@ -246,6 +254,10 @@ class SingleToneChain:
         pilot_ticks2 = pilot_residual_ticks2(ratio, frequency, self._reference_hz)
         others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_ticks2)
         beat_std = beat_std_hz(gates, frequency * window_std * frames**1.5) / frequency
+        bound_hz = beat_bound_hz(
+            residual_ticks2, noise_ticks2, frequency, self._reference_hz, self._distance_hz, frames * self._gate_s
+        )
+        beat_std = np.fmax(beat_std, np.where(others, bound_hz / frequency, 0.0))
         std = np.sqrt(window_std**2 * (1.0 + excess) + np.nan_to_num(beat_std) ** 2)
         rational = tuple(int(channel) for channel in np.flatnonzero(used & (excess > EXCESS_LIMIT)))
         return _Counted(frequency / (1.0 + np.array(self._common_mode.value)), std, others, rational)
@@ -271,7 +283,7 @@ class SingleToneChain:
             force,
             force_newton=float(pressed.force_newton[0]),
             noise_newton=float(pressed.noise_newton[0]),
-            systematic_newton=float(pressed.systematic_newton[0]),
+            systematic_newton=float(np.hypot(pressed.systematic_newton, pressed.untold_newton)[0]),
             status=("possibly_more" if status == "possibly_more" else "ok")
             if pressed.calibrated[0]
             else "uncalibrated",

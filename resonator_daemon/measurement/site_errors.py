@@ -11,15 +11,22 @@ from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.site_response import ResponseInverse
 from resonator_daemon.measurement.warm_contact import warming_std
 
+# Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
+USUAL_HYSTERESIS: Final = 0.01
+USUAL_CREEP: Final = 0.005
 RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
 
 
 class Pressed(NamedTuple):
-    """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them."""
+    """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them.
+
+    `untold_newton` is what hysteresis and creep may add to the latter where they were not calibrated, else 0.
+    """
 
     force_newton: FloatArray
     noise_newton: FloatArray
     systematic_newton: FloatArray
+    untold_newton: FloatArray
     calibrated: NDArray[np.bool_]
 
 
@@ -67,8 +74,10 @@ class SiteErrors:
         since_s = np.where(np.isnan(since_s), time_s, since_s)
         self._since_s[sites] = since_s if touched is None else np.where(touched, since_s, math.nan)
         self._silent[sites] = False
-        force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
-        if self._inverse is not None:
+        force, noise, of_response, untold = felt_newton, noise_newton, np.zeros(len(sites)), np.zeros(len(sites))
+        if self._inverse is None:
+            untold = self.untold_newton(force)
+        else:
             force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
         warmth = self._sites.warmth
         held_s = time_s - since_s
@@ -85,4 +94,12 @@ class SiteErrors:
         parts = systematic_newton, self._sites.sensitivity_std * force, warming * newton_per_shift, of_response
         systematic = np.sqrt(sum(part**2 for part in parts))
         calibrated = (force >= self._lowest_newton) & (force <= self._highest_newton)
-        return Pressed(force, noise, systematic, calibrated)
+        return Pressed(force, noise, systematic, untold, calibrated)
+
+    def untold_newton(self, force_newton: FloatArray) -> FloatArray:
+        """Return what hysteresis and creep may make of a force, one standard deviation, where they are not known."""
+        if self._inverse is not None:
+            return np.zeros(force_newton.shape)
+        # A site lags by half of its hysteresis, but by no more than presses it.
+        lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
+        return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)

@@ -26,6 +26,7 @@ SEPARATION_MIN: Final = 0.5  # in cover depths: closer ones are one touch
 REACH: Final = 1.0  # in cover depths: so far outside the sites' box a touch is looked for
 STARTS: Final = 3
 STEPS_MAX: Final = 40
+FOLLOW_STEPS_MAX: Final = 8  # from a solution that is nearly there
 STEP_TOLERANCE: Final = 1e-2  # of a standard deviation
 DAMPING_START: Final = 1e-3
 DAMPING_MAX: Final = 1e6
@@ -145,7 +146,9 @@ class SpreadFit:
         """Fit the touches of the reading before anew, those that are left of them."""
         scale = np.array([self._depth_m, self._depth_m, 1.0])
         touches = np.column_stack([before.position_m, before.force_newton]) / scale
-        found = self._refine(data, touches) if len(touches) and 3 * len(touches) <= len(data.force) else None
+        found = None
+        if len(touches) and 3 * len(touches) <= len(data.force):
+            found = self._refine(data, touches, FOLLOW_STEPS_MAX)
         return nothing if found is None else self._pruned(data, found, nothing)
 
     def _searched(self, data: _Data, nothing: _Fit) -> _Fit:
@@ -232,19 +235,21 @@ class SpreadFit:
         if len(best.touches) == 1 and nothing.chi2 - best.chi2 < GAIN_MIN:
             return nothing
         while len(best.touches) > 1:
-            doubtful = best.touches[:, 2] ** 2 < PRUNE_BELOW * GAIN_MIN * np.diag(best.covariance)[2::3]
-            fewer = [self._refine(data, np.delete(best.touches, i, axis=0)) for i in np.flatnonzero(doubtful)]
-            least = min((f for f in fewer if f is not None), key=lambda f: f.chi2, default=None)
-            if least is None or least.chi2 - best.chi2 >= GAIN_MIN:
+            sigmas2 = best.touches[:, 2] ** 2 / np.diag(best.covariance)[2::3]
+            weakest = int(np.argmin(sigmas2))
+            if sigmas2[weakest] > PRUNE_BELOW * GAIN_MIN:
                 break
-            best = least
+            fewer = self._refine(data, np.delete(best.touches, weakest, axis=0), FOLLOW_STEPS_MAX)
+            if fewer is None or fewer.chi2 - best.chi2 >= GAIN_MIN:
+                break
+            best = fewer
         return best
 
-    def _refine(self, data: _Data, touches: FloatArray) -> _Fit | None:
+    def _refine(self, data: _Data, touches: FloatArray, steps: int = STEPS_MAX) -> _Fit | None:
         """Levenberg and Marquardt's steps; None where touches merge or vanish."""
         damping = DAMPING_START
         prediction, jacobian = _predict(data.position, touches)
-        for _ in range(STEPS_MAX):
+        for _ in range(steps):
             weight = self._weight(data, prediction)
             residual = data.force - prediction
             chi2 = float(np.sum(weight * residual**2))
@@ -277,7 +282,9 @@ class SpreadFit:
         By the force alone, low ones would be favoured; by the prediction, a touch not found yet would outweigh all.
         """
         largest = np.maximum(np.abs(prediction), np.abs(data.force))
-        variance = data.noise + self._model_error2 * largest**2 + self._share_error2 * float(largest.max()) ** 2
+        variance = (
+            data.noise + self._model_error2 * largest**2 + self._share_error2 * float(largest.max(initial=0.0)) ** 2
+        )
         weight: FloatArray = 1.0 / variance
         return weight
 
