@@ -1,0 +1,96 @@
+"""Presses that last for minutes and plates that warm up: what drift makes of forces, and of untouched plates."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
+
+from resonator_daemon.measurement.contacts import Touch as TrackedTouch
+from resonator_daemon.measurement.matching import SiteForce
+from resonator_daemon.plate import Plate
+from simulators.physics import Physics
+from simulators.scenario_file import Touch
+
+FloatArray = NDArray[np.float64]
+
+HELD_NEWTON = 2.0
+SWING_KELVIN = 2.0
+SWING_S = 800.0  # one period: after ten minutes it is as cold as it gets
+SETTLE_S = 5.0  # before the press
+RAMP_S = 0.15
+END_S = 10.0  # the mean error of the end is over that long
+SHOCK_KELVIN, SHOCK_S = 10.0, 5.0
+
+
+class Held(NamedTuple):
+    """Errors of a force that rests, in newtons."""
+
+    told: float  # share of the readings with a force
+    end_newton: float  # mean over the last 10 s
+    largest_newton: float
+    stated_newton: float  # noise and systematic together, at the end
+    covered: float  # share within two stated standard deviations
+
+
+def hold(plate: Plate, physics: Physics, site: int, seconds: float, *, seed: int = 1) -> tuple[Held, Held]:
+    """Hold 2 N on a site while the room swings by 2 K to both sides: the site's own force, and that of its contact.
+
+    Under a cover the contact's force is that of a fit to all sites.
+    """
+    touch = Touch(start_s=SETTLE_S, site=site, force_newton=HELD_NEWTON, rise_s=RAMP_S, hold_s=seconds, fall_s=RAMP_S)
+    room = [
+        (float(t), ROOM_KELVIN + SWING_KELVIN * math.sin(2.0 * math.pi * t / SWING_S))
+        for t in np.arange(0.0, SETTLE_S + seconds + 10.0, 5.0)
+    ]
+    frame_ms = 1e3 / plate.counter.frame_rate_hz
+    window_ms = 2.0 * frame_ms if plate.counter.kind == "single-tone" else frame_ms
+    bench = PlateBench(
+        plate, [touch], physics=physics, environment_kelvin=room, seed=seed, window_ms=window_ms, step_ms=window_ms
+    )
+    own, contacts = [], []
+    for moment in bench.play(SETTLE_S + RAMP_S + seconds):
+        if moment.true_newton.get(1, 0.0) > HELD_NEWTON * (1.0 - 1e-9):
+            index = bench.site_ids.index(site)
+            own.append(_of_site(moment.reading.sites, index))
+            contacts.append(_of_site([contact.touch for contact in moment.reading.contacts], index))
+    last = round(END_S * 1e3 / window_ms)
+    return _held(np.array(own), last), _held(np.array(contacts), last)
+
+
+def _of_site(forces: Sequence[SiteForce] | Sequence[TrackedTouch], site: int) -> tuple[float, float, float]:
+    for force in forces:
+        if force.site == site:
+            return force.force_newton, force.noise_newton, force.systematic_newton
+    return (math.nan,) * 3
+
+
+def _held(rows: FloatArray, last: int) -> Held:
+    """`rows` (n, 3) are force, noise and systematic in newtons, the `last` ones those of the end."""
+    told = np.isfinite(rows).all(axis=1)
+    error, stated = rows[told, 0] - HELD_NEWTON, np.hypot(rows[told, 1], rows[told, 2])
+    return Held(
+        float(told.mean()),
+        float(error[-last:].mean()),
+        float(np.abs(error).max()),
+        float(stated[-1]),
+        float(np.mean(np.abs(error) <= 2.0 * stated)),
+    )
+
+
+def contacts_of_a_shock(plate: Plate, *, seed: int = 1) -> int:
+    """How many contacts a plate tells of that nothing touches, while the room warms by 10 K within 5 s."""
+    room = [(0.0, ROOM_KELVIN), (SETTLE_S, ROOM_KELVIN), (SETTLE_S + SHOCK_S, ROOM_KELVIN + SHOCK_KELVIN)]
+    bench = PlateBench(plate, [], environment_kelvin=room, seed=seed)
+    return sum(
+        event.event == "onset" for moment in bench.play(SETTLE_S + 4.0 * SHOCK_S) for event in moment.reading.events
+    )
+
+
+def sites_of_a_whole_press(plate: Plate, *, seed: int = 1) -> int:
+    """How many sites a plate tells of in the reading that tells of most, while 2 N press on each of them."""
+    touch = Touch(start_s=SETTLED_S, whole_plate=True, force_newton=HELD_NEWTON, hold_s=0.5)
+    bench = PlateBench(plate, [touch], seed=seed)
+    return max(len(moment.reading.sites) for moment in bench.play(SETTLED_S + touch.duration_s))

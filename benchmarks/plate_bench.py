@@ -1,0 +1,146 @@
+"""An emulated plate counted straight into the daemon's chain, without link, broker and clock: readings beside truth."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
+from resonator_daemon.acquisition.fit import gate_ticks, oscillator_hz
+from resonator_daemon.chains import make_chain
+from resonator_daemon.config import Config, Measurement
+from resonator_daemon.measurement.readings import ForceReading
+from resonator_daemon.measurement.single_tone_chain import SingleToneChain
+from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.plate import Plate
+from simulators.comb_plate import CombPlate
+from simulators.physics import Physics
+from simulators.plate import CountedFrame
+from simulators.quartz_plate import QuartzPlate
+from simulators.scenario import Scenario
+from simulators.scenario_file import Touch
+
+ROOM_KELVIN = 298.15
+SETTLED_S = 0.4  # from the first frame on until the chain knows its baseline
+LEVEL_TOUCH_S = 0.005
+BLOCK_FRAMES = 40
+
+_TONE = np.dtype([(field.name, "<" + field.code) for field in TONE_FIELDS])
+
+
+class Moment(NamedTuple):
+    """A reading, and by contact the true force averaged over its window, with the site's id where it is on one."""
+
+    reading: ForceReading
+    true_newton: dict[int, float]
+    true_site: dict[int, int | None]
+    true_position_m: dict[int, tuple[float, float]]
+
+
+class PlateBench:
+    """Plays touches on a plate."""
+
+    def __init__(
+        self,
+        plate: Plate,
+        touches: Sequence[Touch],
+        *,
+        physics: Physics | None = None,
+        environment_kelvin: Sequence[tuple[float, float]] = ((0.0, ROOM_KELVIN),),
+        seed: int = 0,
+        window_ms: float = 10.0,
+        step_ms: float = 5.0,
+    ) -> None:
+        """Take a plate as its file describes it; the emulated one differs from it by `physics`."""
+        scenario = Scenario(touches, None, plate, physics=physics or Physics(), environment_kelvin=environment_kelvin)
+        emulated = QuartzPlate if plate.counter.kind == "single-tone" else CombPlate
+        self._counter = emulated(plate, scenario, seed)
+        measurement = Measurement(window_ms=window_ms, step_ms=step_ms)
+        config = Config.model_validate({"plate": "quartz16", "link": "tcp://127.0.0.1:1"})
+        config = config.model_copy(update={"plate": plate, "measurement": measurement})  # which need be no file's
+        chain = make_chain(config, oscillator_hz(self._counter.description))
+        assert not isinstance(chain, SkinChain)  # noqa: S101 - force sites alone are played
+        self.chain = chain
+        self.site_ids: list[int] = plate.site_ids.tolist()
+        self._gate_ticks = gate_ticks(plate)
+        self._frame_rate_hz = plate.counter.frame_rate_hz
+        self._window: deque[CountedFrame] = deque(maxlen=round(measurement.window_s * self._frame_rate_hz))
+        self._counted_frames = self._pushed_frames = 0
+
+    def play(self, seconds: float) -> Iterator[Moment]:
+        """Go on for so long; every reading that the chain gives, with its truth."""
+        for frame in self.count(seconds):
+            self._window.append(frame)
+            reading = self.push(frame)
+            if reading is not None:
+                yield self._moment(reading)
+
+    def count(self, seconds: float) -> Iterator[CountedFrame]:
+        """Let plate and counter go on for so long."""
+        end = self._counted_frames + round(seconds * self._frame_rate_hz)
+        while self._counted_frames < end:
+            ticks, frames = self._counted_frames * self._gate_ticks, min(BLOCK_FRAMES, end - self._counted_frames)
+            self._counted_frames += frames
+            yield from self._counter.count(ticks, ticks, self._gate_ticks, frames)
+
+    def push(self, frame: CountedFrame) -> ForceReading | None:
+        """Give the next frame to the chain."""
+        sequence, chain = self._pushed_frames, self.chain
+        self._pushed_frames += 1
+        ticks = self._pushed_frames * self._gate_ticks
+        if isinstance(chain, SingleToneChain):
+            records = [SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(channel)) for channel in frame.channels]
+            return chain.push(sequence, ticks, records)
+        tones = np.array([np.frombuffer(channel, _TONE) for channel in frame.channels])
+        known = tones["flags"] == 0
+        return chain.push(sequence, ticks, tones["phase_turn32"], tones["offset_hz16"], tones["sigma_code"], known)
+
+    def _moment(self, reading: ForceReading) -> Moment:
+        frames = max(1, round(reading.window_s * self._frame_rate_hz))
+        newton: dict[int, float] = {}
+        site: dict[int, int | None] = {}
+        position: dict[int, tuple[float, float]] = {}
+        for frame in list(self._window)[-frames:]:
+            for contact in frame.contacts:
+                newton[contact.id] = newton.get(contact.id, 0.0) + contact.force_newton[2] / frames
+                site[contact.id] = contact.site
+                position[contact.id] = contact.position_m
+        return Moment(reading, newton, site, position)
+
+    def named_sites(self, reading: ForceReading) -> set[int]:
+        """Ids of the sites where a reading says that something presses, or that a contact began.
+
+        Under a cover a touch loads its site's neighbours too: there the contacts say it, each by its nearest site.
+        """
+        touches = [event.contact.touch for event in reading.events if event.event == "onset"]
+        pressed = {touch.site for touch in touches} | {force.site for force in reading.sites}
+        if not isinstance(self.chain, SingleToneChain):
+            touches += [contact.touch for contact in reading.contacts if np.isfinite(contact.touch.force_newton)]
+            pressed = {touch.site for touch in touches}
+        return {self.site_ids[site] for site in pressed}
+
+
+def corner_levels_db(plate: Plate, seed: int) -> NDArray[np.float64]:
+    """Level (sites, corners) at which an emulated single-tone counter hears each site when it alone is pressed."""
+    touches = [
+        Touch(
+            start_s=LEVEL_TOUCH_S * order,
+            site=int(site),
+            force_newton=1.0,
+            rise_s=0.0,
+            hold_s=0.8 * LEVEL_TOUCH_S,
+            fall_s=0.0,
+        )
+        for order, site in enumerate(plate.site_ids)
+    ]
+    bench = PlateBench(plate, touches, physics=Physics(ideal=True), seed=seed)
+    levels = np.full((len(plate.site_ids), len(plate.transducers_m)), -np.inf)
+    order = {site: index for index, site in enumerate(bench.site_ids)}
+    for frame in bench.count(LEVEL_TOUCH_S * len(touches)):
+        for contact in frame.contacts:
+            assert contact.site is not None  # noqa: S101 - for the type checker
+            records = [SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(channel)) for channel in frame.channels]
+            levels[order[contact.site]] = [record.attenuation_db256 / -256.0 for record in records]
+    return levels
