@@ -36,8 +36,8 @@ class ForceSites:
 
     `f0_hz` and the signed `sensitivity` K in 1/N are (m, channels), `positions_m` (m, 2), `outline_m` (p, 2).
     `model_error` is the relative error of K from touch to touch and channel to channel, `sensitivity_std` the one that
-    all touches share. `valid_newton` and `valid_kelvin` are the ranges of calibration; `response` is None where hysteresis and
-    creep were not calibrated.
+    all touches share. `valid_newton` and `valid_kelvin` are the ranges of calibration; `response` is None where
+    hysteresis and creep were not calibrated.
     """
 
     f0_hz: FloatArray

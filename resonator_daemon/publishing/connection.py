@@ -34,6 +34,7 @@ _library_log.setLevel(logging.CRITICAL)  # it logs each failure where it happens
 
 OnPublished = Callable[[int, bool], None]
 OnMessage = Callable[[Incoming], None]
+OnDenied = Callable[[str], None]
 
 
 class BrokerClient(aiomqtt.Client):
@@ -41,7 +42,8 @@ class BrokerClient(aiomqtt.Client):
 
     `send` takes the place of `publish`: it neither waits nor queues, and the number of system calls per message is
     one instead of six. `on_published(qos, refused)` is called when a QoS 0 message is written to the socket in full,
-    and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`.
+    and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`, and
+    `on_denied(reason)` is called when the broker refuses what was listened to.
     """
 
     def __init__(
@@ -53,6 +55,7 @@ class BrokerClient(aiomqtt.Client):
         will: aiomqtt.Will | None = None,
         on_published: OnPublished | None = None,
         on_message: OnMessage | None = None,
+        on_denied: OnDenied | None = None,
     ) -> None:
         super().__init__(
             broker.host,
@@ -72,6 +75,7 @@ class BrokerClient(aiomqtt.Client):
         self.version = version
         self._tell_published = on_published
         self._tell_message = on_message
+        self._tell_denied = on_denied
         self._thread = threading.get_ident()
         self._sending = False
         self._writer: socket.socket | None = None
@@ -80,6 +84,8 @@ class BrokerClient(aiomqtt.Client):
         self._client.on_socket_unregister_write = self._written
         if on_message is not None:
             self._client.on_message = self._received
+        if on_denied is not None:  # else `subscribe` waits for the broker's word itself
+            self._client.on_subscribe = self._subscribed
 
     @property
     def lost(self) -> asyncio.Future[None]:
@@ -164,6 +170,13 @@ class BrokerClient(aiomqtt.Client):
         if qos is not None and self._tell_published is not None:
             self.unacknowledged -= qos
             self._tell_published(qos, reason.is_failure)
+
+    def _subscribed(
+        self, _client: object, _userdata: object, _mid: int, reasons: list[Any], _properties: object
+    ) -> None:
+        denied = [str(reason) for reason in reasons if reason.is_failure]
+        if denied and self._tell_denied is not None:
+            self._tell_denied(denied[0])
 
     def _received(self, _client: object, _userdata: object, message: Any) -> None:
         if self._tell_message is not None:

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import logging
 from collections import deque
 from collections.abc import Callable
 from typing import Final, TypeVar
@@ -22,6 +23,8 @@ UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 CLOSE_TIMEOUT_S: Final = 2.0
 
 _WATCH_S: Final = 1.0
+
+log = logging.getLogger(__name__)
 
 QueuedT = TypeVar("QueuedT")
 
@@ -60,6 +63,7 @@ class Publisher:
         self._answers: deque[Outgoing] = deque()
         self._streams: deque[tuple[str, bytes]] = deque()
         self._pumping = False
+        self._denied = False
         self._closed = False
         self._idle = asyncio.Event()
         self._closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
@@ -161,6 +165,7 @@ class Publisher:
             ),
             on_published=self._on_published,
             on_message=self._commands.take if self._commands else None,
+            on_denied=self._on_denied,
         )
 
     async def _serve(self, client: BrokerClient) -> None:
@@ -183,6 +188,12 @@ class Publisher:
             self._dropped += len(self._streams)
             self._streams.clear()
             self._drop_answers()
+
+    def _on_denied(self, reason: str) -> None:
+        """Say once that commands are not heard; with each new connection it would be said again."""
+        if self._commands is not None and not self._denied:
+            self._denied = True
+            log.warning("broker denies %s (%s): commands are not heard", self._commands.topic_filter, reason)
 
     def _answer(self, answer: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands costs nobody an event."""

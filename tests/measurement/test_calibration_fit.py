@@ -222,7 +222,7 @@ def test_one_of_three_loadings_that_is_bad_cannot_be_told_and_its_site_is_left_o
     assert fit.doubtful_steps == (13, 15, 17)
     assert fit.site.tolist() == [m for m in range(16) if m != 2]
     assert fit.f0_hz.shape == fit.sensitivity.shape == (15, 4)
-    assert np.isnan(fit.residual_newton[[13, 15, 17]]).all()
+    assert np.abs(fit.residual_newton[[13, 15, 17]]).max() > 0.1  # of 0.4 N, the line goes some way to meet it
     assert rms(bench.standardised(fit)) == pytest.approx(1.0, abs=0.3)
 
 

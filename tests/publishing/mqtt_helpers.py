@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.payloads import Contact, Decoded, EventContact, Forces, Lost, SiteForce, State
+from resonator_daemon.publishing.payloads import (
+    Compensation,
+    Decoded,
+    EventContact,
+    Forces,
+    Lost,
+    SiteForce,
+    State,
+)
 from resonator_daemon.publishing.payloads import ContactEvent as Event
 from resonator_daemon.publishing.publisher import Publisher
 
@@ -21,6 +29,14 @@ HEADER: dict[str, Any] = {
     "t_unc_ns": 42000,
     "lost": Lost(),
 }
+COMPENSATION = Compensation(
+    baseline="followed",
+    common_mode=(3e-6,) * 4,
+    common_mode_std=2e-7,
+    plate_kelvin=0.5,
+    plate_kelvin_std=0.1,
+    response="off",
+)
 
 
 class Messages:
@@ -33,23 +49,34 @@ class Messages:
     @staticmethod
     def forces(number: int) -> Forces:
         site = SiteForce(site=7, force_newton=1.234, noise_newton=0.0006, systematic_newton=0.012, status="ok")
-        return Forces(**HEADER | {"seq": number}, board_ticks=1, window_s=0.01, status="ok", sites=(site,))
+        return Forces(
+            **HEADER | {"seq": number},
+            board_ticks=1,
+            window_s=0.01,
+            status="ok",
+            reason="",
+            sites=(site,),
+            beats=(),
+            compensation=COMPENSATION,
+        )
 
     @staticmethod
     def event(number: int) -> Event:
-        contact = Contact(
+        contact = EventContact(
             id=number,
             site=7,
             position_m=(0.0012, -0.0034),
             position_std_m=(2e-4, 2e-4),
+            position_correlation=0.0,
             force_newton=1.234,
             noise_newton=0.0006,
             systematic_newton=0.012,
+            peak_newton=1.3,
             since_t_ns=1788999990000000000,
+            duration_s=0.35,
             status="ok",
         )
-        with_peak = EventContact(**contact.model_dump(), peak_newton=1.3)
-        return Event(**HEADER | {"seq": number}, board_ticks=1, event="onset", contact=with_peak)
+        return Event(**HEADER | {"seq": number}, board_ticks=1, event="onset", contact=contact)
 
     @staticmethod
     def decoded(number: int) -> Decoded:
@@ -80,6 +107,7 @@ class ScriptedBroker:
     def __init__(self) -> None:
         self.received: list[Published] = []
         self.answer: Callable[[int], int | None] = lambda number: 0  # reason code of the n-th QoS 1 message
+        self.subscribed = 1  # reason code of each subscription: granted, QoS 1
         self.connections: list[asyncio.StreamWriter] = []
         self.greetings: list[bytes] = []  # bodies of CONNECT
         self.farewells = 0  # DISCONNECT packets
@@ -95,6 +123,8 @@ class ScriptedBroker:
                     writer.write(b"\x20\x03\x00\x00\x00")
                 elif kind >> 4 == 3:
                     self._publish(kind, body, writer)
+                elif kind >> 4 == 8:
+                    writer.write(b"\x90\x04" + body[:2] + b"\x00" + bytes([self.subscribed]))
                 elif kind >> 4 == 12:
                     writer.write(b"\xd0\x00")
                 elif kind >> 4 == 14:

@@ -9,7 +9,7 @@ from typing import Any
 import aiomqtt
 import pytest
 from conftest import Amqtt, Mosquitto, free_port
-from mqtt_helpers import Messages, assert_exact, until
+from mqtt_helpers import Messages, assert_exact, scripted_broker, until
 from observer import observe
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
@@ -125,6 +125,21 @@ async def test_commands_are_heard_again_after_a_restart_of_the_broker(mosquitto:
         await mosquitto.start()
         await until(lambda: publisher.connected)
         assert (await request(Mqtt(url=mosquitto.url), "left", "tare", {}))["ok"] is True
+
+
+async def test_a_broker_that_denies_commands_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    not_authorised = 0x87
+
+    def warnings() -> list[str]:
+        return [record.getMessage() for record in caplog.records if "commands are not heard" in record.getMessage()]
+
+    async with scripted_broker() as (url, script), commanded(url):
+        script.subscribed = not_authorised
+        await until(lambda: bool(warnings()))
+        before = len(script.greetings)
+        script.hang_up()
+        await until(lambda: len(script.greetings) > before + 1)  # the probe for MQTT 5, and the publisher
+    assert warnings() == ["broker denies resonator/left/cmd/+ (Not authorized): commands are not heard"]
 
 
 async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.payloads import (
+    Compensation,
     Condition,
     Contact,
     ContactEvent,
@@ -46,14 +47,27 @@ CONTACT: dict[str, Any] = {
     "site": 7,
     "position_m": (0.0012, -0.0034),
     "position_std_m": (2e-4, 2e-4),
+    "position_correlation": -0.25,
+    "hidden_newton": 0.05,
+    "peak_newton": 1.3,
     "since_t_ns": 1788999999000000000,
+    "duration_s": 0.35,
     **FORCE,
 }
 CONTACT_JSON = """
-    "id": 12, "site": 7, "position_m": [0.0012, -0.0034], "position_std_m": [2e-4, 2e-4], "force_newton": 1.234,
-    "noise_newton": 0.0006, "systematic_newton": 0.012, "since_t_ns": "1788999999000000000", "status": "ok",
-    "at_least_newton": null
+    "id": 12, "site": 7, "position_m": [0.0012, -0.0034], "position_std_m": [2e-4, 2e-4],
+    "position_correlation": -0.25, "force_newton": 1.234, "noise_newton": 0.0006, "systematic_newton": 0.012,
+    "hidden_newton": 0.05, "peak_newton": 1.3, "since_t_ns": "1788999999000000000", "duration_s": 0.35, "status": "ok",
+    "reason": "", "at_least_newton": null
 """
+COMPENSATION = Compensation(
+    baseline="held",
+    common_mode=(3e-6, math.nan, 3.5e-6, -2e-6),
+    common_mode_std=2e-7,
+    plate_kelvin=math.nan,
+    plate_kelvin_std=math.nan,
+    response="off",
+)
 PATCH: dict[str, Any] = {
     "id": 3,
     "centroid_m": (0.001, -0.002),
@@ -75,18 +89,29 @@ PATCH: dict[str, Any] = {
 
 EXAMPLES = [
     (
-        Forces(**MEASURED, window_s=0.01, status="ok", sites=(SiteForce(site=7, **FORCE),)),
-        """{<header>, "board_ticks": "123456789", "window_s": 0.01, "status": "ok", "sites": [{"site": 7,
-           "force_newton": 1.234, "noise_newton": 0.0006, "systematic_newton": 0.012, "status": "ok",
-           "at_least_newton": null}]}""",
+        Forces(
+            **MEASURED,
+            window_s=0.01,
+            status="possibly_more",
+            reason="more than the counted tone is heard",
+            sites=(SiteForce(site=7, **FORCE),),
+            beats=(0, 2),
+            compensation=COMPENSATION,
+        ),
+        """{<header>, "board_ticks": "123456789", "window_s": 0.01, "status": "possibly_more",
+           "reason": "more than the counted tone is heard", "sites": [{"site": 7,
+           "force_newton": 1.234, "noise_newton": 0.0006, "systematic_newton": 0.012, "hidden_newton": 0.0,
+           "status": "ok", "at_least_newton": null}], "beats": [0, 2], "compensation": {"baseline": "held",
+           "common_mode": [3e-6, null, 3.5e-6, -2e-6], "common_mode_std": 2e-7, "plate_kelvin": null,
+           "plate_kelvin_std": null, "response": "off"}}""",
     ),
     (
         Contacts(**MEASURED, status="ok", contacts=(Contact(**CONTACT),)),
-        """{<header>, "board_ticks": "123456789", "status": "ok", "contacts": [{<contact>}]}""",
+        """{<header>, "board_ticks": "123456789", "status": "ok", "reason": "", "contacts": [{<contact>}]}""",
     ),
     (
-        ContactEvent(**MEASURED, event="onset", contact=EventContact(**CONTACT, peak_newton=1.3)),
-        """{<header>, "board_ticks": "123456789", "event": "onset", "contact": {<contact>, "peak_newton": 1.3,
+        ContactEvent(**MEASURED, event="release", reason="no longer felt", contact=EventContact(**CONTACT)),
+        """{<header>, "board_ticks": "123456789", "event": "release", "reason": "no longer felt", "contact": {<contact>,
              "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null}}""",
     ),
     (
@@ -168,7 +193,9 @@ def test_what_is_not_known_is_null_in_json_and_nan_when_read(unknown: float) -> 
         status="overload",
         at_least_newton=10.0,
     )
-    message = Forces(**MEASURED, window_s=0.01, status="ok", sites=(site,))
+    message = Forces(
+        **MEASURED, window_s=0.01, status="ok", reason="", sites=(site,), beats=(), compensation=COMPENSATION
+    )
     encoded = encode(message)
     assert b'"force_newton":null' in encoded
     json.loads(encoded, parse_constant=pytest.fail)  # called for NaN and Infinity

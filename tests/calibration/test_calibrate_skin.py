@@ -14,7 +14,7 @@ import pytest
 from conftest import Mosquitto, free_port
 from numpy.typing import NDArray
 
-from resonator_daemon import calibrate as calibrate_module
+from resonator_daemon.calibration import skin as calibrate_module
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.payloads import Lost, Signals, State

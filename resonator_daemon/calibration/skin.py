@@ -12,12 +12,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.config import Config, Mqtt, load_config
+from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.plate import Plate, Skin
 from resonator_daemon.publishing.payloads import Signals
+from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import SIGNALS, TOPICS
 
@@ -25,16 +26,9 @@ Floats = NDArray[np.float64]
 Tell = Callable[[str], None]
 
 FEWEST_FRAMES: Final = 5  # with load
-_REACH_S: Final = 5.0
 _FIRST_FRAME_S: Final = 10.0
 _SPACING_NS: Final = 200_000_000  # closer frames of one touch say the same again
 _TELL_NS: Final = 1_000_000_000
-
-
-class BrokerUnreachableError(OperatorError):
-    """No broker listens where the configuration says."""
-
-    exit_code = ExitCode.UNAVAILABLE
 
 
 @dataclass
@@ -89,7 +83,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
 
 async def _capture(config: Config, seconds: float, tell: Tell) -> Capture:
     """Frames at least 0.2 s apart by their own time, for some seconds from the first one."""
-    await _reach(config.mqtt)
+    await reach(config.mqtt)
     capture = Capture(config.name)
     first_ns = next_ns = told_ns = 0
     try:
@@ -112,17 +106,6 @@ async def _capture(config: Config, seconds: float, tell: Tell) -> Capture:
     except TimeoutError:
         pass
     return capture
-
-
-async def _reach(broker: Mqtt) -> None:
-    """Open a connection once: a subscriber would wait for a broker for ever."""
-    try:
-        async with asyncio.timeout(_REACH_S):
-            _, writer = await asyncio.open_connection(broker.host, broker.port)
-    except (OSError, TimeoutError) as error:
-        where = f"{broker.host}:{broker.port}"
-        raise BrokerUnreachableError(f"no broker at {where} ({error or 'no answer'}); see mqtt.url") from None
-    writer.close()
 
 
 def _fit(plate: Plate, skin: Skin, capture: Capture) -> PriorFit:

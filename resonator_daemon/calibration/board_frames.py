@@ -1,0 +1,74 @@
+"""Frames of the board that is calibrated, straight from its link."""
+
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    ReaderFailed,
+    SingleToneFrame,
+)
+from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
+from resonator_daemon.config import Config
+from resonator_daemon.errors import ConfigError, IncompatibleBoardError
+
+FromBoard = BoardOnline | SingleToneFrame | ChannelisedFrame
+
+OPEN_S: Final = 10.0  # in which a board must answer
+
+
+@contextmanager
+def board_frames(config: Config, timeout_s: float) -> Iterator[Iterator[FromBoard]]:
+    """Give what the board says of itself, then its frames as they come; SIGTERM and SIGHUP end it like Ctrl-C."""
+    arrived = threading.Event()
+    reader = BoardReader(config.link, config.plate, arrived.set)
+    handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    reader.start()
+    try:
+        yield _arrivals(reader, arrived, timeout_s)
+    finally:
+        reader.stop()
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _arrivals(reader: BoardReader, arrived: threading.Event, timeout_s: float) -> Iterator[FromBoard]:
+    state = LinkChange("starting", "the link is being opened", 0)
+    online = False
+    last_s = time.monotonic()
+    while True:
+        arrived.wait(0.2)
+        arrived.clear()
+        for arrival in reader.take():
+            match arrival:
+                case SingleToneFrame() | ChannelisedFrame():
+                    last_s = time.monotonic()
+                    yield arrival
+                case BoardOnline():
+                    online = True
+                    yield arrival
+                case BoardRefused():
+                    raise (IncompatibleBoardError if arrival.other_protocol else ConfigError)(*arrival.problems)
+                case LinkChange():
+                    state = arrival
+                    if arrival.state == "waiting" and not online:
+                        remedy = "a calibration needs the link for itself: stop the daemon that runs on it"
+                        raise LinkBusyError(f"link: {arrival.reason}; {remedy}")
+                case ReaderFailed():
+                    raise arrival.error
+        if time.monotonic() - last_s > (timeout_s if online else OPEN_S):
+            raise CalibrationRefusedError(
+                f"link {state.state}: {state.reason}; no frame came; the plate file is as before"
+            )

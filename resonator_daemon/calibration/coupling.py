@@ -1,0 +1,93 @@
+"""Share of a load that the other sites feel, from a plate that hears all of them at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from resonator_daemon.calibration.guide import Guide, Loading
+from resonator_daemon.calibration.hearing import Floats
+from resonator_daemon.plate import Plate
+
+SIGMAS: Final = 3.0
+OSCILLATOR_STD: Final = 1e-9  # of the mean of a hold against the untouched plate some seconds before
+WIDTH_TOLERANCE: Final = 0.05  # relative, to which a width in the plate file should agree
+
+
+@dataclass(frozen=True)
+class Felt:
+    """Site `heard` feels `ratio` of a force on site `pressed`; ids."""
+
+    pressed: int
+    heard: int
+    ratio: float
+
+
+def find_coupling(plate: Plate, guide: Guide, loadings: Sequence[Loading], sensitivity: Floats) -> tuple[Felt, ...]:
+    """Return what lies above 3 standard deviations, of loads on any of the sites; sensitivity (sites, 4)."""
+    found = []
+    square = (sensitivity**2).sum(axis=1)
+    for pressed in sorted({loading.site for loading in loadings}):
+        loads = [loading for loading in loadings if loading.site == pressed]
+        force = np.array([loading.step.force_newton for loading in loads])
+        newton = np.array([(_moved(guide, load) * sensitivity).sum(axis=1) / square for load in loads])  # (k, sites)
+        ratio = force @ newton / (force @ force)
+        std = OSCILLATOR_STD / np.sqrt(square / sensitivity.shape[1]) / np.sqrt(force @ force)
+        found += [
+            Felt(int(plate.site_ids[pressed]), int(plate.site_ids[heard]), float(ratio[heard]))
+            for heard in np.flatnonzero(np.abs(ratio) > SIGMAS * std)
+            if heard != pressed
+        ]
+    return tuple(found)
+
+
+def width_m(plate: Plate, coupling: Sequence[Felt]) -> float:
+    """Width w of the cover that explains coupling best, as a spread of (1 + r^2/w^2)^(-3/2)."""
+    distance_m, ratio = _distances(plate, coupling), np.array([felt.ratio for felt in coupling])
+
+    def misfit(log_width: float) -> float:
+        return float(np.sum((ratio - _spread(distance_m, np.exp(log_width))) ** 2))
+
+    low, high = np.log(distance_m.min() / 30.0), np.log(distance_m.max())
+    return float(np.exp(minimize_scalar(misfit, bounds=(low, high), method="bounded").x))
+
+
+def compare_with_width(plate: Plate, coupling: Sequence[Felt]) -> str:
+    """Return a sentence that sets coupling against the plate file's spread_width_mm; "" where it has none."""
+    if plate.spread_width_m is None or not coupling:
+        return ""
+    ratio = np.array([felt.ratio for felt in coupling])
+    off = np.abs(ratio - _spread(_distances(plate, coupling), plate.spread_width_m))
+    found_mm = 1e3 * width_m(plate, coupling)
+    agrees = abs(found_mm / (1e3 * plate.spread_width_m) - 1) <= WIDTH_TOLERANCE
+    worst = coupling[int(off.argmax())]
+    return (
+        f"coupling fits a spread of {found_mm:.3g} mm, spread_width_mm = {1e3 * plate.spread_width_m:g} "
+        f"{'agrees' if agrees else 'differs'}; the largest departure from the file's is {off.max():.2g} of the force, "
+        f"of site {worst.heard} with site {worst.pressed} pressed"
+    )
+
+
+def _moved(guide: Guide, loading: Loading) -> Floats:
+    """Shift (sites, 4) since the untouched reading before the load, the common mode taken out of both."""
+    if loading.site_shift is None:
+        raise ValueError("a loading of a plate that hears one site at a time")
+    before = guide.untouched.before(loading.since_s)
+    rest = 1 - (1 - guide.untouched.site_shift[before]) * (1 + guide.untouched.common_mode[before])
+    common = guide.untouched.at(float(loading.times_s.mean()))
+    moved: Floats = 1 - (1 - loading.site_shift) * (1 + common) - rest
+    return moved
+
+
+def _distances(plate: Plate, coupling: Sequence[Felt]) -> Floats:
+    index = {int(site_id): row for row, site_id in enumerate(plate.site_ids)}
+    pairs = np.array([(index[felt.pressed], index[felt.heard]) for felt in coupling])
+    distance: Floats = np.linalg.norm(np.diff(plate.site_positions_m[pairs], axis=1)[:, 0], axis=1)
+    return distance
+
+
+def _spread(distance_m: Floats, width_m: float) -> Floats:
+    share: Floats = (1 + (distance_m / width_m) ** 2) ** -1.5
+    return share

@@ -1,0 +1,313 @@
+"""Leads through the steps of a calibration: tells from what is heard when a load stands, and captures it."""
+
+import math
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+import numpy as np
+
+from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Floats, Heard
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.calibration.site_codes import site_codes
+from resonator_daemon.calibration.steps import Step
+from resonator_daemon.plate import Plate
+
+BASELINE_S: Final = 2.0
+STEADY_READINGS: Final = 5
+STEADY_SHARE: Final = 0.01  # of the force, from the lowest to the highest of these readings; creep stays below it
+STEADY_SIGMAS: Final = 8.0
+CLEAR_READINGS: Final = 3  # untouched ones between two loads
+
+Kind = Literal["untouched", "place", "wrong_site", "unsteady", "captured", "remove"]
+
+
+@dataclass(frozen=True)
+class News:
+    """Something for whoever loads the plate."""
+
+    kind: Kind
+    step: Step | None  # None: the untouched baseline
+    text: str
+
+
+@dataclass
+class Untouched:
+    """Common mode by channel while nothing was touched."""
+
+    times_s: list[float] = field(default_factory=list)
+    common_mode: list[Floats] = field(default_factory=list)  # (4,) each
+    site_shift: list[Floats] = field(default_factory=list)  # (sites, 4) each, where all sites are heard
+
+    def before(self, time_s: float) -> int:
+        """Return which of them is the last one before a time."""
+        return max(bisect_left(self.times_s, time_s) - 1, 0)
+
+    def at(self, time_s: float) -> Floats:
+        """Return the common mode at a time, between the means before and after it; (4,)."""
+        return np.array([np.interp(time_s, self.times_s, channel) for channel in np.transpose(self.common_mode)])
+
+
+@dataclass(frozen=True)
+class Loading:
+    """What was captured of one step: readings a tenth of a second apart while the load stood."""
+
+    step: Step
+    site: int  # its index
+    since_s: float  # when it was placed
+    times_s: Floats  # (n,)
+    shift: Floats  # (n, 4), 1 - f0 / f with the plate file's f0, the common mode still in it
+    std: Floats  # (n, 4), of the counter
+    oscillator_std: float  # of each reading, common to its channels
+    site_shift: Floats | None  # (sites, 4) of all sites, mean over the readings, where all are heard
+
+    def without_common_mode(self, untouched: Untouched) -> Floats:
+        """Return 1 - f0 / f of each reading with the common mode taken out of f; (n, 4)."""
+        return 1 - (1 - self.shift) * (1 + untouched.at(float(self.times_s.mean())))
+
+
+class Guide:
+    """Takes readings, gives news; `loadings` and `untouched` are what was captured."""
+
+    def __init__(self, plate: Plate, steps: Sequence[Step], timeout_s: float) -> None:
+        self._sensitivity = site_codes(plate).sensitivity
+        self._site_ids = plate.site_ids.tolist()
+        self._timeout_s = timeout_s
+        self._steps = deque(steps)
+        self.untouched = Untouched()
+        self.loadings: dict[int, Loading] = {}  # by number of the step
+        self.released_s: list[float] = []  # when each load was taken away
+        self._held: deque[Heard] = deque()
+        self._quiet: list[Heard] = []
+        self._phase: Literal["baseline", "load", "release", "done"] = "baseline"
+        self._captured_newton: float | None = None  # last force captured, where the site was not released since
+        self._since_s: float | None = None
+        self._complaint = ""
+        self._placed_s: float | None = None  # when the site was first heard, where it had been released before
+        self._said: set[str] = set()
+
+    @property
+    def step(self) -> Step | None:
+        """What is to be done now, None for the baseline and at the end."""
+        return self._steps[0] if self._phase != "baseline" and self._steps else None
+
+    @property
+    def done(self) -> bool:
+        """Whether every load was captured, and the last one taken away."""
+        return self._phase == "done"
+
+    def repeat(self, steps: Sequence[Step]) -> list[News]:
+        """Ask for some steps once more; only when all is done."""
+        self._steps.extend(steps)
+        self._begin()
+        return list(self._ask())
+
+    def push(self, heard: Heard) -> list[News]:
+        """Take one reading.
+
+        Raises
+        ------
+        CalibrationRefusedError
+            Touched while the baseline is taken; a step that takes too long.
+        """
+        if self._since_s is None:
+            self._since_s = heard.time_s
+        if heard.untouched:
+            self._quiet.append(heard)
+        elif self.untouched.times_s and len(self._quiet) >= CLEAR_READINGS:
+            self._keep_quiet()
+        else:
+            self._quiet.clear()
+        news: list[News] = []
+        match self._phase:
+            case "baseline":
+                news.extend(self._take_baseline(heard))
+            case "load":
+                news.extend(self._await_load(heard, self._steps[0]))
+            case "release":
+                news.extend(self._await_release(heard))
+        allowed_s = self._timeout_s + (self.step.hold_s if self.step else BASELINE_S)
+        if self._since_s is not None and heard.time_s - self._since_s > allowed_s:
+            raise CalibrationRefusedError(self._overdue())
+        return news
+
+    def force_newton(self, site: int, shift: Floats, common_mode: Floats) -> Floats:
+        """Force by the plate file's sensitivities, mean over the channels; shift (..., 4)."""
+        force: Floats = np.mean((shift - common_mode) / self._sensitivity[site], axis=-1)
+        return force
+
+    def _take_baseline(self, heard: Heard) -> Iterator[News]:
+        if heard.touched is not None:
+            self._held.append(heard)
+            if len(self._held) >= STEADY_READINGS:
+                site_id = self._site_ids[heard.touched]
+                raise CalibrationRefusedError(
+                    f"baseline: site {site_id} is touched; take everything off the plate and begin again"
+                )
+        else:
+            self._held.clear()
+        self._complaint = _missing(heard, PILOT, "the pilot")
+        if len(self._quiet) * READING_S >= BASELINE_S:
+            self._keep_quiet()
+            self._begin()
+            yield News("untouched", None, f"untouched plate captured for {BASELINE_S:g} s")
+            yield from self._ask()
+
+    def _await_release(self, heard: Heard) -> Iterator[News]:
+        self._complaint = "the last load was not taken away" if heard.touched is not None else ""
+        self._complaint = self._complaint or _missing(heard, PILOT, "the pilot")
+        if len(self._quiet) >= CLEAR_READINGS:
+            self.released_s.append(self._quiet[0].time_s - READING_S)
+            self._begin()
+            yield from self._ask()
+
+    def _begin(self) -> None:
+        """Start to wait for a load on the untouched plate."""
+        self._keep_quiet()
+        self._phase = "load" if self._steps else "done"
+        self._captured_newton = self._since_s = self._placed_s = None
+        self._held.clear()
+        self._said.clear()
+
+    def _keep_quiet(self) -> None:
+        """Note the common mode of the untouched readings so far, as one point."""
+        if self._quiet:
+            self.untouched.times_s.append(float(np.mean([heard.time_s for heard in self._quiet])))
+            self.untouched.common_mode.append(np.mean([heard.pilot_shift for heard in self._quiet], axis=0))
+            if site_shift := [heard.site_shift for heard in self._quiet if heard.site_shift is not None]:
+                self.untouched.site_shift.append(np.mean(site_shift, axis=0))
+            self._quiet = []
+
+    def _ask(self) -> Iterator[News]:
+        if not self._steps:
+            return
+        step = self._steps[0]
+        warm = f"bring the plate to {step.kelvin:g} K, then " if step.at_temperature else ""
+        replace = " in place of the last mass, without releasing it" if step.continues else ""
+        yield News("place", step, f"{warm}place {step.load}{replace}")
+
+    def _await_load(self, heard: Heard, step: Step) -> Iterator[News]:
+        site = self._site_ids.index(step.site_id)
+        if heard.untouched:
+            self._hear_nothing(step)
+            return
+        if any(tone != site for tone in heard.tone):
+            self._held.clear()
+            yield from self._complain(heard, site, step)
+            return
+        if self._captured_newton is None and self._placed_s is None:
+            self._placed_s = heard.time_s - READING_S / 2
+        self._held.append(heard)
+        if len(self._held) < STEADY_READINGS:
+            return
+        force = self._forces(site)
+        if not self._steady(force, heard, site, step):
+            began = len(self._held) > STEADY_READINGS
+            while len(self._held) >= STEADY_READINGS:
+                self._held.popleft()
+            self._complaint = "the load does not stand still"
+            if began:
+                yield from self._say("unsteady", step, f"site {step.site_id}: the load moved; hold it still")
+            return
+        if self._captured_newton is not None and not self._changed(
+            float(np.median(force)) - self._captured_newton, step
+        ):
+            self._held.popleft()
+            self._complaint = "the mass was not changed"
+            return
+        if len(self._held) * READING_S >= step.hold_s - 1e-9:
+            yield from self._capture(step, float(np.mean(force)))
+
+    def _steady(self, force: Floats, heard: Heard, site: int, step: Step) -> bool:
+        """Whether the first forces held agree with each other, and the last one with all."""
+        sigma = math.sqrt(heard.oscillator_std**2 + float(np.mean(heard.std**2)) / len(heard.std))
+        noise_newton = sigma / float(np.abs(self._sensitivity[site]).mean())
+        tolerance = STEADY_SHARE * step.force_newton + STEADY_SIGMAS * noise_newton
+        spread = max(np.ptp(force[:STEADY_READINGS]), abs(force[-1] - np.median(force)))
+        return bool(spread <= tolerance)
+
+    def _forces(self, site: int) -> Floats:
+        shift = np.array([heard.shift for heard in self._held])
+        return self.force_newton(site, shift, self.untouched.common_mode[-1])
+
+    def _hear_nothing(self, step: Step) -> None:
+        """Untouched while a load is awaited."""
+        if self._captured_newton is not None:
+            raise CalibrationRefusedError(
+                f"step {step.number} ({step.load}): site {step.site_id} was released within its series of loads; "
+                "begin again, and change masses while the site stays loaded"
+            )
+        self._held.clear()
+        self._placed_s = None
+        if len(self._quiet) * READING_S >= BASELINE_S:
+            self._keep_quiet()
+        self._complaint = "nothing was placed"
+
+    def _changed(self, change_newton: float, step: Step) -> bool:
+        """Whether at least half of the step from the mass before has come."""
+        return abs(change_newton) > 0.5 * abs(step.force_newton - self.loadings[step.number - 1].step.force_newton)
+
+    def _capture(self, step: Step, force_newton: float) -> Iterator[News]:
+        held = list(self._held)
+        site_shift = [heard.site_shift for heard in held if heard.site_shift is not None]
+        self.loadings[step.number] = Loading(
+            step,
+            self._site_ids.index(step.site_id),
+            self._placed_s if self._placed_s is not None else held[0].time_s - READING_S / 2,
+            np.array([heard.time_s for heard in held]),
+            np.array([heard.shift for heard in held]),
+            np.array([heard.std for heard in held]),
+            held[0].oscillator_std,
+            np.mean(site_shift, axis=0) if site_shift else None,
+        )
+        self._captured_newton, self._placed_s = force_newton, None
+        self._steps.popleft()
+        self._held.clear()
+        self._said.clear()
+        self._since_s = None
+        off = force_newton - step.force_newton
+        text = (
+            f"{step.load} captured: {force_newton:.4g} N by the plate file, {off:+.3g} N from {step.force_newton:.4g} N"
+        )
+        yield News("captured", step, text)
+        if self._steps and self._steps[0].continues:
+            yield from self._ask()
+        else:
+            self._phase = "release"
+            yield News("remove", step, f"take everything off site {step.site_id}")
+
+    def _complain(self, heard: Heard, site: int, step: Step) -> Iterator[News]:
+        touched = heard.touched
+        if touched is not None and touched != site:
+            other = self._site_ids[touched]
+            self._complaint = f"site {other} carries a load, not site {step.site_id}"
+            yield from self._say("wrong_site", step, f"{self._complaint}; place {step.load}")
+        else:
+            self._complaint = _missing(heard, site, f"site {step.site_id}")
+
+    def _say(self, kind: Kind, step: Step, text: str) -> Iterator[News]:
+        """Say each sentence once in a step."""
+        if text not in self._said:
+            self._said.add(text)
+            yield News(kind, step, text)
+
+    def _overdue(self) -> str:
+        where = f"step {self._steps[0].number} ({self._steps[0].load})" if self.step else "baseline"
+        return f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {self._complaint or 'nothing is heard'}"
+
+
+def _missing(heard: Heard, wanted: int, name: str) -> str:
+    """Say for each channel that does not hear what is wanted what it hears instead."""
+    return ", ".join(
+        f"channel {channel} {_instead(tone, fault)} instead of {name}"
+        for channel, (tone, fault) in enumerate(zip(heard.tone, heard.faults, strict=True))
+        if tone != wanted
+    )
+
+
+def _instead(tone: int, fault: str) -> str:
+    if tone == NOTHING:
+        return f"hears nothing ({fault})"
+    return "hears the pilot" if tone == PILOT else "hears another site"

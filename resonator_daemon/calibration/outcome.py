@@ -1,0 +1,233 @@
+"""From what was captured to what the plate file will say, and what speaks against it."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from datetime import date, timedelta
+from typing import Any, Final
+
+import numpy as np
+
+from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
+from resonator_daemon.calibration.creep_seen import creep_share
+from resonator_daemon.calibration.guide import Guide, Loading
+from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_history, readings_of, steps_of
+from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
+from resonator_daemon.calibration.site_codes import site_codes
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
+from resonator_daemon.measurement.calibration_fit import CalibrationFit, fit_calibration
+from resonator_daemon.measurement.force import FloatArray
+from resonator_daemon.measurement.site_response import SiteResponse
+from resonator_daemon.measurement.temperature_fit import fit_temperature
+from resonator_daemon.plate import Plate
+
+KELVIN_MARGIN: Final = 5.0  # on either side of the temperatures of a calibration
+MODEL_ERROR_MIN: Final = 1e-3  # fewer loads than thousands cannot vouch for less
+MODEL_ERROR_KNOWN: Final = 0.3  # relative standard deviation up to which the scatter found is taken
+BAD_SHARE: Final = 0.005  # of the load: what a bad loading is off by, at least
+BAD_NEWTON: Final = 2e-3
+USUAL_CUT: Final = np.array([0.0, -0.5e-9, 1.08e-10])  # of AT quartz: a depends on the angle of cut, b and c little
+USUAL_CUT_STD: Final = np.array([1e-6, 1e-9, 1e-11])
+SMALLEST_MASS_STD: Final = 1e-9  # stands for exact masses
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A fit of all loads, with the steps that it doubts."""
+
+    fit: CalibrationFit
+    doubtful: tuple[Step, ...]
+    swapped: tuple[Step, Step] | None
+    residual_newton: dict[int, float]  # by number of the step
+    creep_share: float  # of a force, by which sites would creep further; NaN where no load came from zero
+
+
+def fit_loadings(
+    plate: Plate,
+    wanted: Wanted,
+    guide: Guide,
+    loadings: Sequence[Loading],
+    *,
+    with_response: bool,
+    untouched_hz: FloatArray | None = None,
+) -> Outcome:
+    """Fit loads of any of the sites, those of a temperature sweep aside.
+
+    `untouched_hz` (sites, 4) are the frequencies by which shifts go, where the plate was heard untouched.
+    """
+    used = [loading for loading in loadings if not loading.step.at_temperature]
+    codes = site_codes(plate)
+    masses_kg = np.array(wanted.masses_kg)
+    changes = load_history(guide, used)
+    fit = fit_calibration(
+        codes.f0_hz if untouched_hz is None else untouched_hz,
+        codes.sensitivity,
+        masses_kg * STANDARD_GRAVITY,
+        np.full(len(masses_kg), max(wanted.mass_std, SMALLEST_MASS_STD)),
+        steps_of(changes, wanted),
+        readings_of(changes, guide),
+        with_response=with_response,
+    )
+
+    def step(row: int) -> Step:
+        load = changes[row].loading
+        if load is None:
+            raise ValueError(f"row {row} of the fit is no load")
+        return load.step
+
+    rows = [(row, change.loading.step.number) for row, change in enumerate(changes) if change.loading is not None]
+    residual_newton = {number: float(fit.residual_newton[row]) for row, number in rows}
+    doubtful = [step(row) for row in fit.doubtful_steps]
+    return Outcome(
+        fit,
+        # What is doubtful by so little is left out of the fit, and not worth another load.
+        tuple(bad for bad in doubtful if abs(residual_newton[bad.number]) > BAD_NEWTON + BAD_SHARE * bad.force_newton),
+        None if fit.swapped_steps is None else (step(fit.swapped_steps[0]), step(fit.swapped_steps[1])),
+        residual_newton,
+        creep_share(guide, [load for load in used if not load.step.continues], fit),
+    )
+
+
+def make_record(
+    plate: Plate,
+    wanted: Wanted,
+    guide: Guide,
+    outcome: Outcome,
+    *,
+    calibration_id: str,
+    unit: str,
+    today: date,
+    valid_days: int,
+    untouched_hz: FloatArray | None = None,
+) -> Record:
+    """Return what goes into the plate file; `untouched_hz` (sites, 4) where the untouched plate gave f0."""
+    fit = outcome.fit
+    codes = site_codes(plate)
+    kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
+    creep = 0.0 if fit.response is not None else outcome.creep_share
+    found = _fit_temperature(plate, wanted, guide, fit, kelvin)
+    coefficients = codes.temperature_coefficients.copy()
+    if found is not None:
+        coefficients[fit.site] = found
+    held_at = 1 + _temperature_shift(coefficients, kelvin - plate.thermal.reference_kelvin)[:, None]
+    f0_hz = (codes.f0_hz if untouched_hz is None else untouched_hz) / held_at
+    if untouched_hz is None:
+        f0_hz[fit.site] = fit.f0_hz / held_at[fit.site]
+    sensitivity = codes.sensitivity.copy()
+    sensitivity[fit.site] = fit.sensitivity
+    sites = []
+    for row, site in enumerate(fit.site.tolist()):
+        sites.append(
+            SiteRecord(
+                int(plate.site_ids[site]),
+                tuple(f0_hz[site].tolist()),
+                tuple(fit.sensitivity[row].tolist()),
+                math.hypot(fit.site_residual_newton[row], creep * fit.force_range_newton[1]),
+                None if found is None else tuple(found[row].tolist()),
+            )
+        )
+    kelvins = [kelvin, *wanted.temperatures_kelvin]
+    return Record(
+        id=calibration_id,
+        date=today,
+        unit=unit,
+        temperature_kelvin=kelvin,
+        model_error=_model_error(plate, fit),
+        sensitivity_std=min(0.5, math.hypot(creep, np.sqrt(np.mean((fit.sensitivity_std / fit.sensitivity) ** 2)))),
+        force_newton=(0.0, fit.force_range_newton[1]),
+        kelvin=(min(kelvins) - KELVIN_MARGIN, max(kelvins) + KELVIN_MARGIN),
+        expiry=today + timedelta(days=valid_days),
+        sites=tuple(sites),
+        response=None if fit.response is None else _response(fit.response),
+        untouched=tuple(
+            UntouchedSite(site_id, tuple(f0))
+            for site_id, f0 in zip(plate.site_ids.tolist(), f0_hz.tolist(), strict=True)
+            if untouched_hz is not None
+        ),
+        coupling=() if untouched_hz is None else find_coupling(plate, guide, _loads(guide, outcome), sensitivity),
+    )
+
+
+def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> list[str]:
+    """Return sentences on what the record does not hold or holds with less weight."""
+    loaded = {site.site_id for site in record.sites}
+    found = []
+    if kept := [str(site_id) for site_id in plate.site_ids.tolist() if site_id not in loaded]:
+        values = "sensitivities" if record.untouched else "values"
+        found.append(f"not loaded, {values} kept: sites {', '.join(kept)}")
+    if not record.untouched and np.isnan(outcome.fit.f0_std).any():
+        found.append("one mass alone does not tell f0: it was kept where a site had no other")
+    if len(wanted.masses_kg) * wanted.repeats < 3:
+        found.append("two loads or fewer of a site always fit: residuals tell nothing")
+    if record.model_error != outcome.fit.model_error:
+        found.append(f"model_error {record.model_error:.3g} stays: the loads are too few, or too good, to tell another")
+    if record.response is None:
+        found.append(
+            f"hysteresis and creep were not fitted (--response): at the pace of the holds sites may creep by "
+            f"{100 * outcome.creep_share:.2g} % more, which is in sensitivity_std and residuals; loads from zero do "
+            "not show hysteresis, and nothing here holds it"
+        )
+    if sentence := compare_with_width(plate, record.coupling):
+        found.append(sentence)
+    if wanted.kelvin is None:
+        found.append(f"temperature not given (--kelvin): taken as {record.temperature_kelvin:g} K")
+    return found
+
+
+def as_json(record: Record) -> dict[str, Any]:
+    """Return the record in SI units, dates as text."""
+    return asdict(record) | {"date": record.date.isoformat(), "expiry": record.expiry.isoformat()}
+
+
+def _fit_temperature(
+    plate: Plate, wanted: Wanted, guide: Guide, fit: CalibrationFit, kelvin: float
+) -> FloatArray | None:
+    """Coefficients (s, 3) from the heaviest mass at each temperature; None where there was no sweep."""
+    if not wanted.temperatures_kelvin:
+        return None
+    kelvins = np.array([kelvin, *wanted.temperatures_kelvin])
+    shift = np.empty((len(kelvins), len(fit.site)))
+    for column, site in enumerate(fit.site.tolist()):
+        site_id = int(plate.site_ids[site])
+        for row, warmth in enumerate(kelvins):
+            loads = [
+                load
+                for load in guide.loadings.values()
+                if (load.step.site_id, load.step.kelvin, load.step.mass_kg) == (site_id, warmth, wanted.masses_kg[-1])
+            ]
+            shift[row, column] = np.mean([load.without_common_mode(guide.untouched).mean() for load in loads])
+    touch = _model_error(plate, fit) * np.abs(fit.sensitivity).mean(axis=1) * wanted.masses_kg[-1] * STANDARD_GRAVITY
+    # A load's scatter is independent from channel to channel.
+    std = np.hypot(COMMON_MODE_STD, touch / math.sqrt(fit.sensitivity.shape[1]))
+    found = fit_temperature(kelvins, shift, std, USUAL_CUT, USUAL_CUT_STD, plate.thermal.reference_kelvin)
+    return found.coefficient
+
+
+def _temperature_shift(coefficients: FloatArray, kelvin: float) -> FloatArray:
+    """Relative shift (m,) at a distance from the reference temperature; 0 where the plate file does not tell."""
+    shift: FloatArray = np.nan_to_num(coefficients) @ kelvin ** np.arange(1, 4)
+    return shift
+
+
+def _loads(guide: Guide, outcome: Outcome) -> list[Loading]:
+    """Return the loads that a fit used, but for slight doubts."""
+    doubtful = {step.number for step in outcome.doubtful}
+    loads = guide.loadings.values()
+    return [load for load in loads if not load.step.at_temperature and load.step.number not in doubtful]
+
+
+def _model_error(plate: Plate, fit: CalibrationFit) -> float:
+    if not fit.model_error_std < MODEL_ERROR_KNOWN * fit.model_error:
+        return plate.calibration.model_error
+    return min(max(fit.model_error, MODEL_ERROR_MIN), 0.5)
+
+
+def _response(response: SiteResponse) -> ResponseRecord:
+    spread = max(
+        response.hysteresis_std_newton / max(response.hysteresis_newton, 1e-9),
+        response.creep_fraction_std / max(response.creep_fraction, 1e-9),
+        response.creep_time_std_s / response.creep_time_s,
+    )
+    return ResponseRecord(
+        response.hysteresis_newton, response.creep_fraction, response.creep_time_s, min(max(spread, 0.01), 1.0)
+    )

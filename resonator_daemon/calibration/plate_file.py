@@ -1,0 +1,224 @@
+"""A calibration in the plate file: comments and layout stay, and the file is whole at any instant."""
+
+import datetime
+import hashlib
+import os
+import tempfile
+from dataclasses import dataclass
+from importlib.resources import files
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.items import Table
+
+from resonator_daemon.calibration.coupling import Felt
+from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
+from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
+from resonator_daemon.toml_file import read_toml
+
+
+@dataclass(frozen=True)
+class SiteRecord:
+    """What a calibration found of one site; by channel (4,)."""
+
+    site_id: int
+    f0_hz: tuple[float, ...]
+    sensitivity: tuple[float, ...]
+    residual_newton: float  # rms
+    temperature_coefficients: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class ResponseRecord:
+    """Hysteresis and creep of all sites."""
+
+    hysteresis_newton: float
+    creep_fraction: float
+    creep_time_s: float
+    relative_std: float
+
+
+@dataclass(frozen=True)
+class UntouchedSite:
+    """f0 by channel (4,) of a site that was heard untouched."""
+
+    site_id: int
+    f0_hz: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Record:
+    """Everything that goes into the plate file."""
+
+    id: str
+    date: datetime.date
+    unit: str
+    temperature_kelvin: float
+    model_error: float
+    sensitivity_std: float
+    force_newton: tuple[float, float]  # lowest and highest
+    kelvin: tuple[float, float]
+    expiry: datetime.date
+    sites: tuple[SiteRecord, ...]
+    response: ResponseRecord | None
+    untouched: tuple[UntouchedSite, ...] = ()  # all sites, of a plate that hears them untouched
+    coupling: tuple[Felt, ...] = ()
+
+
+@dataclass(frozen=True)
+class PlateFile:
+    """The plate file that a configuration names, and where a calibration of it goes."""
+
+    source: Path
+    output: Path
+
+    @classmethod
+    def of(cls, config_path: Path, output: Path | None) -> "PlateFile":
+        """Find the file.
+
+        Raises
+        ------
+        CalibrationUsageError
+            The plate came with the daemon and no output is named; the output cannot be written, or exists.
+        """
+        name = read_toml(config_path).content["plate"]
+        if name in shipped_plates():
+            source = Path(str(files("resonator_daemon.plates") / f"{name}.toml"))
+            if output is None:
+                sentence = f"plate {name!r} came with the daemon and is not overwritten; name a new plate file"
+                raise CalibrationUsageError(f"--output: {sentence}, as --output {name}-calibrated.toml")
+        else:
+            source = config_path.parent / name
+        target = source if output is None else output
+        if target.exists() and not source.samefile(target):
+            raise CalibrationUsageError(f"--output: {target} exists already; name a new file")
+        directory = target.resolve().parent
+        if not directory.is_dir() or not os.access(directory, os.W_OK):
+            raise CalibrationUsageError(f"{target}: {directory} is no directory that can be written to")
+        return cls(source, target)
+
+    @property
+    def digest(self) -> str:
+        """Tells whether the source has changed."""
+        return hashlib.sha256(self.source.read_bytes()).hexdigest()
+
+
+def with_record(text: str, record: Record) -> str:
+    """Return the text of a plate file with the record in it; sites that were not loaded keep their values."""
+    document = tomlkit.parse(text)
+    found = {site.site_id: site for site in record.sites}
+    heard = {site.site_id: site for site in record.untouched}
+    tables: Any = document["sites"]
+    for table in tables:
+        if (untouched := heard.get(int(table["id"]))) is not None:
+            _force_tone(table)["f0_hz"] = [round(value, 4) for value in untouched.f0_hz]
+        if (site := found.get(int(table["id"]))) is not None:
+            _set_site(table, site)
+    if record.response is not None:
+        response = _table(document, "response")
+        for key, value in vars(record.response).items():
+            response[key] = _rounded(value)
+    _set_calibration(_table(document, "calibration"), record)
+    return tomlkit.dumps(document)
+
+
+def write_plate_file(text: str, target: Path) -> None:
+    """Check a plate file as the daemon would, then put it in place at once.
+
+    Raises
+    ------
+    ConfigError
+        The text is no plate file that can be used; nothing was written.
+    """
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8", newline="") as checked:
+        checked.write(text)
+        checked.flush()
+        load_plate(checked.name)
+    target = target.resolve()  # a link stays a link
+    fresh = _fresh(target)
+    try:
+        with fresh.open("w", encoding="utf-8", newline="") as stream:
+            if target.exists():
+                os.fchmod(stream.fileno(), target.stat().st_mode & 0o7777)
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(fresh, target)
+    except OSError as error:
+        fresh.unlink(missing_ok=True)
+        raise CalibrationRefusedError(f"{target}: cannot be written ({error.strerror}); it is as before") from None
+    directory = os.open(target.parent, os.O_RDONLY)
+    try:
+        os.fsync(directory)
+    finally:
+        os.close(directory)
+
+
+def remove_remains(target: Path) -> None:
+    """Remove what a write that was killed has left beside the plate file."""
+    _fresh(target.resolve()).unlink(missing_ok=True)
+
+
+def _fresh(target: Path) -> Path:
+    return target.with_name(f".{target.name}.new")
+
+
+def _set_site(table: Any, site: SiteRecord) -> None:
+    tone = _force_tone(table)
+    tone["f0_hz"] = [round(value, 4) for value in site.f0_hz]
+    tone["sensitivity"] = [_rounded(value) for value in site.sensitivity]
+    if site.temperature_coefficients is not None:
+        tone["temperature_coefficients"] = [_rounded(value) for value in site.temperature_coefficients]
+
+
+def _force_tone(table: Any) -> Any:
+    return next(tone for tone in table["tones"] if tone["signal"] == FORCE_SIGNAL)
+
+
+def _set_calibration(table: Any, record: Record) -> None:
+    values: dict[str, Any] = {
+        "id": record.id,
+        "date": record.date,
+        "unit": record.unit,
+        "temperature_kelvin": record.temperature_kelvin,
+        "model_error": _rounded(record.model_error),
+        "sensitivity_std": _rounded(record.sensitivity_std),
+        "sites": [site.site_id for site in record.sites],
+        "residuals": [_rounded(site.residual_newton) for site in record.sites],
+        "expiry": record.expiry,
+    }
+    for key, value in values.items():
+        table[key] = value
+    table["residuals"].comment("newton rms, of these sites")
+    if record.coupling:
+        table["coupling"] = _coupling(record.coupling)
+    validity = tomlkit.inline_table()
+    validity["force_newton"] = [_rounded(value) for value in record.force_newton]
+    validity["kelvin"] = [_rounded(value) for value in record.kelvin]
+    table["validity"] = validity
+
+
+def _coupling(felt: tuple[Felt, ...]) -> Any:
+    """One line for each site that was pressed."""
+    lines = tomlkit.array()
+    for pressed, others in groupby(felt, key=lambda pair: pair.pressed):
+        for number, pair in enumerate(others):
+            line = tomlkit.inline_table()
+            line.update({"pressed": pressed, "heard": pair.heard, "ratio": float(f"{pair.ratio:.3g}")})
+            lines.add_line(line, indent="" if number else "    ", newline=not number)
+    lines.add_line(indent="")
+    return lines
+
+
+def _table(document: tomlkit.TOMLDocument, name: str) -> Table:
+    if name not in document:
+        document.add(tomlkit.nl())
+        document.add(name, tomlkit.table())
+    table: Any = document[name]
+    return table  # type: ignore[no-any-return]
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.7g}")

@@ -1,0 +1,319 @@
+"""`resonatord calibrate`: opens the board's link, leads through the steps, stages the result, accepts or aborts it."""
+
+import json
+import math
+import secrets
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.acquisition.fit import oscillator_hz
+from resonator_daemon.acquisition.frames import BoardOnline, SingleToneFrame
+from resonator_daemon.calibration.board_frames import FromBoard, board_frames
+from resonator_daemon.calibration.comb_hearing import CombEar
+from resonator_daemon.calibration.guide import Guide, Loading, News
+from resonator_daemon.calibration.hearing import Ear, Floats, Heard
+from resonator_daemon.calibration.outcome import Outcome, as_json, fit_loadings, make_record, notes
+from resonator_daemon.calibration.plate_file import PlateFile, remove_remains, with_record, write_plate_file
+from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
+from resonator_daemon.calibration.session import Recording, Session
+from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
+from resonator_daemon.config import Config, load_config
+from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.plate import FORCE_SIGNAL
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What becomes of the result, and how it is told."""
+
+    accept: bool
+    output: Path | None
+    valid_days: int
+    timeout_s: float
+    as_json: bool
+
+
+def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
+    """Calibrate a force plate with known masses.
+
+    Raises
+    ------
+    OperatorError
+        What was asked for, the link, the plate or its loads do not allow it; the plate file is as before.
+    """
+    config = load_config(config_path)
+    if FORCE_SIGNAL not in config.plate.signals:
+        raise ConfigError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
+    steps = plan_steps(wanted, config.plate)
+    file = PlateFile.of(config_path, ending.output)
+    session = Session(config_path)
+    if session.staged() is not None:
+        raise CalibrationUsageError(
+            f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort"
+        )
+    remove_remains(file.output)
+    return _Calibration(config, wanted, ending, steps, file, session).run()
+
+
+def accept_staged(config_path: Path, *, as_json: bool) -> ExitCode:
+    """Put a staged calibration into the plate file."""
+    session = Session(config_path)
+    _accept(session, session.staged_or_refuse(), _Teller(as_json))
+    return ExitCode.DONE
+
+
+def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
+    """Forget what is staged, or was left by an interrupted calibration."""
+    session = Session(config_path)
+    staged = session.staged()
+    if staged is not None:
+        remove_remains(Path(staged["output"]))
+    session.discard()
+    _Teller(as_json).object({"result": "aborted", "staged": staged is not None}, "aborted; the plate file is as before")
+    return ExitCode.DONE
+
+
+class _Teller:
+    """Text for people on stderr, objects for programs on stdout."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+
+    def text(self, line: str) -> None:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+    def object(self, value: dict[str, Any], line: str) -> None:
+        self.text(line)
+        if self._as_json:
+            sys.stdout.write(json.dumps(value) + "\n")
+            sys.stdout.flush()
+
+
+class _Calibration:
+    """One calibration from the first frame to its result."""
+
+    def __init__(
+        self,
+        config: Config,
+        wanted: Wanted,
+        ending: Ending,
+        steps: tuple[Step, ...],
+        file: PlateFile,
+        session: Session,
+    ) -> None:
+        self._config, self._wanted, self._ending = config, wanted, ending
+        self._steps, self._file, self._session = steps, file, session
+        self._guide = Guide(config.plate, steps, ending.timeout_s)
+        self._ear: Ear | CombEar | None = None
+        self._teller = _Teller(ending.as_json)
+        self._unit = ""
+        self._repeated: set[int] = set()
+
+    def run(self) -> ExitCode:
+        try:
+            with self._session.recording() as recording:
+                begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._wanted)}
+                recording.write("begun", begun)
+                self._teller.text(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
+                outcome = self._capture(recording)
+                staged = self._stage(outcome)
+                recording.write("staged", staged)
+        except KeyboardInterrupt:
+            self._session.discard()
+            self._teller.object({"result": "aborted"}, "aborted; the plate file is as before")
+            return ExitCode.FAILED
+        except BaseException:
+            self._session.discard()
+            raise
+        return self._finish(staged)
+
+    def _capture(self, recording: Recording) -> Outcome:
+        """Lead through all steps; a load that contradicts the others is asked for once more."""
+        outcome: Outcome | None = None
+        with board_frames(self._config, self._ending.timeout_s) as arrivals:
+            for arrival in arrivals:
+                heard = self._hear(arrival)
+                if heard is None:
+                    continue
+                for news in self._guide.push(heard):
+                    self._tell(news, recording)
+                if self._guide.done:
+                    outcome = self._judge(recording)
+                    if self._guide.done:
+                        break
+        if outcome is None:
+            raise CalibrationRefusedError("the link ended before the calibration did")
+        return outcome
+
+    def _hear(self, arrival: FromBoard) -> Heard | None:
+        if isinstance(arrival, BoardOnline):
+            self._unit = arrival.identity.serial_number
+            if self._ear is None:
+                plate = self._config.plate
+                single = plate.counter.kind == "single-tone"
+                self._ear = Ear(plate) if single else CombEar(plate, oscillator_hz(arrival.description))
+            return None
+        if isinstance(arrival, SingleToneFrame):
+            return self._ear.push(arrival.index, arrival.records) if isinstance(self._ear, Ear) else None
+        if not isinstance(self._ear, CombEar):
+            return None
+        return self._ear.push(
+            arrival.index, arrival.phase_turn32, arrival.offset_hz16, arrival.sigma_code, arrival.known
+        )
+
+    @property
+    def _untouched_hz(self) -> Floats | None:
+        return self._ear.f0_hz if isinstance(self._ear, CombEar) else None
+
+    def _fit(self, loads: list[Loading], *, with_response: bool) -> Outcome:
+        return fit_loadings(
+            self._config.plate,
+            self._wanted,
+            self._guide,
+            loads,
+            with_response=with_response,
+            untouched_hz=self._untouched_hz,
+        )
+
+    def _tell(self, news: News, recording: Recording) -> None:
+        step = news.step
+        value: dict[str, Any] = {"event": news.kind, "step": step.number if step else 0, "steps": len(self._steps)}
+        if step is not None:
+            value |= {"site": step.site_id, "mass_kg": step.mass_kg, "force_newton": step.force_newton}
+            value["kelvin"] = step.kelvin
+        text = news.text
+        if news.kind == "captured" and step is not None:
+            value["residual_newton"] = residual = self._residual_so_far(step)
+            text += "" if residual is None else f"; {1e3 * residual:+.2f} mN from the fit of this site so far"
+            recording.write("loading", self._captured(step))
+        place = f"[{step.number}/{len(self._steps)}] " if step else ""
+        self._teller.object(value | {"text": news.text}, f"{place}{text}")
+
+    def _captured(self, step: Step) -> dict[str, Any]:
+        loading = self._guide.loadings[step.number]
+        return {
+            **asdict(step),
+            "since_s": loading.since_s,
+            "times_s": loading.times_s.tolist(),
+            "shift": loading.shift.tolist(),
+            "std": loading.std.tolist(),
+            "common_mode": self._guide.untouched.at(float(loading.times_s.mean())).tolist(),
+        }
+
+    def _residual_so_far(self, step: Step) -> float | None:
+        loads = [load for load in self._guide.loadings.values() if load.step.site_id == step.site_id]
+        if len(loads) < 3 or step.at_temperature:
+            return None  # two always fit
+        residual = self._fit(loads, with_response=False).residual_newton[step.number]
+        return residual if math.isfinite(residual) else None
+
+    def _judge(self, recording: Recording) -> Outcome:
+        loads = list(self._guide.loadings.values())
+        outcome = self._fit(loads, with_response=self._wanted.response)
+        if outcome.swapped is not None:
+            first, second = outcome.swapped
+            raise CalibrationRefusedError(
+                f"steps {first.number} ({first.load}) and {second.number} ({second.load}): the masses were exchanged, "
+                "as what was read fits the other way round; begin again"
+            )
+        if outcome.doubtful:
+            self._repeat(outcome, recording)
+        return outcome
+
+    def _repeat(self, outcome: Outcome, recording: Recording) -> None:
+        """Ask once more for the loads that do not fit; the second time is one too many."""
+        numbers = {bad.number for bad in outcome.doubtful}
+        finding = "; ".join(
+            f"step {bad.number} ({bad.load}) does not fit the others: "
+            f"{1e3 * outcome.residual_newton[bad.number]:+.1f} mN off"
+            for bad in outcome.doubtful
+        )
+        if numbers & self._repeated or self._wanted.response:
+            raise CalibrationRefusedError(f"{finding}; check masses and places, and begin again")
+        self._repeated |= numbers
+        self._teller.text(f"{finding}; once more, please")
+        for news in self._guide.repeat(outcome.doubtful):
+            self._tell(news, recording)
+
+    def _stage(self, outcome: Outcome) -> dict[str, Any]:
+        plate = self._config.plate
+        record = make_record(
+            plate,
+            self._wanted,
+            self._guide,
+            outcome,
+            calibration_id=secrets.token_hex(8),
+            unit=self._unit,
+            today=datetime.now(UTC).date(),
+            valid_days=self._ending.valid_days,
+            untouched_hz=self._untouched_hz,
+        )
+        text = with_record(self._file.source.read_text(encoding="utf-8"), record)
+        return {
+            "id": record.id,
+            "source": str(self._file.source.resolve()),
+            "sha256": self._file.digest,
+            "output": str(self._file.output.resolve()),
+            "record": as_json(record),
+            "notes": notes(plate, self._wanted, outcome, record),
+            "plate_file": text,
+        }
+
+    def _finish(self, staged: dict[str, Any]) -> ExitCode:
+        for line in [*_summary(staged["record"]), *(f"note: {note}" for note in staged["notes"])]:
+            self._teller.text(line)
+        if self._ending.accept or (sys.stdin.isatty() and _asked("accept? [y/N] ")):
+            _accept(self._session, staged, self._teller)
+        else:
+            self._teller.object(
+                _result("staged", staged),
+                f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort",
+            )
+        return ExitCode.DONE
+
+
+def _accept(session: Session, staged: dict[str, Any], teller: _Teller) -> None:
+    source, output = Path(staged["source"]), Path(staged["output"])
+    if PlateFile(source, output).digest != staged["sha256"]:
+        raise CalibrationRefusedError(f"{source} has changed since it was calibrated; --abort, and calibrate again")
+    write_plate_file(staged["plate_file"], output)
+    session.archive(staged["id"])
+    line = f"accepted: {output} holds calibration {staged['id']}"
+    if source != output:
+        line += f'; set plate = "{output}" in the configuration'
+    teller.object(_result("accepted", staged), line)
+
+
+def _result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
+    kept = {key: staged[key] for key in ("id", "output", "record", "notes")}
+    return {"result": word, **kept}
+
+
+def _summary(record: dict[str, Any]) -> Iterator[str]:
+    for site in record["sites"]:
+        sensitivity = ", ".join(f"{value:.4g}" for value in site["sensitivity"])
+        yield f"site {site['site_id']}: K = {sensitivity} 1/N; residual {1e3 * site['residual_newton']:.2f} mN rms"
+    yield (
+        f"model error {100 * record['model_error']:.2g} %, K known to {100 * record['sensitivity_std']:.2g} %, "
+        f"valid to {record['force_newton'][1]:.3g} N, {record['kelvin'][0]:g} to {record['kelvin'][1]:g} K, "
+        f"until {record['expiry']}"
+    )
+    if (response := record["response"]) is not None:
+        yield (
+            f"hysteresis {1e3 * response['hysteresis_newton']:.1f} mN, creep {100 * response['creep_fraction']:.2g} % "
+            f"in {response['creep_time_s']:.3g} s"
+        )
+
+
+def _asked(question: str) -> bool:
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    try:
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+    except KeyboardInterrupt:  # no answer is no consent, and no reason to lose what was captured
+        return False

@@ -1,0 +1,81 @@
+"""The session file: everything that a calibration captured, in the user's state directory until it is accepted."""
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.errors import OperatorError
+
+
+def sessions_directory() -> Path:
+    """Return where sessions are kept: below $XDG_STATE_HOME, else ~/.local/state."""
+    state = os.environ.get("XDG_STATE_HOME", "")
+    home = Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state"
+    return home / "resonatord" / "calibrations"
+
+
+class Session:
+    """One calibration of one configuration: a line of JSON for each thing captured, the staged result last."""
+
+    def __init__(self, config_path: Path) -> None:
+        """Name the session after the configuration, which has one at a time; nothing is read or written yet."""
+        resolved = config_path.resolve()
+        digest = hashlib.sha256(str(resolved).encode()).hexdigest()[:8]
+        self.path = sessions_directory() / f"{resolved.stem}-{digest}.jsonl"
+
+    @contextmanager
+    def recording(self) -> Iterator["Recording"]:
+        """Begin anew, over what an interrupted calibration left."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            stream = self.path.open("w", encoding="utf-8", buffering=1)
+        except OSError as error:
+            raise OperatorError(f"{self.path}: cannot be written ({error.strerror}); set XDG_STATE_HOME") from None
+        with stream:
+            yield Recording(stream)
+
+    def staged(self) -> dict[str, Any] | None:
+        """Return the result that waits to be accepted, None where there is none."""
+        try:
+            last = self.path.read_text(encoding="utf-8").rstrip("\n").rpartition("\n")[2]
+        except FileNotFoundError:
+            return None
+        try:
+            result = json.loads(last).get("staged")
+        except (ValueError, AttributeError):  # the end of an interrupted one
+            return None
+        return result if isinstance(result, dict) else None
+
+    def staged_or_refuse(self) -> dict[str, Any]:
+        """Return the result that waits; CalibrationRefusedError where there is none."""
+        if (result := self.staged()) is None:
+            raise CalibrationRefusedError(f"no calibration of this configuration is staged ({self.path})")
+        return result
+
+    def archive(self, calibration_id: str) -> Path:
+        """Keep what was captured under the calibration's id."""
+        kept = self.path.with_name(f"{calibration_id}.jsonl")
+        os.replace(self.path, kept)
+        return kept
+
+    def discard(self) -> None:
+        """Forget everything."""
+        self.path.unlink(missing_ok=True)
+
+
+class Recording:
+    """The open session file."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, kind: str, content: Any) -> None:
+        """Append one line; on the disk when this returns."""
+        self._stream.write(json.dumps({kind: content}) + "\n")
+        self._stream.flush()
+        os.fsync(self._stream.fileno())

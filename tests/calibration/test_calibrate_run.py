@@ -1,0 +1,312 @@
+"""`resonatord calibrate` as a process on an emulated board: stages, accepts, aborts, and what a kill leaves behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, true_text
+from emulation import emulated
+
+from resonator_daemon.acquisition.serial_link import open_serial
+from resonator_daemon.calibration.steps import STANDARD_GRAVITY
+from resonator_daemon.cli import main
+from resonator_daemon.config import SerialLink
+from resonator_daemon.plate import load_plate
+from simulators.emulator import EmulatorOptions
+
+MASSES = (0.1, 0.3, 0.5)
+SPEED = 10.0
+TIMEOUT_S = 60
+LOADS = ("--sites", "7", "--masses-grams", "100,300,500", "--hold-s", "0.3")
+
+
+class Desk:
+    """A folder with a configuration, its plate file, a board, and a state directory beside."""
+
+    def __init__(self, folder: Path, nominal: str | None = None) -> None:
+        nominal = nominal or nominal_text()
+        self.folder = folder / "desk"
+        self.folder.mkdir()
+        self.state = folder / "state"
+        self.port = folder / "board"
+        self.true = folder / "true.toml"
+        self.true.write_text(true_text(nominal))
+        self.plate = self.folder / "plate.toml"
+        self.plate.write_text(nominal)
+        self.config = self.folder / "board.toml"
+        self.config.write_text(
+            f'plate = "plate.toml"\nlink = "serial:{self.port}?baud=4000000"\n[measurement]\nstep_ms = 10\n'
+        )
+        self.touches = Touches()
+
+    def loads(self) -> None:
+        for mass_kg in MASSES:
+            self.touches.load(7, mass_kg, 0.3)
+
+    @contextmanager
+    def board(self) -> Iterator[None]:
+        scenario = self.touches.write(self.folder.parent)
+        with emulated(EmulatorOptions(str(self.true), pty=self.port, scenario=scenario, speed=SPEED)):
+            yield
+
+    def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
+        command = [sys.executable, "-m", "resonator_daemon.cli", "calibrate", "--config", str(self.config), "--json"]
+        return subprocess.Popen(
+            [*command, *arguments],
+            env=os.environ | {"XDG_STATE_HOME": str(self.state)},
+            stdin=stdin,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+
+    def run(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> tuple[int, list[dict[str, Any]], str]:
+        """Calibrate in a process of its own."""
+        process = self.start(*arguments, stdin=stdin)
+        try:
+            said, told = process.communicate(timeout=TIMEOUT_S)
+        finally:
+            process.kill()
+        assert "Traceback" not in told, told
+        return process.returncode, [json.loads(line) for line in said.splitlines()], told
+
+    def say(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[dict[str, Any]], str]:
+        """Do in this process what needs no board."""
+        capsys.readouterr()
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("XDG_STATE_HOME", str(self.state))
+            try:
+                code = main(["calibrate", "--config", str(self.config), "--json", *arguments])
+            except SystemExit as usage:
+                code = int(usage.code or 0)
+        said, told = capsys.readouterr()
+        return code, [json.loads(line) for line in said.splitlines()], told
+
+    def tree(self) -> dict[str, bytes]:
+        return {str(path.relative_to(self.folder)): path.read_bytes() for path in self.folder.rglob("*")}
+
+    def sessions(self) -> list[str]:
+        return sorted(path.name for path in self.state.rglob("*.jsonl"))
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def sensitivity_error(desk: Desk) -> float:
+    found = load_plate(str(desk.plate)).tones.sensitivity[6]
+    return float(np.abs(found / TRUE.tones.sensitivity[6] - 1).max())
+
+
+def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk) -> None:
+    desk.loads()
+    with desk.board():
+        code, said, told = desk.run(*LOADS, "--accept", "--kelvin", "297.5")
+    assert code == 0, told
+    assert [line["event"] for line in said[:-1]] == ["untouched"] + 3 * ["place", "captured", "remove"]
+    assert said[2]["force_newton"] == pytest.approx(0.1 * STANDARD_GRAVITY)
+    assert [line["residual_newton"] is None for line in said if line.get("event") == "captured"] == [True, True, False]
+    result = said[-1]
+    assert result["result"] == "accepted"
+    calibration = load_plate(str(desk.plate)).calibration
+    assert (calibration.id, calibration.unit) == (result["id"], "EMU-0001")
+    assert calibration.temperature_kelvin == 297.5
+    assert sensitivity_error(desk) < 3e-3
+    assert "place 300 g on site 7" in told
+    assert "mN from the fit of this site so far" in told
+    assert desk.sessions() == [f"{result['id']}.jsonl"]  # what was captured stays, under the calibration's id
+    assert sorted(os.listdir(desk.folder)) == ["board.toml", "plate.toml"]
+
+
+def test_a_channelised_plate_is_calibrated_likewise(tmp_path: Path) -> None:
+    desk = Desk(tmp_path, comb_text())
+    before = desk.plate.read_text()
+    desk.config.write_text(desk.config.read_text().replace("step_ms = 10", "step_ms = 20\nwindow_ms = 20"))
+    desk.touches.seconds = 4.0
+    for mass_kg in MASSES:
+        desk.touches.load(7, mass_kg, 0.8)
+    with desk.board():
+        code, said, told = desk.run(*LOADS[:-1], "0.8")
+    assert code == 0, told
+    assert [line["event"] for line in said[:-1]] == ["untouched"] + 3 * ["place", "captured", "remove"]
+    result = said[-1]
+    assert result["result"] == "staged"
+    (site,) = result["record"]["sites"]
+    true = COMB_TRUE.tones.sensitivity[COMB_TRUE.site_ids.tolist().index(7)]
+    assert np.abs(np.array(site["sensitivity"]) / true - 1).max() < 3e-3
+    assert len(result["record"]["untouched"]) == 16
+    assert {pair["pressed"] for pair in result["record"]["coupling"]} == {7}
+    assert "spread_width_mm = 2.5" in " ".join(result["notes"])
+    assert desk.plate.read_text() == before
+
+
+def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    before = desk.tree()
+    desk.loads()
+    with desk.board():
+        code, said, told = desk.run(*LOADS)
+    assert (code, said[-1]["result"]) == (0, "staged")
+    assert "finish with --accept-staged or --abort" in told
+    assert desk.tree() == before
+    code, _, told = desk.say(capsys, *LOADS)
+    assert code == 2
+    assert "a calibration is staged already" in told
+    staged = {path.name: path.read_bytes() for path in desk.state.rglob("*.jsonl")}
+
+    code, said, _ = desk.say(capsys, "--abort")
+    assert (code, said) == (0, [{"result": "aborted", "staged": True}])
+    assert desk.tree() == before
+    assert desk.sessions() == []
+    code, _, told = desk.say(capsys, "--accept-staged")
+    assert code == 1
+    assert "no calibration of this configuration is staged" in told
+
+    for name, content in staged.items():
+        (desk.state / "resonatord" / "calibrations" / name).write_bytes(content)
+    original = desk.plate.read_text()
+    desk.plate.write_text(original + "# a line more\n")
+    code, _, told = desk.say(capsys, "--accept-staged")
+    assert code == 1
+    assert "has changed since it was calibrated" in told
+    assert desk.plate.read_text() == original + "# a line more\n"
+    desk.plate.write_text(original)
+    code, said, _ = desk.say(capsys, "--accept-staged")
+    assert (code, said[-1]["result"]) == (0, "accepted")
+    assert sensitivity_error(desk) < 3e-3
+
+
+@pytest.mark.parametrize("event", ["untouched", "place", "captured", "staged"])
+def test_killed_at_any_step_everything_is_as_before(desk: Desk, event: str, capsys: pytest.CaptureFixture[str]) -> None:
+    before = desk.tree()
+    desk.loads()
+    with desk.board():
+        process = desk.start(*LOADS)
+        assert process.stdout is not None
+        for line in process.stdout:
+            news = json.loads(line)
+            if event in (news.get("event"), news.get("result")):
+                break
+        else:
+            pytest.fail(f"it ended before {event}")
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+    assert desk.tree() == before
+    assert len(desk.sessions()) == 1
+    code, said, _ = desk.say(capsys, "--abort")
+    assert code == 0
+    assert said == [{"result": "aborted", "staged": event == "staged"}]
+    assert desk.sessions() == []
+
+
+def test_killed_while_it_accepts_the_plate_file_is_whole(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    before = desk.tree()
+    desk.loads()
+    with desk.board():
+        desk.run(*LOADS)
+    stop = "import os, signal; os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL); "
+    code = stop + "from resonator_daemon.cli import main; main()"
+    arguments = [sys.executable, "-c", code, "calibrate", "--config", str(desk.config), "--accept-staged"]
+    killed = subprocess.run(arguments, env=os.environ | {"XDG_STATE_HOME": str(desk.state)}, timeout=TIMEOUT_S)
+    assert killed.returncode == -signal.SIGKILL
+    assert desk.plate.read_bytes() == before["plate.toml"]
+    desk.say(capsys, "--abort")
+    assert desk.tree() == before
+
+
+def test_interrupted_it_says_that_nothing_changed(desk: Desk) -> None:
+    before = desk.tree()
+    desk.loads()
+    with desk.board():
+        process = desk.start(*LOADS)
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(signal.SIGTERM)
+        said, told = process.communicate(timeout=TIMEOUT_S)
+    assert process.returncode == 1
+    assert json.loads(said.splitlines()[-1]) == {"result": "aborted"}
+    assert "aborted; the plate file is as before" in told
+    assert "Traceback" not in told
+    assert desk.tree() == before
+    assert desk.sessions() == []
+
+
+def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk: Desk) -> None:
+    masses = (0.1, 0.2, 0.3, 0.4, 0.5)
+    for mass_kg in masses:
+        desk.touches.load(7, 0.25 if mass_kg == 0.3 else mass_kg, 0.3)
+    desk.touches.load(7, 0.3, 0.3)
+    grams = ("--sites", "7", "--masses-grams", "100,200,300,400,500", "--hold-s", "0.3")
+    with desk.board():
+        keyboard, terminal = os.openpty()
+        os.write(keyboard, b"y\n")
+        code, said, told = desk.run(*grams, stdin=terminal)
+        os.close(keyboard)
+        os.close(terminal)
+    assert code == 0, told
+    assert "accept? [y/N]" in told
+    assert said[-1]["result"] == "accepted"
+    assert "step 3 (300 g on site 7) does not fit the others" in told
+    assert [line["step"] for line in said if line.get("event") == "captured"] == [1, 2, 3, 4, 5, 3]
+    assert sensitivity_error(desk) < 3e-3
+
+
+def test_exchanged_masses_are_refused_with_both_steps(desk: Desk) -> None:
+    before = desk.tree()
+    for mass_kg in (0.1, 0.5, 0.3):
+        desk.touches.load(7, mass_kg, 0.3)
+    with desk.board():
+        code, said, told = desk.run(*LOADS, "--accept")
+    assert code == 1
+    assert "steps 2 (300 g on site 7) and 3 (500 g on site 7): the masses were exchanged" in told
+    assert all("result" not in line for line in said)
+    assert desk.tree() == before
+    assert desk.sessions() == []
+
+
+def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    with desk.board():
+        link = open_serial(SerialLink(str(desk.port), 4_000_000))
+        code, _, told = desk.run(*LOADS)
+        link.close()
+    assert code == 69
+    assert "is held by another program" in told
+    assert "stop the daemon that runs on it" in told
+    code, _, told = desk.say(capsys, *LOADS)  # no board at all
+    assert code == 69
+    assert f"no port {desk.port}" in told
+
+
+def test_what_cannot_be_calibrated_is_refused(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, told = desk.say(capsys, "--sites", "99", "--masses-grams", "500,100")
+    assert code == 2
+    assert "has no site 99" in told
+    assert "100 g after 500 g; masses must rise" in told
+    code, _, told = desk.say(capsys, "--valid-days", "99999")
+    assert code == 2
+    assert "'99999' is not a whole number from 1 to 36500" in told
+    code, _, told = desk.say(capsys, "--sites", "seven")
+    assert code == 2
+    assert "'seven' is neither ids of sites" in told
+    code, _, told = desk.say(capsys, "skin", "--sites", "7")
+    assert code == 2
+    assert "--sites does not belong to: calibrate skin" in told
+    code, _, told = desk.say(capsys, "--seconds", "7")
+    assert code == 2
+    assert "--seconds does not belong to: calibrate force" in told
+    desk.config.write_text(desk.config.read_text().replace("plate.toml", "quartz16"))
+    code, _, told = desk.say(capsys)
+    assert code == 2
+    assert "name a new plate file, as --output quartz16-calibrated.toml" in told
+    desk.config.write_text('plate = "skin32"\nlink = "tcp://127.0.0.1:9"\n')
+    code, _, told = desk.say(capsys)
+    assert code == 78
+    assert "use: resonatord calibrate skin" in told

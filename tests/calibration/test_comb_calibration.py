@@ -1,0 +1,177 @@
+"""Calibration of a channelised force plate: f0 untouched, K under known masses, and what other sites feel of them."""
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Touches, comb_ear, comb_frames, comb_text, fitted, lead
+
+from resonator_daemon.calibration.coupling import Felt, compare_with_width, width_m
+from resonator_daemon.calibration.guide import Guide, News
+from resonator_daemon.calibration.outcome import make_record, notes
+from resonator_daemon.calibration.plate_file import Record, with_record
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.calibration.steps import Wanted, plan_steps
+from resonator_daemon.plate import Plate
+
+REFERENCE_ERROR = 1.5e-6  # of the emulated board's clock, by which all of its frequencies are low
+WANTED = Wanted(sites=(1, 7, 12), hold_s=1.5)
+IDS = COMB_TRUE.site_ids.tolist()
+
+
+def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[Guide, Record, list[str]]:
+    steps, touches = plan_steps(wanted, COMB_NOMINAL), Touches(physics=physics)
+    touches.follow(steps)
+    guide, ear = Guide(COMB_NOMINAL, steps, 60.0), comb_ear(COMB_NOMINAL, COMB_TRUE)
+    list(lead(guide, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), ear))
+    assert guide.done
+    outcome = fitted(guide, wanted, COMB_NOMINAL, ear)
+    record = make_record(
+        COMB_NOMINAL,
+        wanted,
+        guide,
+        outcome,
+        calibration_id="a1",
+        unit="EMU-0001",
+        today=date(2026, 11, 21),
+        valid_days=30,
+        untouched_hz=ear.f0_hz,
+    )
+    return guide, record, notes(COMB_NOMINAL, wanted, outcome, record)
+
+
+def sensitivity_errors(record: Record) -> Any:
+    rows = [IDS.index(site.site_id) for site in record.sites]
+    return np.array([site.sensitivity for site in record.sites]) / COMB_TRUE.tones.sensitivity[rows] - 1
+
+
+def true_ratio(felt: Felt) -> float:
+    """Boussinesq's share below a point load, comb16's cover of 2.5 mm."""
+    place = {site.id: np.array(site.position_mm) for site in COMB_TRUE.sites}
+    squared = float(((place[felt.pressed] - place[felt.heard]) ** 2).sum())
+    return 1 / (1 + squared / 6.25) ** 1.5
+
+
+def test_all_sites_of_an_ideal_plate(tmp_path: Path) -> None:
+    _, record, said = calibrated(replace(WANTED, sites=()), tmp_path)
+    assert [site.site_id for site in record.sites] == sorted(IDS, key=IDS.index)
+    assert np.abs(sensitivity_errors(record)).max() < 3e-4
+    assert len(record.untouched) == 16
+    f0_hz = np.array([site.f0_hz for site in record.untouched])
+    assert np.abs(f0_hz * (1 + REFERENCE_ERROR) / COMB_TRUE.tones.f0_hz - 1).max() < 4e-9  # the file was 20e-6 off
+    assert len(record.coupling) == 240  # even the farthest feels 0.2 %
+    assert max(abs(felt.ratio - true_ratio(felt)) for felt in record.coupling) < 3e-4
+    assert "coupling fits a spread of 2.5 mm, spread_width_mm = 2.5 agrees" in " ".join(said)
+
+
+def test_sites_that_were_not_loaded_get_their_f0_and_keep_their_sensitivity(tmp_path: Path) -> None:
+    _, record, said = calibrated(WANTED, tmp_path)
+    plate = Plate.model_validate(tomllib.loads(with_record(comb_text(), record)))
+    found, before = plate.tones, COMB_NOMINAL.tones
+    assert np.abs(found.f0_hz * (1 + REFERENCE_ERROR) / COMB_TRUE.tones.f0_hz - 1).max() < 4e-9
+    changed = (found.sensitivity != before.sensitivity).any(axis=1)
+    assert {IDS[row] for row in np.flatnonzero(changed)} == {1, 7, 12}
+    assert set(plate.calibration.sites) == {1, 7, 12}
+    assert len(plate.calibration.residuals) == 3
+    assert [(felt.pressed, felt.heard) for felt in plate.calibration.coupling] == [
+        (felt.pressed, felt.heard) for felt in record.coupling
+    ]
+    assert {felt.pressed for felt in record.coupling} == {1, 7, 12}
+    assert all(felt.pressed != felt.heard for felt in record.coupling)
+    assert "not loaded, sensitivities kept: sites 3, 9" in " ".join(said)
+
+
+def test_hysteresis_and_creep_are_fitted_though_a_rest_of_them_stays_on_the_untouched_plate(tmp_path: Path) -> None:
+    wanted = replace(WANTED, sites=(7, 1), response=True, response_hold_s=20.0)
+    _, record, _ = calibrated(wanted, tmp_path, f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n")
+    assert record.response is not None
+    assert record.response.hysteresis_newton == pytest.approx(0.1, rel=0.01)
+    assert record.response.creep_fraction == pytest.approx(0.005, rel=0.02)
+    assert record.response.creep_time_s == pytest.approx(20.0, rel=0.02)
+    assert np.abs(sensitivity_errors(record)).max() < 3e-4
+
+
+def test_scatter_of_touches_becomes_the_model_error(tmp_path: Path) -> None:
+    wanted = replace(WANTED, sites=(1, 3, 7, 9, 12), repeats=2, hold_s=0.5)
+    _, record, _ = calibrated(wanted, tmp_path, f"{IDEAL}sensitivity_scatter = 0.015")
+    assert record.model_error == pytest.approx(0.015, rel=0.3)
+
+
+def lead_on(touches: Touches, folder: Path, plate: Plate = COMB_NOMINAL, true: Plate = COMB_TRUE) -> list[News]:
+    guide = Guide(plate, plan_steps(WANTED, plate), 4.0)
+    return list(lead(guide, plate, comb_frames(true, touches, folder), comb_ear(plate, true)))
+
+
+def from_the_start(site_id: int, newton: float, seconds: float) -> str:
+    line = f"[[touches]]\nsite = {site_id}\nforce_newton = {newton}\nhold_s = {seconds}\n"
+    return f"{line}start_s = 0.0\nrise_s = 0.0\nfall_s = 0.2\n"
+
+
+@pytest.mark.parametrize("start_s", [0.3, 1.5])
+def test_a_plate_that_is_touched_while_its_baseline_is_taken_is_refused(tmp_path: Path, start_s: float) -> None:
+    touches = Touches()
+    touches.press(11, 0.5, start_s, 20.0)
+    with pytest.raises(CalibrationRefusedError, match="baseline: site 11 is touched"):
+        lead_on(touches, tmp_path)
+
+
+def test_a_plate_that_was_pressed_all_through_the_baseline_is_refused_when_it_is_released(tmp_path: Path) -> None:
+    touches = Touches(seconds=10.0)
+    touches.lines.append(from_the_start(11, 0.5, 4.0))
+    with pytest.raises(CalibrationRefusedError, match=r"site 11 reads -0\.\d+ N against its baseline"):
+        lead_on(touches, tmp_path)
+
+
+def test_a_plate_that_was_calibrated_before_shows_that_it_is_pressed(tmp_path: Path) -> None:
+    calibration = COMB_TRUE.calibration.model_copy(update={"id": "a1"})
+    touches = Touches(seconds=12.0)
+    known = COMB_TRUE.model_copy(update={"calibration": calibration})
+    with pytest.raises(CalibrationRefusedError, match=r"step 1 .* nothing was placed"):
+        lead_on(touches, tmp_path, known)
+    touches.lines.append(from_the_start(11, 0.7, 20.0))
+    with pytest.raises(CalibrationRefusedError, match=r"baseline: site 11 is touched \(0\.\d+ N by the plate file"):
+        lead_on(touches, tmp_path, known)
+
+
+def test_a_load_on_another_site_is_named(tmp_path: Path) -> None:
+    touches = Touches()
+    touches.press(5, 1.0, 4.0, 20.0)
+    with pytest.raises(CalibrationRefusedError, match="site 5 carries a load, not site 1"):
+        lead_on(touches, tmp_path)
+
+
+def test_a_silent_tone_is_named(tmp_path: Path) -> None:
+    def deaf() -> Iterator[tuple[Any, ...]]:
+        for *frame, known in comb_frames(COMB_TRUE, Touches(seconds=10.0), tmp_path):
+            known[2, 4] = False
+            yield *frame, known
+
+    guide = Guide(COMB_NOMINAL, plan_steps(WANTED, COMB_NOMINAL), 3.0)
+    with pytest.raises(CalibrationRefusedError, match=f"channel 2 hears nothing .without sites {IDS[4]}."):
+        list(lead(guide, COMB_NOMINAL, deaf(), comb_ear(COMB_NOMINAL, COMB_TRUE)))
+
+
+def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
+    steps, touches = plan_steps(replace(WANTED, sites=(7,)), COMB_NOMINAL), Touches(seconds=6.0)
+    touches.follow(steps)
+    counted = (frame for frame in comb_frames(COMB_TRUE, touches, tmp_path) if frame[0] not in {31, 77, 163})
+    guide = Guide(COMB_NOMINAL, steps, 20.0)
+    list(lead(guide, COMB_NOMINAL, counted, comb_ear(COMB_NOMINAL, COMB_TRUE)))
+    assert guide.done
+
+
+def test_coupling_that_no_width_in_the_file_explains_is_said() -> None:
+    felt = [Felt(pair.pressed, pair.heard, 0.8 * true_ratio(pair)) for pair in _pairs()]
+    assert "differs" in compare_with_width(COMB_TRUE, felt)
+    assert "agrees" in compare_with_width(COMB_TRUE, [Felt(a.pressed, a.heard, true_ratio(a)) for a in _pairs()])
+    assert width_m(COMB_TRUE, [Felt(a.pressed, a.heard, true_ratio(a)) for a in _pairs()]) == pytest.approx(2.5e-3)
+    assert compare_with_width(COMB_TRUE.model_copy(update={"spread_width_mm": None}), felt) == ""
+
+
+def _pairs() -> list[Felt]:
+    return [Felt(7, other, 0.0) for other in IDS if other != 7]
