@@ -62,10 +62,11 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
 	step pytest --cov
 
-bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, elastic fields, contact and decoding beside their peers
+bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, measurement, elastic fields, contact and decoding
 	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
+	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done
 

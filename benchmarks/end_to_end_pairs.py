@@ -14,7 +14,7 @@ from simulators.scenario_file import Touch
 FORCE_NEWTON = (0.2, 8.0)
 APART_M = 5e-3
 RAMP_S = 0.05
-HOLD_S = (0.1, 0.2)
+HOLD_S = (0.08, 0.16)
 ONSETS_APART_S = 0.1
 GAP_S = 0.05
 JOINT_NEWTON = 0.1  # of each touch, averaged over a window, before a reading may be expected to tell of both

@@ -84,7 +84,7 @@ def draw_touches(
     count: int,
     *,
     ramp_s: float = 0.15,
-    hold_s: float = 0.6,
+    hold_s: float = 0.5,
     gap_s: float = 0.1,
     kelvin_std: float = 0.0,
 ) -> list[Touch]:
@@ -199,9 +199,9 @@ def short_touches(count: int, seed: int = 1) -> Played:
             plate,
             random,
             min(TOUCHES_AT_ONCE, count - start),
-            ramp_s=0.04,
-            hold_s=0.08,
-            gap_s=0.04,
+            ramp_s=0.03,
+            hold_s=0.07,
+            gap_s=0.03,
             kelvin_std=CONTACT_STD_KELVIN,
         )
         plays.append(play(PlateBench(plate, touches, seed=int(random.integers(2**31))), touches))

@@ -102,6 +102,9 @@ def test_a_missing_file_is_one_line_and_78(tmp_path: Path) -> None:
         (("--plate", "quartz16", "--scenario", "tuches"), "touches"),
         (("--plate", "quartz16", "--faults", "bit_eror_rate=1e-5"), "bit_error_rate"),
         (("--plate", "quartz16", "--speed", "1000"), "at most 100, got 1000"),
+        (("--plate", "quartz16", "--scenario", "press-and-shear"), "only for plates with a skin"),
+        (("--plate", "skin32", "--scenario", "whole-plate"), "only for plates with force sites"),
+        (("--plate", "skin32", "--counter", "stamps"), "single-tone"),
     ],
 )
 def test_emulate_refuses_in_one_line(tmp_path: Path, arguments: tuple[str, ...], complaint: str) -> None:
@@ -109,6 +112,14 @@ def test_emulate_refuses_in_one_line(tmp_path: Path, arguments: tuple[str, ...],
     assert run.returncode == 78
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
+
+
+def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it() -> None:
+    run = resonatord("emulate", "--scenario-schema")
+    assert run.returncode == 0
+    schema = json.loads(run.stdout)
+    assert schema["$schema"].startswith("https://json-schema.org/")
+    assert set(schema["properties"]) == {"touches", "period_s", "environment_kelvin", "plate", "seed"}
 
 
 def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:

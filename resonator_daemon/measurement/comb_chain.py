@@ -14,10 +14,10 @@ from resonator_daemon.measurement.force import FloatArray, cell_std_m
 from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.force_tones import SIGMA_HZ, ForceTones, SiteShifts
 from resonator_daemon.measurement.matching import SiteForce
-from resonator_daemon.measurement.plate_drift import DriftReading, PlateDrift
+from resonator_daemon.measurement.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.measurement.site_errors import Pressed, SiteErrors
-from resonator_daemon.measurement.spread import SpreadFit, Touches
+from resonator_daemon.measurement.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.measurement.tone_merging import merge_tones
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
@@ -162,14 +162,14 @@ class CombChain:
             # What is too light for a contact is learnt as drift: a shock of temperature looks like that, site by site.
             load = self._spread.loads(found, ONSET_NEWTON)
             pressed = load >= ONSET_NEWTON
-            if found.status == "rejected":
+            if found.status == "rejected" and bool((np.abs(forces.force_newton) >= ONSET_NEWTON).any()):
                 # Far sites do not follow the law, or there is more: those near the touches tell of these alone.
-                reason = found.reason
+                reason, count = found.reason, len(found.force_newton)
                 found = self._fit(self._near, forces, found)
                 load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
                 told = found.status == "ok" or found.unexplained < UNEXPLAINED_MAX
-                status = "possibly_more" if told else "rejected"
-            touches = self._touches_of(found, forces) if status in ("ok", "possibly_more") else []
+                status = "possibly_more" if told and count < TOUCHES_MAX else "rejected"
+            touches = self._touches_of(found, forces, status) if status in ("ok", "possibly_more") else []
         drift = before
         if self._drifted is not None:
             drift = self._follow(shifts, before, forces, load, pressed, elapsed_s)
@@ -236,9 +236,12 @@ class CombChain:
         left = before.expected_shift + shifts.sensitivity * (forces.force_newton - load)
         own, shared = self._sites.model_error * load, SHARE_ERROR * load.max()
         error_newton2 = forces.noise_newton**2 + own**2 + shared**2
-        return self._drift.update(left, error_newton2 * shifts.sensitivity**2, elapsed_s, shifts.kelvin, pressed)
+        # No press makes a site feel less than nothing.
+        free = forces.force_newton < -OFF_SIGMAS * np.hypot(forces.noise_newton, forces.systematic_newton)
+        variance = error_newton2 * shifts.sensitivity**2
+        return self._drift.update(left, variance, elapsed_s, shifts.kelvin, pressed & ~free, free)
 
-    def _touches_of(self, found: Touches, forces: Pressed) -> list[Touch]:
+    def _touches_of(self, found: Touches, forces: Pressed, status: SensorStatus) -> list[Touch]:
         # Misfit widens the errors; it is none of the noise.
         widening = max(found.chi2 / found.freedom, 1.0) if found.freedom else 1.0
         touches = []
@@ -259,7 +262,7 @@ class CombChain:
                     math.nan if over else noise,
                     math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton, untold),
                     0.0,
-                    _word(over=over, calibrated=bool(forces.calibrated[nearest]), alone=found.status == "ok"),
+                    _word(over=over, calibrated=bool(forces.calibrated[nearest]), alone=status == "ok"),
                     at_least_newton=self._sites.force_max_newton if over else None,
                 )
             )

@@ -162,6 +162,7 @@ class PlateDrift:
         dt_s: float,
         local_kelvin: FloatArray | None = None,
         pressed: BoolArray | None = None,
+        free: BoolArray | None = None,
     ) -> DriftReading:
         """Take one frame.
 
@@ -173,8 +174,8 @@ class PlateDrift:
             Time since the frame before.
         local_kelvin
             (m,): temperature of the site by its own thermometer, whose zero is free; NaN where it has none.
-        pressed
-            (m,): sites that are known to be in contact, whatever their shift says.
+        pressed, free
+            (m,): sites that are known to be in contact, and not to be, whatever their shift says.
         """
         heard = self._heard(shift, variance)
         if not dt_s >= 0:
@@ -182,11 +183,16 @@ class PlateDrift:
         self._advance(dt_s)
         if pressed is not None:
             self._in_contact |= pressed
+        if free is not None:
+            self._in_contact &= ~free
         presumed, prior = self._presume(shift, variance, heard & ~self._in_contact, dt_s)
         warmth, warmth_variance = self._warmth(local_kelvin, presumed)
         suspicious = self._judge(shift, variance, heard, presumed, warmth, warmth_variance)
         if pressed is not None:
             self._in_contact |= pressed
+        if free is not None:
+            self._in_contact &= ~free
+            suspicious &= ~free
         trusted = heard & ~self._in_contact & ~suspicious & (warmth == 0.0)
         self._common = prior
         if trusted.any():

@@ -112,8 +112,8 @@ class Run:
         )
         self.score.take(ContactEvent(**HEADER, board_ticks=1, event=event, contact=contact), arrived_ns)
 
-    def forces(self, number: int, *sites: tuple[int, float], arrived_ns: int = FAR_NS) -> None:
-        """Take the message of the window whose last gate was frame `number`."""
+    def forces(self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS) -> None:
+        """Take the message of the window of so many frames whose last gate was frame `number`."""
         forces = tuple(
             SiteForce(site=site, force_newton=newton, noise_newton=0.0, systematic_newton=0.0, status="ok")
             for site, newton in sites
@@ -121,7 +121,7 @@ class Run:
         message = Forces(
             **HEADER,
             board_ticks=TICKS * (number + 1),
-            window_s=0.01,
+            window_s=frames * FRAME_NS * 1e-9,
             status="ok",
             reason="",
             sites=forces,

@@ -138,6 +138,14 @@ def test_a_touch_that_lasts_part_of_a_window_counts_by_its_mean(run: Run) -> Non
     assert run.result().force_error_newton_rms == pytest.approx(0.010)
 
 
+def test_a_window_that_grows_is_compared_with_as_much_truth_as_it_saw(run: Run) -> None:
+    run.ramp(0.0, 0.2, 0.4, 0.6, 1.0)
+    run.forces(2, (7, 0.303), frames=2)
+    run.forces(3, (7, 0.403), frames=3)
+    run.forces(4, (7, 0.443), frames=5)
+    assert run.result().force_error_newton_rms == pytest.approx(0.003)
+
+
 def test_only_forces_above_5_percent_of_their_own_touchs_peak_count(run: Run) -> None:
     run.ramp(0.09, 0.09, 2.0, 2.0, id=1)  # the peak comes after the weak window
     run.ramp(0.03, 0.03, id=2, site=8)  # a weak touch is measured by its own peak

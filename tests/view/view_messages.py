@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.publishing.payloads import (
+    CalibrationInfo,
+    Compensation,
     Contact,
     Contacts,
     Decoded,
@@ -51,6 +53,9 @@ def info(sites: dict[int, tuple[float, float]], **changes: Any) -> Info:
         force_max_newton=10.0,
         outline_m=((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01)),
         sites=tuple(SiteInfo(site=site, position_m=position) for site, position in sites.items()),
+        calibration=CalibrationInfo(
+            id=None, date=None, unit=None, expiry=None, model_error=0.015, sensitivity_std=0.0, response="off"
+        ),
     )
 
 
@@ -60,7 +65,24 @@ def site_force(site: int, force_newton: float, **changes: Any) -> SiteForce:
 
 
 def forces(*sites: SiteForce, status: str = "ok", **changes: Any) -> Forces:
-    return Forces(**header(**changes), board_ticks=1, window_s=0.01, status=status, sites=sites)
+    compensation = Compensation(
+        baseline="followed",
+        common_mode=(0.0,) * 4,
+        common_mode_std=2e-7,
+        plate_kelvin=math.nan,
+        plate_kelvin_std=math.nan,
+        response="off",
+    )
+    return Forces(
+        **header(**changes),
+        board_ticks=1,
+        window_s=0.01,
+        status=status,
+        reason="",
+        sites=sites,
+        beats=(),
+        compensation=compensation,
+    )
 
 
 def contacts(site: int, force_newton: float, since_s_ago: float) -> Contacts:
@@ -69,10 +91,13 @@ def contacts(site: int, force_newton: float, since_s_ago: float) -> Contacts:
         site=site,
         position_m=(0.0, 0.0),
         position_std_m=(1e-3, 1e-3),
+        position_correlation=0.0,
         force_newton=force_newton,
         noise_newton=0.0006,
         systematic_newton=0.012,
+        peak_newton=force_newton,
         since_t_ns=NOW_NS - round(since_s_ago * S),
+        duration_s=since_s_ago,
         status=Status.OK,
     )
     return Contacts(**header(), board_ticks=1, status="ok", contacts=(contact,))
