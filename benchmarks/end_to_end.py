@@ -91,10 +91,10 @@ def print_pairs(name: str, count: int, asked: str) -> None:
         "0, 0",
     )
     apart, one = [p for p in pairs if p.separable], [p for p in pairs if not p.separable]
-    what = "pairs, each the strongest tone at some corner" if name == "quartz16" else "pairs"
+    what = "pairs, each the strongest by 1 dB at some corner" if name == "quartz16" else "pairs"
     _print_kind(what, apart, asked)
     if one:
-        _print_kind("pairs, one of them the stronger at all corners", one, "")
+        _print_kind("other pairs, corners within 1 dB among them", one, "")
     if name == "comb16":
         off_mm = 1e3 * np.concatenate([p.apart_m for p in pairs])
         row(

@@ -85,7 +85,7 @@ def contacts_of_a_shock(plate: Plate, *, seed: int = 1) -> int:
     room = [(0.0, ROOM_KELVIN), (SETTLE_S, ROOM_KELVIN), (SETTLE_S + SHOCK_S, ROOM_KELVIN + SHOCK_KELVIN)]
     bench = PlateBench(plate, [], environment_kelvin=room, seed=seed)
     return sum(
-        event.event == "onset" for moment in bench.play(SETTLE_S + 4.0 * SHOCK_S) for event in moment.reading.events
+        event.event == "onset" for moment in bench.play(SETTLE_S + 3.0 * SHOCK_S) for event in moment.reading.events
     )
 
 

@@ -29,6 +29,11 @@ class Relaxation:
         half = math.exp(-0.5 * dt_s / self._time_s)
         decay = half * half
         gain = -math.expm1(-dt_s / self._time_s)
+        if len(target) == 1:  # the filter's own set-up costs more than all the rest of a gate
+            starts = self._now[np.newaxis]
+            self._now = gain * target[0] + decay * self._now
+            single: FloatArray = target + half * (starts - target)
+            return single
         ends, _ = lfilter([gain], [1.0, -decay], target, axis=0, zi=decay * self._now[np.newaxis])
         starts = np.concatenate([self._now[np.newaxis], ends[:-1]])
         self._now = ends[-1]

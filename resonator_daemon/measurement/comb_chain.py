@@ -27,7 +27,7 @@ UNKNOWN_CONTACT_S: Final = 0.5
 SHARE_ERROR: Final = 0.003  # of a touch, by which a site's share differs from the law of the cover
 UNLAWFUL_SHARE_ERROR: Final = 0.05  # where the sites' forces do not follow that law
 UNEXPLAINED_MAX: Final = 0.2  # of the squares of the sites' forces: with more, no touch can be named
-SEARCH_EVERY: Final = 20  # readings that no touches explain between two searches for more
+SEARCH_EVERY: Final = 100  # readings that no touches explain between two searches for more, which take 0.1 s
 REACH_PITCHES: Final = 1.0  # a touch that moves less between two readings is the same touch
 CORNERS: Final = 4
 
@@ -164,11 +164,12 @@ class CombChain:
             pressed = load >= ONSET_NEWTON
             if found.status == "rejected" and bool((np.abs(forces.force_newton) >= ONSET_NEWTON).any()):
                 # Far sites do not follow the law, or there is more: those near the touches tell of these alone.
-                reason, count = found.reason, len(found.force_newton)
-                found = self._fit(self._near, forces, found)
+                status, reason = "rejected", found.reason
                 load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
-                told = found.status == "ok" or found.unexplained < UNEXPLAINED_MAX
-                status = "possibly_more" if told and count < TOUCHES_MAX else "rejected"
+                if len(found.force_newton) < TOUCHES_MAX:
+                    found = self._fit(self._near, forces, found)
+                    if found.status == "ok" or found.unexplained < UNEXPLAINED_MAX:
+                        status = "possibly_more"
             touches = self._touches_of(found, forces, status) if status in ("ok", "possibly_more") else []
         drift = before
         if self._drifted is not None:

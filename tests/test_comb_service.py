@@ -1,0 +1,131 @@
+"""The whole daemon between an emulated comb of force sites and a real broker: contacts with places, forces, tare."""
+
+import asyncio
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import Mosquitto
+from observer import Observer, observe
+from service_bench import Bench, events
+
+import resonator_daemon.plates
+from resonator_daemon.errors import ExitCode
+from resonator_daemon.plate import load_plate
+from resonator_daemon.tare import tare
+
+PLACE_M = (1.5e-3, -1.0e-3)
+TOUCHED = """
+[plate]
+ideal = true
+[[touches]]
+start_s = 0.8
+position_mm = [1.5, -1.0]
+force_newton = 2.0
+hold_s = {hold_s}
+"""
+SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+async def tared(bench: Bench, capsys: pytest.CaptureFixture[str]) -> tuple[ExitCode, dict[str, Any]]:
+    code = await asyncio.to_thread(tare, bench.folder / "board.toml", as_json=True)
+    answer: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return code, answer
+
+
+def forces(heard: Observer) -> list[dict[str, Any]]:
+    return heard.payloads("resonator/hand/forces")
+
+
+async def test_a_touch_between_sites_becomes_a_contact_with_place_and_force(bench: Bench, mosquitto: Mosquitto) -> None:
+    scenario = bench.scenario(TOUCHED.format(hold_s=0.6))
+    async with (
+        bench.emulated("comb16", scenario=scenario) as emulator,
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service("comb16", emulator.link.address)) as service,
+    ):
+        await heard.until(lambda: len(events(heard)) == 2)
+        sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
+        info = heard.payloads("resonator/hand/info")[-1]
+        assert service.link_account.lost.total == 0
+    onset, release = events(heard)
+    assert (onset["event"], release["event"]) == ("onset", "release")
+    assert onset["contact"]["id"] == release["contact"]["id"]
+    assert release["contact"]["peak_newton"] == pytest.approx(2.0, abs=0.05)
+    assert release["contact"]["duration_s"] == pytest.approx(0.8, abs=0.1)
+    assert "hysteresis and creep of the sites are not taken out" in sensor["reason"]
+    assert (info["plate"], info["calibration"]["response"]) == ("comb16", "off")
+
+    by_ticks = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
+    held = set()
+    for message in heard.payloads("resonator/hand/contacts"):
+        true = by_ticks.get(int(message["board_ticks"]), [])
+        if true and true[0]["force_newton"][2] > 1.99:
+            (contact,) = message["contacts"]
+            assert contact["status"] == "ok"
+            assert math.dist(contact["position_m"], PLACE_M) < 0.1e-3
+            assert contact["force_newton"] == pytest.approx(2.0, abs=0.05)
+            assert 0 < contact["noise_newton"] < contact["systematic_newton"] < 0.2
+            held.add(int(message["board_ticks"]))
+    assert len(held) > 50
+    for message in forces(heard):
+        for site in message["sites"] if int(message["board_ticks"]) in held else ():
+            x, y = SITES[site["site"]]
+            share = (1 + ((x - 1.5) ** 2 + (y + 1.0) ** 2) / 2.5**2) ** -1.5
+            assert site["force_newton"] == pytest.approx(2.0 * share, abs=0.05)
+    assert forces(heard)[-1]["compensation"]["baseline"] == "followed"
+    assert forces(heard)[-1]["compensation"]["plate_kelvin"] is not None
+
+
+async def test_tare_is_refused_while_touched_and_done_while_untouched(
+    bench: Bench, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scenario = bench.scenario(TOUCHED.format(hold_s=4.0))
+    async with (
+        bench.emulated("comb16", scenario=scenario) as emulator,
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service("comb16", emulator.link.address)),
+    ):
+        await heard.until(lambda: len(events(heard)) == 1)
+        code, answer = await tared(bench, capsys)
+        assert (code, answer["ok"]) == (ExitCode.FAILED, False)
+        assert answer["error"]["code"] == "not_untouched"
+        assert "touched" in answer["error"]["message"]
+        before = len(forces(heard))
+        await heard.until(lambda: len(forces(heard)) >= before + 20)
+        assert heard.payloads("resonator/hand/contacts")[-1]["contacts"][0]["force_newton"] == pytest.approx(
+            2.0, abs=0.05
+        )
+        await heard.until(lambda: len(events(heard)) == 2)
+        code, answer = await tared(bench, capsys)
+        assert (code, answer["ok"]) == (ExitCode.DONE, True)
+        assert len(answer["common_mode"]) == 4
+        after = len(forces(heard))
+        await heard.until(lambda: len(forces(heard)) >= after + 20)
+        assert forces(heard)[-1]["sites"] == []
+
+
+async def test_an_expired_calibration_is_the_sensors_state(bench: Bench, mosquitto: Mosquitto) -> None:
+    plate = bench.folder / "expired.toml"
+    plate.write_text(
+        (Path(resonator_daemon.plates.__path__[0]) / "comb16.toml").read_text()
+        + '\n[calibration]\nid = "c-7"\nexpiry = 2020-01-31\n'
+    )
+    async with (
+        bench.emulated(str(plate), scenario="still") as emulator,
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(str(plate), emulator.link.address)),
+    ):
+        sensor = await heard.until_last("resonator/hand/state/sensor", state="uncalibrated")
+        await heard.until(lambda: len(forces(heard)) >= 200)
+        info = heard.payloads("resonator/hand/info")[-1]
+        assert heard.payloads("resonator/hand/state/sensor")[-1]["state"] == "uncalibrated"
+    assert sensor["reason"] == "calibration c-7 expired on 2020-01-31: calibrate anew"
+    assert (info["calibration"]["id"], info["calibration"]["expiry"]) == ("c-7", "2020-01-31")

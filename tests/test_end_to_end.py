@@ -1,0 +1,109 @@
+"""Forces, sites and uncertainties from end to end: emulated plates counted straight into the daemon's chain.
+
+The scenes are those of benchmarks/end_to_end.py, with fewer touches and shorter holds. Truth is the emulator's, which
+shares no formula with the chain.
+"""
+
+import pytest
+from end_to_end_held import contacts_of_a_shock, hold, sites_of_a_whole_press
+from end_to_end_pairs import play_pairs
+from end_to_end_touches import (
+    creeping_touches,
+    hysteretic_touches,
+    ideal_touches,
+    short_touches,
+    told_plate,
+    warm_touches,
+)
+
+from resonator_daemon.plate import Plate, load_plate
+from simulators.physics import Physics
+
+TOUCHES = 5
+SHORT_TOUCHES = 200
+PAIRS = 30
+HELD_S = 60.0
+
+
+def at_rate(plate: Plate, frame_rate_hz: float) -> Plate:
+    return plate.model_copy(update={"counter": plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})})
+
+
+def test_ideal_sites_are_all_found_and_their_forces_right_to_3_millinewtons() -> None:
+    played = ideal_touches(TOUCHES)
+
+    assert (played.found, played.wrong, played.more) == (TOUCHES, 0, 0)
+    assert played.errors.rms_newton <= 3e-3
+
+
+def test_creep_is_taken_out_where_the_plate_file_tells_it() -> None:
+    told = creeping_touches(TOUCHES, told=True)
+
+    assert told.errors.rms_newton <= 10e-3
+    assert creeping_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
+
+
+def test_hysteresis_is_taken_out_where_the_plate_file_tells_it() -> None:
+    told = hysteretic_touches(TOUCHES, told=True)
+
+    assert told.errors.rms_newton <= 35e-3
+    assert hysteretic_touches(TOUCHES, told=False).errors.rms_newton > 3.0 * told.errors.rms_newton
+
+
+def test_what_a_warm_finger_does_stays_within_what_is_stated_of_it() -> None:
+    played = warm_touches((0.5, 5.0, 20.0), measured=True)
+
+    assert (played.found, played.wrong) == (played.touches, 0)
+    assert played.errors.worst_ratio <= 1.0
+
+
+def test_stated_uncertainty_covers_the_errors_of_short_touches_and_is_not_much_larger() -> None:
+    played = short_touches(SHORT_TOUCHES)
+
+    assert (played.found, played.wrong) == (SHORT_TOUCHES, 0)
+    for errors in (played.errors, played.errors.of_touches):
+        assert errors.covered >= 0.93
+        assert errors.stated_newton <= 2.0 * errors.rms_newton
+    assert played.more <= 0.01 * SHORT_TOUCHES
+
+
+def test_two_touches_on_captured_tones_are_found_and_never_put_elsewhere() -> None:
+    pairs = play_pairs(told_plate("quartz16"), PAIRS)
+    separable = [pair for pair in pairs if pair.separable]
+
+    assert sum(pair.wrong for pair in pairs) == 0
+    assert sum(pair.both > 0 for pair in separable) >= 0.9 * len(separable)  # 0.95, less a deviation of so few
+    assert all(pair.both or pair.more for pair in separable)
+    assert sum(pair.more for pair in pairs) >= 0.9 * sum(pair.joint for pair in pairs)
+
+
+def test_two_touches_on_channelised_tones_are_both_found() -> None:
+    pairs = play_pairs(told_plate("comb16"), PAIRS)
+
+    assert sum(pair.wrong for pair in pairs) == 0
+    assert sum(pair.both > 0 for pair in pairs) >= PAIRS - 1  # 0.99 of them, less one deviation
+    assert max(apart_m for pair in pairs for apart_m in pair.apart_m) < 5e-3
+
+
+def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_heard() -> None:
+    plate = at_rate(load_plate("comb16"), 25.0)
+    site, _ = hold(plate, Physics(ideal=True, temperature_coefficient=-5e-8), 7, HELD_S)
+
+    assert site.told == 1.0
+    assert abs(site.end_newton) <= 1e-3
+
+
+@pytest.mark.parametrize(("name", "frame_rate_hz"), [("comb16", 25.0), ("quartz16", 100.0)])
+def test_a_press_held_on_a_plate_with_every_imperfection_stays_within_what_is_stated(
+    name: str, frame_rate_hz: float
+) -> None:
+    for held in hold(at_rate(told_plate(name), frame_rate_hz), Physics(), 7, HELD_S):
+        assert (held.told, held.covered) == (1.0, 1.0)
+
+
+def test_a_thermal_shock_is_no_contact() -> None:
+    assert contacts_of_a_shock(told_plate("comb16")) == 0
+
+
+def test_a_press_of_the_whole_plate_is_felt_on_every_site() -> None:
+    assert sites_of_a_whole_press(told_plate("comb16")) == 16
