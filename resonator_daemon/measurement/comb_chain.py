@@ -221,7 +221,8 @@ class CombChain:
             forces.noise_newton**2,
             forces.systematic_newton**2,
             before,
-            search=self._rejections % SEARCH_EVERY == 0,
+            # What lasts is looked into ever more seldom, what has just changed at once.
+            search=self._rejections.bit_count() <= 1 or self._rejections % SEARCH_EVERY == 0,
         )
 
     def _follow(
