@@ -60,7 +60,7 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	step mypy
 	step lint-imports --no-logo
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
-	step pytest --cov
+	step pytest --cov --numprocesses 2
 
 bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, measurement, elastic fields, contact and decoding
 	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }

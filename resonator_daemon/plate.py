@@ -42,6 +42,7 @@ FORCE_SIGNALS: Final = (FORCE_SIGNAL, TEMPERATURE_SIGNAL)
 SKIN_SIGNALS = ("p_n", "eps_xz", "eps_yz")  # the order of everything that is published or decoded
 
 _MAX_TONES = 46_872  # 63 parts of 744 tones a channel: a frame has at most 255 parts
+_SPREAD_SITES = 4
 _MAX_SHIFT = 0.1  # |K F| beyond this is a slip of the unit, not a resonator
 _SHIPPED = Path(__file__).with_name("plates")
 
@@ -66,8 +67,11 @@ def _at_least(length: int, what: str) -> BeforeValidator:
     return BeforeValidator(check)
 
 
+_MIN_SENSITIVITY = 1e-15
+
+
 def _nonzero(value: float) -> float:
-    if value == 0:
+    if abs(value) < _MIN_SENSITIVITY:
         raise ValueError("must not be zero: a site without sensitivity cannot be read; give the measured, signed value")
     return value
 
@@ -264,7 +268,7 @@ class Plate(Table):
     # A touch between sites is shared as distance^-exponent; None where sites can only be touched one by one.
     load_sharing_exponent: Annotated[Number, Field(gt=0, le=100)] | None = None
     # Under a cover of this width w a touch at distance r loads a site with (1 + r^2/w^2)^(-3/2) of its force.
-    spread_width_mm: Annotated[Number, Field(gt=0, le=1000)] | None = None
+    spread_width_mm: Annotated[Number, Field(ge=0.01, le=1000)] | None = None
     counter: Counter
     thermal: Thermal = Thermal()
     response: Response | None = None
@@ -401,6 +405,11 @@ def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
     if kind == "single-tone" and signals - {FORCE_SIGNAL}:
         sentence = "one captured tone per corner carries forces alone; use 'channelised'"
         yield finding(("counter", "kind"), kind, sentence)
+    if "spread_width_mm" in raw and len(sites) < _SPREAD_SITES:
+        sentence = (
+            f"needs at least {_SPREAD_SITES} sites, there are {len(sites)}: fewer cannot tell a place and a force"
+        )
+        yield finding(("spread_width_mm",), raw["spread_width_mm"], sentence)
     if "spread_width_mm" in raw and (kind == "single-tone" or "load_sharing_exponent" in raw):
         sentence = "belongs to a channelised counter of force sites; with captured tones give load_sharing_exponent"
         yield finding(("spread_width_mm",), raw["spread_width_mm"], sentence)

@@ -60,7 +60,7 @@ class SensorState:
 
     def update(self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int) -> None:
         """Take one reading's status; before the first judgement it counts at once."""
-        learnt = not any(map(math.isnan, common_mode))
+        learnt = not all(map(math.isnan, common_mode))
         if (condition := _CONDITIONS.get(status)) is None:
             condition, reason = self._best if learnt else (Condition.STARTING, reason)
         seen = (condition, reason)

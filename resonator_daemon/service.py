@@ -151,9 +151,20 @@ class Service:
         return self._publisher.account if self._publisher is not None else _NO_MESSAGES
 
     def _wake_from(self, loop: asyncio.AbstractEventLoop) -> Callable[[], None]:
+        pending = False
+
+        def arrived() -> None:
+            nonlocal pending
+            pending = False
+            self._arrived.set()
+
         def wake() -> None:
-            with contextlib.suppress(RuntimeError):  # the loop is closed: the service ended meanwhile
-                loop.call_soon_threadsafe(self._arrived.set)
+            # One at a time: those of a loop that stalls would fill the pipe that signals come by, too.
+            nonlocal pending
+            if not pending:
+                pending = True
+                with contextlib.suppress(RuntimeError):  # the loop is closed: the service ended meanwhile
+                    loop.call_soon_threadsafe(arrived)
 
         return wake
 

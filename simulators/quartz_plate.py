@@ -173,6 +173,10 @@ class QuartzPlate:
         """Beats of the strongest other tones, of amplitude `ratio` (frames, tones, channels) to the captured one's."""
         if ratio.max() < _INAUDIBLE_BEAT:
             return None
+        if (missing := INTERFERERS - ratio.shape[1]) > 0:  # a plate of one site and its pilot
+            padding = ((0, 0), (0, missing), (0, 0))
+            ratio = np.pad(ratio, padding)
+            frequency_hz, start_turns = (np.pad(values, padding, mode="edge") for values in (frequency_hz, start_turns))
         frame = np.arange(len(ratio))[:, np.newaxis]
         strongest = ratio.argsort(axis=1)[:, : -INTERFERERS - 1 : -1].transpose(0, 2, 1)
         which = frame[..., np.newaxis], strongest, _CHANNEL[:, np.newaxis]

@@ -102,9 +102,14 @@ def shipped_scenarios() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _SHIPPED.glob("*.toml")))
 
 
+TOUCHED_SITES = 16  # ids 1 to 16, by the scenario "touches"
+
+
 def default_scenario(plate: Plate) -> str:
     """Return the name of the scenario that shows what a plate can do."""
-    return "touches" if FORCE_SIGNAL in plate.signals else "press-and-shear"
+    if FORCE_SIGNAL not in plate.signals:
+        return "press-and-shear"
+    return "touches" if set(range(1, TOUCHED_SITES + 1)) <= set(plate.site_ids.tolist()) else "still"
 
 
 def read_scenario(name_or_path: str, plate: Plate) -> ScenarioFile:

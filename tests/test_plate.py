@@ -394,20 +394,21 @@ def test_a_counter_needs_no_more_than_its_kind() -> None:
 
 def test_a_channelised_counter_may_hear_forces_and_the_temperature_of_their_sites(tmp_path: Path) -> None:
     text = FORCE_PLATE.replace('"single-tone"', '"channelised"').replace("pilot_hz = 10.01e6\n", "")
-    text = text.replace("[counter]", "spread_width_mm = 2.5\n[counter]")
     tone = text[text.rindex("[[sites.tones]]") :].replace('"force"', '"temperature"').replace("99", "98")
     plate = load_plate(written(tmp_path, text + tone + "temperature_coefficients = [-5e-8, -5e-10, 1e-10]\n"))
     assert plate.signals == ("force", "temperature")
-    assert plate.spread_width_m == pytest.approx(2.5e-3)
     np.testing.assert_array_equal(plate.tones.signal_index, [0, 0, 1])
     np.testing.assert_array_equal(plate.tones.site_index, [0, 1, 1])
     np.testing.assert_array_equal(plate.tones.temperature_coefficients[2], [-5e-8, -5e-10, 1e-10])
     assert np.isnan(plate.tones.temperature_coefficients[:2]).all()
 
 
-def test_a_spread_of_touches_needs_tones_that_are_all_heard(tmp_path: Path) -> None:
-    (message,) = refusals(tmp_path, FORCE_PLATE.replace("[counter]", "spread_width_mm = 2.5\n[counter]"))
-    assert "spread_width_mm: got 2.5; belongs to a channelised counter of force sites" in message
+def test_a_spread_of_touches_needs_sites_enough_and_tones_that_are_all_heard(tmp_path: Path) -> None:
+    text = FORCE_PLATE.replace("[counter]", "spread_width_mm = 2.5\n[counter]")
+    few, captured = refusals(tmp_path, text)
+    assert "spread_width_mm: got 2.5; needs at least 4 sites, there are 2" in few
+    assert "spread_width_mm: got 2.5; belongs to a channelised counter of force sites" in captured
+    assert load_plate("comb16").spread_width_m == pytest.approx(2.5e-3)
 
 
 def test_what_a_calibration_says(tmp_path: Path) -> None:

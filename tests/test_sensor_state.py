@@ -61,7 +61,7 @@ def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> No
     assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
 
 
-@pytest.mark.parametrize("common_mode", [UNLEARNT, (0.0, 0.0, math.nan, 0.0), (math.nan,)])
+@pytest.mark.parametrize("common_mode", [UNLEARNT, (math.nan,)])
 def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: tuple[float, ...]) -> None:
     sensor = Sensor()
     sensor.read(3, "settling", "the common mode is being learnt", common_mode)

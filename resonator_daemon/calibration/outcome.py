@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import date, timedelta
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -40,6 +40,22 @@ class Outcome:
     swapped: tuple[Step, Step] | None
     residual_newton: dict[int, float]  # by number of the step
     creep_share: float  # of a force, by which sites would creep further; NaN where no load came from zero
+
+    @property
+    def creep_std(self) -> float:
+        """What creep that was not fitted may add, relative."""
+        return 0.0 if self.fit.response is not None else self.creep_share
+
+    @property
+    def loads_std(self) -> FloatArray:
+        """By how much each site's K (s,) is unknown for its loads and masses, relative."""
+        std: FloatArray = np.sqrt(np.mean((self.fit.sensitivity_std / self.fit.sensitivity) ** 2, axis=1))
+        return std
+
+    @property
+    def sensitivity_std(self) -> FloatArray:
+        """By how much each site's K (s,) is unknown in all, relative."""
+        return np.hypot(self.loads_std, self.creep_std)
 
 
 def fit_loadings(
@@ -104,7 +120,6 @@ def make_record(
     fit = outcome.fit
     codes = site_codes(plate)
     kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
-    creep = 0.0 if fit.response is not None else outcome.creep_share
     found = _fit_temperature(plate, wanted, guide, fit, kelvin)
     coefficients = codes.temperature_coefficients.copy()
     if found is not None:
@@ -122,7 +137,7 @@ def make_record(
                 int(plate.site_ids[site]),
                 tuple(f0_hz[site].tolist()),
                 tuple(fit.sensitivity[row].tolist()),
-                math.hypot(fit.site_residual_newton[row], creep * fit.force_range_newton[1]),
+                math.hypot(fit.site_residual_newton[row], outcome.creep_std * fit.force_range_newton[1]),
                 None if found is None else tuple(found[row].tolist()),
             )
         )
@@ -133,7 +148,7 @@ def make_record(
         unit=unit,
         temperature_kelvin=kelvin,
         model_error=_model_error(plate, fit),
-        sensitivity_std=min(0.5, math.hypot(creep, np.sqrt(np.mean((fit.sensitivity_std / fit.sensitivity) ** 2)))),
+        sensitivity_std=min(0.5, math.sqrt(np.mean(outcome.sensitivity_std**2))),
         force_newton=(0.0, fit.force_range_newton[1]),
         kelvin=(min(kelvins) - KELVIN_MARGIN, max(kelvins) + KELVIN_MARGIN),
         expiry=today + timedelta(days=valid_days),
@@ -172,11 +187,6 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
     if wanted.kelvin is None:
         found.append(f"temperature not given (--kelvin): taken as {record.temperature_kelvin:g} K")
     return found
-
-
-def as_json(record: Record) -> dict[str, Any]:
-    """Return the record in SI units, dates as text."""
-    return asdict(record) | {"date": record.date.isoformat(), "expiry": record.expiry.isoformat()}
 
 
 def _fit_temperature(

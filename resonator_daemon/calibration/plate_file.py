@@ -4,7 +4,7 @@ import datetime
 import hashlib
 import os
 import tempfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
@@ -124,6 +124,30 @@ def with_record(text: str, record: Record) -> str:
     return tomlkit.dumps(document)
 
 
+def as_json(record: Record) -> dict[str, Any]:
+    """Return [calibration] of the plate file, dates as text, with `response` and the `tones` that change."""
+    found = {site.site_id: site for site in record.sites}
+    f0_hz = {site.site_id: site.f0_hz for site in record.untouched}
+    f0_hz |= {site.site_id: site.f0_hz for site in record.sites}
+    return {
+        **_calibration(record),
+        "date": record.date.isoformat(),
+        "expiry": record.expiry.isoformat(),
+        "validity": _validity(record),
+        "coupling": [asdict(felt) for felt in record.coupling],
+        "response": None if record.response is None else asdict(record.response),
+        "tones": [
+            {
+                "site": site_id,
+                "f0_hz": values,
+                "sensitivity": found[site_id].sensitivity if site_id in found else None,
+                "temperature_coefficients": found[site_id].temperature_coefficients if site_id in found else None,
+            }
+            for site_id, values in f0_hz.items()
+        ],
+    }
+
+
 def write_plate_file(text: str, target: Path) -> None:
     """Check a plate file as the daemon would, then put it in place at once.
 
@@ -177,8 +201,9 @@ def _force_tone(table: Any) -> Any:
     return next(tone for tone in table["tones"] if tone["signal"] == FORCE_SIGNAL)
 
 
-def _set_calibration(table: Any, record: Record) -> None:
-    values: dict[str, Any] = {
+def _calibration(record: Record) -> dict[str, Any]:
+    """Return what [calibration] holds beside validity and coupling."""
+    return {
         "id": record.id,
         "date": record.date,
         "unit": record.unit,
@@ -189,14 +214,22 @@ def _set_calibration(table: Any, record: Record) -> None:
         "residuals": [_rounded(site.residual_newton) for site in record.sites],
         "expiry": record.expiry,
     }
-    for key, value in values.items():
-        table[key] = value
+
+
+def _validity(record: Record) -> dict[str, list[float]]:
+    return {
+        "force_newton": [_rounded(value) for value in record.force_newton],
+        "kelvin": [_rounded(value) for value in record.kelvin],
+    }
+
+
+def _set_calibration(table: Any, record: Record) -> None:
+    table.update(_calibration(record))
     table["residuals"].comment("newton rms, of these sites")
     if record.coupling:
         table["coupling"] = _coupling(record.coupling)
     validity = tomlkit.inline_table()
-    validity["force_newton"] = [_rounded(value) for value in record.force_newton]
-    validity["kelvin"] = [_rounded(value) for value in record.kelvin]
+    validity.update(_validity(record))
     table["validity"] = validity
 
 

@@ -1,10 +1,7 @@
 """`resonatord calibrate`: opens the board's link, leads through the steps, stages the result, accepts or aborts it."""
 
-import json
-import math
 import secrets
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -16,11 +13,20 @@ from resonator_daemon.calibration.board_frames import FromBoard, board_frames
 from resonator_daemon.calibration.comb_hearing import CombEar
 from resonator_daemon.calibration.guide import Guide, Loading, News
 from resonator_daemon.calibration.hearing import Ear, Floats, Heard
-from resonator_daemon.calibration.outcome import Outcome, as_json, fit_loadings, make_record, notes
-from resonator_daemon.calibration.plate_file import PlateFile, remove_remains, with_record, write_plate_file
+from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
+from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
+from resonator_daemon.calibration.plate_file import (
+    PlateFile,
+    Record,
+    as_json,
+    remove_remains,
+    with_record,
+    write_plate_file,
+)
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
 from resonator_daemon.calibration.session import Recording, Session
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
+from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.plate import FORCE_SIGNAL
@@ -62,7 +68,7 @@ def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
 def accept_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     """Put a staged calibration into the plate file."""
     session = Session(config_path)
-    _accept(session, session.staged_or_refuse(), _Teller(as_json))
+    _accept(session, session.staged_or_refuse(), Teller(as_json))
     return ExitCode.DONE
 
 
@@ -73,25 +79,8 @@ def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     if staged is not None:
         remove_remains(Path(staged["output"]))
     session.discard()
-    _Teller(as_json).object({"result": "aborted", "staged": staged is not None}, "aborted; the plate file is as before")
+    Teller(as_json).aborted(staged)
     return ExitCode.DONE
-
-
-class _Teller:
-    """Text for people on stderr, objects for programs on stdout."""
-
-    def __init__(self, as_json: bool) -> None:
-        self._as_json = as_json
-
-    def text(self, line: str) -> None:
-        sys.stderr.write(f"{line}\n")
-        sys.stderr.flush()
-
-    def object(self, value: dict[str, Any], line: str) -> None:
-        self.text(line)
-        if self._as_json:
-            sys.stdout.write(json.dumps(value) + "\n")
-            sys.stdout.flush()
 
 
 class _Calibration:
@@ -110,7 +99,7 @@ class _Calibration:
         self._steps, self._file, self._session = steps, file, session
         self._guide = Guide(config.plate, steps, ending.timeout_s)
         self._ear: Ear | CombEar | None = None
-        self._teller = _Teller(ending.as_json)
+        self._teller = Teller(ending.as_json)
         self._unit = ""
         self._repeated: set[int] = set()
 
@@ -121,15 +110,18 @@ class _Calibration:
                 recording.write("begun", begun)
                 self._teller.text(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
                 outcome = self._capture(recording)
-                staged = self._stage(outcome)
+                record = self._record(outcome)
+                staged = self._stage(record, outcome)
                 recording.write("staged", staged)
         except KeyboardInterrupt:
             self._session.discard()
-            self._teller.object({"result": "aborted"}, "aborted; the plate file is as before")
+            self._teller.aborted(None)
             return ExitCode.FAILED
         except BaseException:
             self._session.discard()
             raise
+        for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
+            self._teller.text(line)
         return self._finish(staged)
 
     def _capture(self, recording: Recording) -> Outcome:
@@ -188,8 +180,8 @@ class _Calibration:
             value["kelvin"] = step.kelvin
         text = news.text
         if news.kind == "captured" and step is not None:
-            value["residual_newton"] = residual = self._residual_so_far(step)
-            text += "" if residual is None else f"; {1e3 * residual:+.2f} mN from the fit of this site so far"
+            value["residual_newton"], so_far = self._fit_so_far(step)
+            text += so_far
             recording.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
         self._teller.object(value | {"text": news.text}, f"{place}{text}")
@@ -205,12 +197,21 @@ class _Calibration:
             "common_mode": self._guide.untouched.at(float(loading.times_s.mean())).tolist(),
         }
 
-    def _residual_so_far(self, step: Step) -> float | None:
+    def _fit_so_far(self, step: Step) -> tuple[float | None, str]:
+        """How far a load lies from the fit of its site, None where that has no meaning; and a text."""
         loads = [load for load in self._guide.loadings.values() if load.step.site_id == step.site_id]
         if len(loads) < 3 or step.at_temperature:
-            return None  # two always fit
-        residual = self._fit(loads, with_response=False).residual_newton[step.number]
-        return residual if math.isfinite(residual) else None
+            return None, ""  # two always fit
+        outcome = self._fit(loads, with_response=False)
+        residual = outcome.residual_newton[step.number]
+        if not abs(residual) <= self._config.plate.force_max_newton:
+            return None, "; the loads of this site so far do not fit together"
+        text = f"; {1e3 * residual:+.2f} mN from the fit of this site so far"
+        return residual, text + (": its loads do not fit together" if self._misfits(loads, outcome) else "")
+
+    def _misfits(self, loads: list[Loading], outcome: Outcome) -> tuple[Misfit, ...]:
+        steps = [load.step for load in loads if not load.step.at_temperature]
+        return find_misfits(self._config.plate, steps, outcome, self._wanted.mass_std)
 
     def _judge(self, recording: Recording) -> Outcome:
         loads = list(self._guide.loadings.values())
@@ -221,29 +222,35 @@ class _Calibration:
                 f"steps {first.number} ({first.load}) and {second.number} ({second.load}): the masses were exchanged, "
                 "as what was read fits the other way round; begin again"
             )
-        if outcome.doubtful:
-            self._repeat(outcome, recording)
+        misfits = self._misfits(loads, outcome)
+        if outcome.doubtful or misfits:
+            self._repeat(outcome, misfits, recording)
+        else:
+            refuse_unknown_sensitivity(self._config.plate, outcome)
         return outcome
 
-    def _repeat(self, outcome: Outcome, recording: Recording) -> None:
+    def _repeat(self, outcome: Outcome, misfits: tuple[Misfit, ...], recording: Recording) -> None:
         """Ask once more for the loads that do not fit; the second time is one too many."""
-        numbers = {bad.number for bad in outcome.doubtful}
+        steps = {bad.number: bad for bad in outcome.doubtful}
+        steps |= {bad.number: bad for misfit in misfits for bad in misfit.steps}
         finding = "; ".join(
-            f"step {bad.number} ({bad.load}) does not fit the others: "
-            f"{1e3 * outcome.residual_newton[bad.number]:+.1f} mN off"
-            for bad in outcome.doubtful
+            [
+                f"step {bad.number} ({bad.load}) does not fit the others: "
+                f"{1e3 * outcome.residual_newton[bad.number]:+.1f} mN off"
+                for bad in outcome.doubtful
+            ]
+            + [misfit.sentence for misfit in misfits]
         )
-        if numbers & self._repeated or self._wanted.response:
+        if steps.keys() & self._repeated or self._wanted.response:
             raise CalibrationRefusedError(f"{finding}; check masses and places, and begin again")
-        self._repeated |= numbers
+        self._repeated |= steps.keys()
         self._teller.text(f"{finding}; once more, please")
-        for news in self._guide.repeat(outcome.doubtful):
+        for news in self._guide.repeat([steps[number] for number in sorted(steps)]):
             self._tell(news, recording)
 
-    def _stage(self, outcome: Outcome) -> dict[str, Any]:
-        plate = self._config.plate
-        record = make_record(
-            plate,
+    def _record(self, outcome: Outcome) -> Record:
+        return make_record(
+            self._config.plate,
             self._wanted,
             self._guide,
             outcome,
@@ -253,6 +260,8 @@ class _Calibration:
             valid_days=self._ending.valid_days,
             untouched_hz=self._untouched_hz,
         )
+
+    def _stage(self, record: Record, outcome: Outcome) -> dict[str, Any]:
         text = with_record(self._file.source.read_text(encoding="utf-8"), record)
         return {
             "id": record.id,
@@ -260,24 +269,22 @@ class _Calibration:
             "sha256": self._file.digest,
             "output": str(self._file.output.resolve()),
             "record": as_json(record),
-            "notes": notes(plate, self._wanted, outcome, record),
+            "notes": notes(self._config.plate, self._wanted, outcome, record),
             "plate_file": text,
         }
 
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
-        for line in [*_summary(staged["record"]), *(f"note: {note}" for note in staged["notes"])]:
-            self._teller.text(line)
-        if self._ending.accept or (sys.stdin.isatty() and _asked("accept? [y/N] ")):
+        if self._ending.accept or (sys.stdin.isatty() and asked("accept? [y/N] ")):
             _accept(self._session, staged, self._teller)
         else:
             self._teller.object(
-                _result("staged", staged),
+                result("staged", staged),
                 f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort",
             )
         return ExitCode.DONE
 
 
-def _accept(session: Session, staged: dict[str, Any], teller: _Teller) -> None:
+def _accept(session: Session, staged: dict[str, Any], teller: Teller) -> None:
     source, output = Path(staged["source"]), Path(staged["output"])
     if PlateFile(source, output).digest != staged["sha256"]:
         raise CalibrationRefusedError(f"{source} has changed since it was calibrated; --abort, and calibrate again")
@@ -286,34 +293,4 @@ def _accept(session: Session, staged: dict[str, Any], teller: _Teller) -> None:
     line = f"accepted: {output} holds calibration {staged['id']}"
     if source != output:
         line += f'; set plate = "{output}" in the configuration'
-    teller.object(_result("accepted", staged), line)
-
-
-def _result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
-    kept = {key: staged[key] for key in ("id", "output", "record", "notes")}
-    return {"result": word, **kept}
-
-
-def _summary(record: dict[str, Any]) -> Iterator[str]:
-    for site in record["sites"]:
-        sensitivity = ", ".join(f"{value:.4g}" for value in site["sensitivity"])
-        yield f"site {site['site_id']}: K = {sensitivity} 1/N; residual {1e3 * site['residual_newton']:.2f} mN rms"
-    yield (
-        f"model error {100 * record['model_error']:.2g} %, K known to {100 * record['sensitivity_std']:.2g} %, "
-        f"valid to {record['force_newton'][1]:.3g} N, {record['kelvin'][0]:g} to {record['kelvin'][1]:g} K, "
-        f"until {record['expiry']}"
-    )
-    if (response := record["response"]) is not None:
-        yield (
-            f"hysteresis {1e3 * response['hysteresis_newton']:.1f} mN, creep {100 * response['creep_fraction']:.2g} % "
-            f"in {response['creep_time_s']:.3g} s"
-        )
-
-
-def _asked(question: str) -> bool:
-    sys.stderr.write(question)
-    sys.stderr.flush()
-    try:
-        return sys.stdin.readline().strip().lower() in ("y", "yes")
-    except KeyboardInterrupt:  # no answer is no consent, and no reason to lose what was captured
-        return False
+    teller.object(result("accepted", staged), line)

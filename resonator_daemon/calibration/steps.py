@@ -10,6 +10,7 @@ from resonator_daemon.calibration.refusal import CalibrationUsageError
 from resonator_daemon.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3
+SENSITIVITY_STD_MAX: Final = 0.05  # relative, of each site's K: what is known worse is no calibration
 _KELVIN: Final = (100.0, 600.0)  # what a plate file takes
 
 
@@ -114,8 +115,8 @@ def _mass_findings(wanted: Wanted, plate: Plate) -> Iterator[str]:
 
 
 def _other_findings(wanted: Wanted) -> Iterator[str]:
-    if not 0 <= wanted.mass_std <= 0.5:
-        yield f"--mass-std: {wanted.mass_std:g}, must be between 0 and 0.5 (relative)"
+    if not 0 <= wanted.mass_std < SENSITIVITY_STD_MAX:
+        yield f"--mass-std: {wanted.mass_std:g}, must be at least 0 and below {SENSITIVITY_STD_MAX:g} (relative)"
     if not 1 <= wanted.repeats <= 1000:
         yield f"--repeats: {wanted.repeats}, must be between 1 and 1000"
     for name, seconds in (("--hold-s", wanted.hold_s), ("--response-hold-s", wanted.response_hold_s)):

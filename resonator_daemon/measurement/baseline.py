@@ -13,13 +13,15 @@ COMMON_MODE_STD: Final = 2e-7
 # A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
 # 1e-7 per kelvin, and an ordinary reference clock beside it with less.
 COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
+KNOWN_CHANNELS: Final = 2  # so many tell a site and a force
 
 
 class CommonMode:
     """Relative frequency error g per channel: a random walk that the untouched tones measure.
 
-    Unknown until every channel has been heard untouched in `needed` readings since the start or the last `reset`, or
-    was set by `tare`. Only a board's boot or a new configuration is a reason for `reset`.
+    Unknown, channel by channel, until it has been heard untouched in `needed` readings since the start or the last
+    `reset`, or was set by `tare`; unknown as a whole until two channels are known. Only a board's boot or a new
+    configuration is a reason for `reset`.
     """
 
     def __init__(self, channels: int, *, needed: int, reading_std: float, floor_std: float = COMMON_MODE_STD) -> None:
@@ -69,14 +71,18 @@ class CommonMode:
 
     @property
     def known(self) -> bool:
-        return min(self._count) >= self._needed
+        return sum(count >= self._needed for count in self._count) >= min(KNOWN_CHANNELS, len(self._count))
 
     @property
     def value(self) -> tuple[float, ...]:
-        """Return g per channel; NaN until known."""
-        return tuple(map(float, self._walks.mean)) if self.known else (math.nan,) * len(self._count)
+        """Return g per channel; NaN where and until it is not known."""
+        known = [self.known and count >= self._needed for count in self._count]
+        return tuple(float(g) if k else math.nan for g, k in zip(self._walks.mean, known, strict=True))
 
     @property
     def std(self) -> float:
         """What `value` may be off by, relative, in common on all channels; NaN until known."""
-        return math.sqrt(float(self._walks.variance.max()) + self._floor_variance) if self.known else math.nan
+        if not self.known:
+            return math.nan
+        known = np.array(self._count) >= self._needed
+        return math.sqrt(float(self._walks.variance[known].max()) + self._floor_variance)

@@ -147,11 +147,13 @@ class CombChain:
         shifts = self._tones.shifts(merged.offset_hz, merged.sigma_hz)
         shifts = self._shifts = shifts._replace(variance=shifts.variance + oscillator_std(window_s) ** 2)
         heard = np.isfinite(shifts.shift)
-        status, reason = _status(heard)
+        status, reason = _status(heard, np.sqrt(shifts.variance) / np.abs(shifts.sensitivity))
         last_ticks = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
         time_s, elapsed_s = board_ticks / self._reference_hz, max(board_ticks - last_ticks, 0) / self._reference_hz
 
+        if self._drifted is None:
+            self._errors.rest(time_s)
         before = self._drifted or self._drift.update(shifts.shift, shifts.variance, elapsed_s, shifts.kelvin)
         forces = self._forces(shifts, before, time_s)
         load, pressed = np.zeros(len(heard)), np.zeros(len(heard), dtype=bool)
@@ -175,9 +177,12 @@ class CombChain:
         if self._drifted is not None:
             drift = self._follow(shifts, before, forces, load, pressed, elapsed_s)
         if self._spread is None:
-            touches = [self._touch_of_site(self._site_force(forces, s)) for s in np.flatnonzero(drift.in_contact)]
+            felt = np.flatnonzero(drift.in_contact & np.isfinite(forces.force_newton))
+            touches = [self._touch_of_site(self._site_force(forces, site)) for site in felt]
+        if any(touch.status == "overload" for touch in touches):
+            status, reason = "overload", f"force above {self._sites.force_max_newton:g} N, the largest of this plate"
         self._drifted = drift
-        complete = status in ("ok", "possibly_more")
+        complete = status in ("ok", "possibly_more", "overload")
         events = self._tracker.update(board_ticks, touches, complete=complete, status=status, reason=reason)
         self._touched = bool(self._tracker.contacts) or bool(pressed.any())
         return ForceReading(
@@ -254,7 +259,7 @@ class CombChain:
             other = math.sqrt(max(widening * float(covariance[2, 2]) - noise**2, 0.0))
             x, y = position_m.tolist()
             over = newton > self._sites.force_max_newton
-            untold = float(self._errors.untold_newton(np.array(newton)))
+            untold = max(float(forces.untold_newton[nearest]), float(self._errors.untold_newton(np.array(newton))))
             touches.append(
                 Touch(
                     nearest,
@@ -288,6 +293,8 @@ class CombChain:
         newton, largest = float(forces.force_newton[site]), self._sites.force_max_newton
         own = math.hypot(self._sites.model_error * newton, float(forces.untold_newton[site]))
         over = newton > largest
+        if math.isnan(newton):
+            return SiteForce(int(site), math.nan, math.nan, math.nan, "no_signal")
         return SiteForce(
             int(site),
             math.nan if over else newton,
@@ -312,10 +319,12 @@ class CombChain:
         return "off" if self._sites.response is None else "on"
 
 
-def _status(heard: NDArray[np.bool_]) -> tuple[SensorStatus, str]:
+def _status(heard: NDArray[np.bool_], noise_newton: FloatArray) -> tuple[SensorStatus, str]:
     silent = int(np.count_nonzero(~heard))
     if silent == len(heard):
         return "no_signal", "no tone is known"
+    if (usual := float(np.median(noise_newton[heard]))) > ONSET_NEWTON:
+        return "no_signal", f"noise of {usual:.2g} N hides touches"
     return "ok", f"{silent} of {len(heard)} sites are not heard" if silent else ""
 
 

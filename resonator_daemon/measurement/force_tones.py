@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from resonator_daemon.measurement.force import FloatArray
 
+APART_SIGMAS: Final = 8.0
+CORNER_ERROR: Final = 2e-7  # relative, by which f0 of a corner may be off
+MODEL_MARGIN: Final = 0.1  # of a shift, by which corners may differ in K
 FORCE, TEMPERATURE = 0, 1  # in `signal_index`
 SIGMA_HZ: Final[FloatArray] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
 
@@ -62,7 +65,9 @@ class ForceTones:
         frequency = self._oscillator_hz + offset_hz
         known = np.isfinite(frequency) & np.isfinite(sigma_hz) & (sigma_hz > 0) & (frequency > 0)
         shift = np.where(known, 1.0 - self._f0_hz / np.where(known, frequency, 1.0), 0.0)
-        weight = np.where(known, (np.where(known, frequency, 1.0) / np.where(known, sigma_hz, 1.0)) ** 2, 0.0)
+        std = np.where(known, sigma_hz / np.where(known, frequency, 1.0), np.inf)
+        known &= _agree(shift, std, known)
+        shift, weight = np.where(known, shift, 0.0), np.where(known, 1.0 / std**2, 0.0)
         total = weight.sum(axis=0)
         heard = total > 0
         scale = np.where(heard, 1.0 / np.where(heard, total, 1.0), np.nan)
@@ -72,6 +77,19 @@ class ForceTones:
         warm = self._of_temperature
         kelvin = np.where(warm >= 0, combined[warm] / sensitivity[warm], np.nan)
         return SiteShifts(combined[force], scale[force], sensitivity[force], kelvin)
+
+
+def _agree(shift: FloatArray, std: FloatArray, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Tell which corners do not stand apart from the others, (4, t); three at least must be known to tell."""
+    count = known.sum(axis=0)
+    tone = np.arange(shift.shape[1])
+    order = np.argsort(np.where(known, shift, np.inf), axis=0)
+    low, high = order[np.maximum(count - 1, 0) // 2, tone], order[count // 2 % len(shift), tone]
+    middle = (shift[low, tone] + shift[high, tone]) / 2.0
+    middle_std = np.maximum(std[low, tone], std[high, tone])
+    allowed = APART_SIGMAS * np.hypot(std, middle_std) + CORNER_ERROR + MODEL_MARGIN * np.abs(middle)
+    agree: NDArray[np.bool_] = (count < 3) | (np.abs(shift - middle) <= allowed)
+    return agree
 
 
 def _by_site(

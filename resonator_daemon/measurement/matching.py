@@ -43,7 +43,7 @@ class SiteForce:
     force_newton: float
     noise_newton: float
     systematic_newton: float
-    status: Literal["ok", "overload", "possibly_more", "uncalibrated"]
+    status: Literal["ok", "overload", "possibly_more", "uncalibrated", "no_signal"]
     at_least_newton: float | None = None
     hidden_newton: float = 0.0
     channels: tuple[int, ...] = ()

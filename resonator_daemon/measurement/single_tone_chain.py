@@ -100,6 +100,7 @@ class SingleToneChain:
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
         self._attenuation_db = [math.nan] * channels
         self._pilot_attenuation_db = [math.nan] * channels
+        self._told_sites: set[int] = set()  # by the last reading
         self._crowded = [0] * channels  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
@@ -203,7 +204,7 @@ class SingleToneChain:
             status, reason = self._silent(tones, pilots)
 
         forces = tuple(self._complete(force, board_ticks / self._reference_hz, status) for force in forces)
-        touches = [self._touch(force) for force in forces]
+        touches = self._confirmed([self._touch(force) for force in forces], frames)
         unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
         events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
         return ForceReading(
@@ -288,6 +289,15 @@ class SingleToneChain:
             if pressed.calibrated[0]
             else "uncalibrated",
         )
+
+    def _confirmed(self, touches: list[Touch], frames: int) -> list[Touch]:
+        """Leave out touches of a window that has just begun and that the frame before did not tell of.
+
+        While a tone takes over a corner, a window of two gates may say anything.
+        """
+        before, self._told_sites = self._told_sites, {touch.site for touch in touches}
+        known = before | {contact.touch.site for contact in self._tracker.contacts}
+        return touches if frames > self._onset_frames else [touch for touch in touches if touch.site in known]
 
     def _touch(self, force: SiteForce) -> Touch:
         x, y = self._sites.positions_m[force.site].tolist()

@@ -14,13 +14,15 @@ from resonator_daemon.measurement.warm_contact import warming_std
 # Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
 USUAL_HYSTERESIS: Final = 0.01
 USUAL_CREEP: Final = 0.005
+PROVEN_HYSTERESES: Final = 4.0  # a press that large leaves a site where any press leaves it
 RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
 
 
 class Pressed(NamedTuple):
     """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them.
 
-    `untold_newton` is what hysteresis and creep may add to the latter where they were not calibrated, else 0.
+    `untold_newton` is what hysteresis and creep may add to the latter where they were not calibrated, or where a site's
+    rest is not known yet; else 0.
     """
 
     force_newton: FloatArray
@@ -46,6 +48,16 @@ class SiteErrors:
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
         self._since_s = np.full(count, math.nan)
         self._silent = np.zeros(count, dtype=bool)
+        self._unproven = np.zeros(count, dtype=bool)
+
+    def rest(self, time_s: float) -> None:
+        """Take that nothing presses any site now, and that what they feel so counts as nothing.
+
+        How far a site still was from its rest shows once it is pressed by more than its hysteresis.
+        """
+        if self._inverse is not None:
+            self._inverse.rest(np.arange(len(self._unproven)), time_s)
+            self._unproven[:] = True
 
     def silence(self, time_s: float) -> None:
         """Take that nothing presses any site, and none is heard, until they are pressed again."""
@@ -79,6 +91,7 @@ class SiteErrors:
             untold = self.untold_newton(force)
         else:
             force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
+            untold = self._unknown_rest(sites, force)
         warmth = self._sites.warmth
         held_s = time_s - since_s
         per_kelvin = warming_std(
@@ -91,10 +104,21 @@ class SiteErrors:
         # The slope itself is not known better than that.
         unknown = warmth.coefficient_std * -np.expm1(-held_s / warmth.contact_time_s)
         warming = warmth.contact_std_kelvin[sites] * np.hypot(per_kelvin, unknown)
+        if touched is not None:
+            warming = np.where(touched, warming, 0.0)
         parts = systematic_newton, self._sites.sensitivity_std * force, warming * newton_per_shift, of_response
         systematic = np.sqrt(sum(part**2 for part in parts))
-        calibrated = (force >= self._lowest_newton) & (force <= self._highest_newton)
+        calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
         return Pressed(force, noise, systematic, untold, calibrated)
+
+    def _unknown_rest(self, sites: NDArray[np.intp], force_newton: FloatArray) -> FloatArray:
+        response = self._sites.response
+        hysteresis = response.hysteresis_newton if response else 0.0
+        unproven = self._unproven[sites]
+        self._unproven[sites] = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        # Up to its hysteresis a site answers alike wherever it was at rest.
+        beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
+        return np.where(unproven, np.nan_to_num(beyond), 0.0)
 
     def untold_newton(self, force_newton: FloatArray) -> FloatArray:
         """Return what hysteresis and creep may make of a force, one standard deviation, where they are not known."""

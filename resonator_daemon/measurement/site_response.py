@@ -112,6 +112,12 @@ class ResponseInverse:
         variance = off[:-2].sum(axis=0) + np.maximum(off[-2], off[-1])
         return Pressing(force[_AS_IS], gain * noise_newton, np.sqrt(variance))
 
+    def rest(self, sites: IndexArray, time_s: float) -> None:
+        """Take that sites (k,) rest now, and that what they feel at rest counts as nothing."""
+        still = np.zeros((self._state.shape[1], len(sites)))
+        self._keep(sites, still, still, still, time_s)
+        self._known_until_s[sites] = math.inf
+
     def release(self, sites: IndexArray, time_s: float) -> None:
         """Take that sites (k,) are untouched from now until they are heard again; for all that are so at the start."""
         play, creep = self._elapse(sites, time_s)

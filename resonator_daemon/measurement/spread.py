@@ -162,7 +162,7 @@ class SpreadFit:
 
     def _gate(self, data: _Data, fit: _Fit) -> float:
         freedom = len(data.force) - fit.touches.size
-        return float(chdtri(freedom, EXCEEDED_BY_CHANCE)) if freedom else np.inf
+        return float(chdtri(freedom, EXCEEDED_BY_CHANCE)) if freedom else 0.0  # nothing is left to judge by
 
     def loads(self, touches: Touches, least_newton: float) -> FloatArray:
         """Return the force (n,) that touches of `least_newton` or more put on each site."""

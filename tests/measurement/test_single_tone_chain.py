@@ -313,12 +313,22 @@ def test_what_few_channels_can_tell(dead, pressed, status):
         assert "channel 0: no_signal" in last.reason
 
 
-def test_a_corner_that_is_dead_from_the_start_is_named_and_gives_no_force():
+def test_a_corner_that_is_dead_from_the_start_is_named_and_left_out():
     bench = Bench()
-    last = bench.hold(UNTOUCHED, 300, (0, 0, NO_SIGNAL, 0))[-1]
-    assert last.status == "pilot_lost"
-    assert last.reason == "channel 2: no_signal"
-    assert bench.hold(PLATE.loaded_hz(2, 1.0), 40)[-1].status == "pressed_at_start"
+    flags = (0, 0, NO_SIGNAL, 0)
+    last = bench.hold(UNTOUCHED, 300, flags)[-1]
+    assert (last.status, last.reason) == ("ok", "channel 2: no_signal")
+    assert math.isnan(last.compensation.common_mode[2])
+    pressed = bench.hold(PLATE.loaded_hz(2, 1.0), 40, flags)[-1]
+    assert [(force.site, force.channels) for force in pressed.sites] == [(2, (0, 1, 3))]
+    assert pressed.sites[0].force_newton == pytest.approx(1.0, abs=0.02)
+
+
+def test_one_corner_alone_gives_no_force():
+    bench = Bench()
+    flags = (NO_SIGNAL, NO_SIGNAL, NO_SIGNAL, 0)
+    assert bench.hold(UNTOUCHED, 300, flags)[-1].status == "pilot_lost"
+    assert bench.hold(PLATE.loaded_hz(2, 1.0), 40, flags)[-1].sites == ()
 
 
 def test_the_first_readings_settle():

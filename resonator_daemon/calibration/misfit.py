@@ -1,0 +1,106 @@
+"""What a result must hold before it may be accepted: loads of a site that fit together, and K known well enough."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.calibration.outcome import BAD_NEWTON, Outcome
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.calibration.steps import SENSITIVITY_STD_MAX, Step
+from resonator_daemon.plate import Plate
+
+SCATTERS: Final = 5.0  # that a site's residual may be: far beyond chance, even of three loads with one to spare
+FEWEST_OTHERS: Final = 3  # sites, of which the middle one tells how touches scatter
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """A site whose loads leave more than scatter explains."""
+
+    site_id: int
+    steps: tuple[Step, ...]
+    residual_newton: float  # rms
+    limit_newton: float
+    range_newton: float  # of the plate: a residual beyond it says no more than that nothing fits
+
+    @property
+    def sentence(self) -> str:
+        off = f"{1e3 * self.residual_newton:.3g} mN rms"
+        if self.residual_newton > self.range_newton:
+            off = f"above {self.range_newton:g} N"
+        limit = f"at most {1e3 * self.limit_newton:.3g} mN, {SCATTERS:g} times what scatter explains"
+        return f"site {self.site_id}: its loads do not fit together: residual {off}, {limit}"
+
+
+@dataclass(frozen=True)
+class _SiteLoads:
+    steps: tuple[Step, ...]
+    force_newton: float  # rms
+    residual_newton: float  # rms
+    share: float  # scatter of a load by these residuals, relative
+    freedom: int
+
+
+def find_misfits(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std: float) -> tuple[Misfit, ...]:
+    """Return the sites whose loads, but for doubtful ones, lie too far off their line; `steps` are all that was fitted.
+
+    A load scatters by the plate file's model_error in each channel alone, or by what the other sites show, if that is
+    more; and by `mass_std`.
+    """
+    sites = _by_site([step for step in steps if step not in outcome.doubtful], outcome)
+    found = []
+    for site_id, site in sites.items():
+        others = [other for other_id, other in sites.items() if other_id != site_id]
+        share = math.hypot(max(plate.calibration.model_error / math.sqrt(CHANNEL_COUNT), _usual(others)), mass_std)
+        limit_newton = SCATTERS * math.hypot(share * site.force_newton, BAD_NEWTON)
+        if not site.residual_newton <= limit_newton:
+            found.append(Misfit(site_id, site.steps, site.residual_newton, limit_newton, plate.force_max_newton))
+    return tuple(found)
+
+
+def refuse_unknown_sensitivity(plate: Plate, outcome: Outcome) -> None:
+    """Raise CalibrationRefusedError where K of a site is known worse than any calibration may be."""
+    fit = outcome.fit
+    worst = int(np.argmax(outcome.sensitivity_std))
+    if outcome.sensitivity_std[worst] <= SENSITIVITY_STD_MAX:
+        return
+    masses = float(np.max(fit.sensitivity_mass_std[worst] / np.abs(fit.sensitivity[worst])))
+    remedies = {
+        "load it again with masses further apart, or more often (--repeats)": outcome.loads_std[worst],
+        "hold loads longer (--hold-s)": outcome.creep_std,
+        "take masses that are known better (--mass-std)": masses if masses > 0.7 * outcome.loads_std[worst] else 0.0,
+    }
+    raise CalibrationRefusedError(
+        f"site {plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
+        f"must be known to {100 * SENSITIVITY_STD_MAX:g} %; {max(remedies, key=lambda name: remedies[name])}"
+    )
+
+
+def _by_site(steps: Sequence[Step], outcome: Outcome) -> dict[int, _SiteLoads]:
+    """Sites with more loads than a line needs."""
+    sites = {}
+    for site_id in dict.fromkeys(step.site_id for step in steps):
+        own = tuple(step for step in steps if step.site_id == site_id)
+        force = np.array([step.force_newton for step in own])
+        residual = np.array([outcome.residual_newton[step.number] for step in own])
+        freedom = len(own) - min(2, len(set(force.tolist())))
+        if freedom > 0:
+            share = math.sqrt(float(np.sum((residual / force) ** 2)) / freedom)
+            sites[site_id] = _SiteLoads(own, _rms(force), _rms(residual), share, freedom)
+    return sites
+
+
+def _usual(sites: Sequence[_SiteLoads]) -> float:
+    """Scatter of a load, relative, by the middle one of some sites; 0 where they are too few to tell."""
+    if len(sites) < FEWEST_OTHERS:
+        return 0.0
+    return math.sqrt(np.median([site.share**2 * site.freedom / chi2.median(site.freedom) for site in sites]))
+
+
+def _rms(values: np.ndarray) -> float:
+    return math.sqrt(float(np.mean(values**2)))

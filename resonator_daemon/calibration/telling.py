@@ -1,0 +1,67 @@
+"""What a calibration tells: text for people on stderr, objects for programs on stdout."""
+
+import json
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from resonator_daemon.calibration.outcome import Outcome
+from resonator_daemon.calibration.plate_file import Record
+
+
+class Teller:
+    """Writes both."""
+
+    def __init__(self, as_json: bool) -> None:
+        self._as_json = as_json
+
+    def text(self, line: str) -> None:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
+
+    def object(self, value: dict[str, Any], line: str) -> None:
+        self.text(line)
+        if self._as_json:
+            sys.stdout.write(json.dumps(value) + "\n")
+            sys.stdout.flush()
+
+    def aborted(self, staged: dict[str, Any] | None) -> None:
+        """Say that nothing changed; `staged` is the result that was forgotten, if there was one."""
+        value = result("aborted", staged or {}) | {"staged": staged is not None}
+        self.object(value, "aborted; the plate file is as before")
+
+
+def result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
+    """Return the last object of a calibration; null and [] for what there is not."""
+    kept = {key: staged.get(key) for key in ("id", "output", "record")}
+    return {"result": word, **kept, "notes": staged.get("notes", [])}
+
+
+def asked(question: str) -> bool:
+    """Whether whoever sits at the terminal says yes."""
+    sys.stderr.write(question)
+    sys.stderr.flush()
+    try:
+        return sys.stdin.readline().strip().lower() in ("y", "yes")
+    except KeyboardInterrupt:  # no answer is no consent, and no reason to lose what was captured
+        return False
+
+
+def summary(record: Record, outcome: Outcome) -> Iterator[str]:
+    """Yield lines on the sites, the whole, and the response."""
+    for site, loads_newton in zip(record.sites, outcome.fit.site_residual_newton.tolist(), strict=True):
+        sensitivity = ", ".join(f"{value:.4g}" for value in site.sensitivity)
+        residual = f"residual {1e3 * loads_newton:.2f} mN rms"
+        if outcome.creep_std:
+            residual += f" of its loads, {1e3 * site.residual_newton:.2f} mN with the creep that holds do not rule out"
+        yield f"site {site.site_id}: K = {sensitivity} 1/N; {residual}"
+    yield (
+        f"model error {100 * record.model_error:.2g} %, K known to {100 * record.sensitivity_std:.2g} %, "
+        f"valid to {record.force_newton[1]:.3g} N, {record.kelvin[0]:g} to {record.kelvin[1]:g} K, "
+        f"until {record.expiry}"
+    )
+    if (response := record.response) is not None:
+        yield (
+            f"hysteresis {1e3 * response.hysteresis_newton:.1f} mN, creep {100 * response.creep_fraction:.2g} % "
+            f"in {response.creep_time_s:.3g} s"
+        )
