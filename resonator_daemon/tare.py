@@ -8,13 +8,27 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.config import Config, load_config, parse_link
-from resonator_daemon.errors import ConfigError, ExitCode
-from resonator_daemon.publishing.payloads import Info
-from resonator_daemon.publishing.requests import reach, request
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.publishing.payloads import Condition, Info, State
+from resonator_daemon.publishing.requests import BrokerUnreachableError, NoAnswerError, reach, request
 from resonator_daemon.publishing.subscriber import subscribe
-from resonator_daemon.publishing.topics import INFO, TOPICS
+from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
 
 LOOK_S: Final = 3.0
+OTHERS_S: Final = 0.5  # for another daemon of the same link, where one of them is offline
+
+
+class NoDaemonError(OperatorError):
+    """No daemon is there to be asked."""
+
+    exit_code = ExitCode.FAILED
+
+
+_CODES: Final[dict[type[OperatorError], str]] = {
+    BrokerUnreachableError: "no_broker",
+    NoDaemonError: "no_daemon",
+    NoAnswerError: "no_answer",
+}
 
 
 def tare(config_path: Path, *, as_json: bool) -> ExitCode:
@@ -25,33 +39,60 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
     OperatorError
         The configuration cannot be used; no broker, no daemon, or no answer.
     """
-    config = load_config(config_path)
-    answer = asyncio.run(_ask(config))
+    try:
+        config = load_config(config_path)
+        answer = asyncio.run(_ask(config))
+    except OperatorError as error:
+        if as_json:
+            told = {"code": _CODES.get(type(error), "config"), "message": str(error), "hint": ""}
+            sys.stdout.write(json.dumps({"verb": "tare", "ok": False, "error": told}) + "\n")
+        raise
     done = answer.get("ok") is True
     if as_json:
         sys.stdout.write(json.dumps(answer) + "\n")
     elif done:
         sys.stdout.write(f"{answer.get('did', 'done')}\n")
     if not done:
-        error = answer.get("error")
-        told = error if isinstance(error, dict) else {}
-        parts = [str(told[key]) for key in ("message", "hint") if told.get(key)]
+        refusal = answer.get("error")
+        reasons = refusal if isinstance(refusal, dict) else {}
+        parts = [str(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
         sys.stderr.write(f"resonatord: not tared: {'; '.join(parts) or 'refused'}\n")
     return ExitCode.DONE if done else ExitCode.FAILED
 
 
 async def _ask(config: Config) -> dict[str, object]:
     await reach(config.mqtt)
-    return await request(config.mqtt, config.name or await _name(config), "tare", {})
+    return await request(config.mqtt, await _running(config), "tare", {})
 
 
-async def _name(config: Config) -> str:
-    """Find the daemon by its link: without a name it bears the board's serial number."""
+async def _running(config: Config) -> str:
+    """Find a daemon that is not offline by its name, or by its link: without a name it bears the board's serial number.
+
+    The broker keeps both `info` and the daemon's state, so that they come at once.
+    """
+    names = {config.name} if config.name else set()
+    offline: dict[str, str] = {}  # the reason, by name
+    online: set[str] = set()
+    topics = (TOPICS[INFO.path], TOPICS[STATE_DAEMON.path])
     try:
-        async with asyncio.timeout(LOOK_S), aclosing(subscribe(config.mqtt, (TOPICS[INFO.path],))) as messages:
-            async for plate, _, message in messages:
-                if isinstance(message, Info) and parse_link(message.link) == config.link:
-                    return plate
+        async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
+            async for plate, path, message in messages:
+                if isinstance(message, Info) and not config.name and parse_link(message.link) == config.link:
+                    names.add(plate)
+                elif isinstance(message, State) and path == STATE_DAEMON.path:
+                    if message.state is Condition.OFFLINE:
+                        offline[plate] = message.reason
+                    else:
+                        online.add(plate)
+                if found := names & online:
+                    return found.pop()
+                if names & offline.keys():
+                    if config.name:
+                        break
+                    limit.reschedule(asyncio.get_running_loop().time() + OTHERS_S)
     except TimeoutError:
         pass
-    raise ConfigError(f"no daemon below {config.mqtt.prefix}/ publishes of this link; start it, or set name")
+    if gone := sorted(names & offline.keys()):
+        raise NoDaemonError(f"daemon {gone[0]} is offline ({offline[gone[0]]}); start it: resonatord run")
+    where = f"{config.mqtt.prefix}/{config.name or ''}"
+    raise NoDaemonError(f"no daemon publishes {f'as {where}' if config.name else f'of this link below {where}'}; start it")

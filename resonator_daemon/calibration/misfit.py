@@ -30,10 +30,10 @@ class Misfit:
 
     @property
     def sentence(self) -> str:
-        off = f"{1e3 * self.residual_newton:.3g} mN rms"
+        off = f"{1e3 * self.residual_newton:.0f} mN rms"
         if self.residual_newton > self.range_newton:
             off = f"above {self.range_newton:g} N"
-        limit = f"at most {1e3 * self.limit_newton:.3g} mN, {SCATTERS:g} times what scatter explains"
+        limit = f"at most {1e3 * self.limit_newton:.0f} mN, {SCATTERS:g} times what scatter explains"
         return f"site {self.site_id}: its loads do not fit together: residual {off}, {limit}"
 
 
@@ -77,7 +77,7 @@ def refuse_unknown_sensitivity(plate: Plate, outcome: Outcome) -> None:
     }
     raise CalibrationRefusedError(
         f"site {plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
-        f"must be known to {100 * SENSITIVITY_STD_MAX:g} %; {max(remedies, key=lambda name: remedies[name])}"
+        f"must be known to at least {100 * SENSITIVITY_STD_MAX:g} %; {max(remedies, key=lambda name: remedies[name])}"
     )
 
 

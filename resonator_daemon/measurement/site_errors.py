@@ -21,8 +21,8 @@ RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force co
 class Pressed(NamedTuple):
     """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them.
 
-    `untold_newton` is what hysteresis and creep may add to the latter where they were not calibrated, or where a site's
-    rest is not known yet; else 0.
+    `untold_newton` is what comes to the latter once it is known that something presses: hysteresis and creep that were
+    not calibrated, a rest that is not known yet, and of sites that are heard untouched the warmth of a touch.
     """
 
     force_newton: FloatArray
@@ -105,7 +105,9 @@ class SiteErrors:
         unknown = warmth.coefficient_std * -np.expm1(-held_s / warmth.contact_time_s)
         warming = warmth.contact_std_kelvin[sites] * np.hypot(per_kelvin, unknown)
         if touched is not None:
-            warming = np.where(touched, warming, 0.0)
+            # What only a touch can do must not hide it.
+            untold = np.hypot(untold, np.where(touched, warming, 0.0) * newton_per_shift)
+            warming = np.zeros(len(sites))
         parts = systematic_newton, self._sites.sensitivity_std * force, warming * newton_per_shift, of_response
         systematic = np.sqrt(sum(part**2 for part in parts))
         calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
