@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
@@ -239,13 +240,14 @@ class Config(Table):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what was asked for and has no effect."""
+        """Sentences on what was asked for and has no effect, or has had its time."""
+        notes = [self.plate.calibration.expiry_note(datetime.now(UTC).date())]
         if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.skin is not None:
-            return (
+            notes.append(
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
-                "tractions are those of the linear map",
+                "tractions are those of the linear map"
             )
-        return ()
+        return tuple(filter(None, notes))
 
 
 def load_config(path: Path) -> Config:

@@ -245,6 +245,11 @@ class Calibration(Table):
     def expired(self, today: Day) -> bool:
         return self.expiry is not None and today > self.expiry
 
+    def expiry_note(self, today: Day) -> str:
+        """Say that the calibration has expired; empty where it has not."""
+        name = self.id or "of the plate file"
+        return f"calibration {name} expired on {self.expiry}: calibrate anew" if self.expired(today) else ""
+
 
 @dataclass(frozen=True, eq=False)
 class ToneTable:

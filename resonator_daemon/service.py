@@ -346,7 +346,7 @@ class Service:
 
     async def _report_health(self) -> None:
         while True:
-            self._sensor.calibration(_expiry(self._config.plate))
+            self._sensor.calibration(self._config.plate.calibration.expiry_note(datetime.now(UTC).date()))
             await asyncio.sleep(_HEALTH_S)
             self._publish_health()
 
@@ -371,14 +371,6 @@ def _what_is_read(plate: Plate) -> str:
     if plate.counter.kind == "single-tone":
         read += ": one captured tone per corner gives no field to decode"
     return read if plate.response else f"{read}; hysteresis and creep of the sites are not taken out: not calibrated"
-
-
-def _expiry(plate: Plate) -> str:
-    """Say that the plate's calibration has expired; empty where it has not."""
-    calibration = plate.calibration
-    if not calibration.expired(datetime.now(UTC).date()):
-        return ""
-    return f"calibration {calibration.id or 'of the plate file'} expired on {calibration.expiry}: calibrate anew"
 
 
 def _link_text(config: Config) -> str:

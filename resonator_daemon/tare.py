@@ -89,10 +89,13 @@ async def _running(config: Config) -> str:
                 if names & offline.keys():
                     if config.name:
                         break
-                    limit.reschedule(asyncio.get_running_loop().time() + OTHERS_S)
+                    others_s = asyncio.get_running_loop().time() + OTHERS_S
+                    limit.reschedule(min(limit.when() or others_s, others_s))
     except TimeoutError:
         pass
     if gone := sorted(names & offline.keys()):
         raise NoDaemonError(f"daemon {gone[0]} is offline ({offline[gone[0]]}); start it: resonatord run")
     where = f"{config.mqtt.prefix}/{config.name or ''}"
-    raise NoDaemonError(f"no daemon publishes {f'as {where}' if config.name else f'of this link below {where}'}; start it")
+    raise NoDaemonError(
+        f"no daemon publishes {f'as {where}' if config.name else f'of this link below {where}'}; start it"
+    )

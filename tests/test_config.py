@@ -409,3 +409,10 @@ def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, cha
         messages = ()
         assert 0 < config.measurement.step_ms <= config.measurement.window_ms <= 1000
     assert all(message.startswith(f"{path}:") and "\n" not in message for message in messages)
+
+
+def test_an_expired_calibration_is_noted(tmp_path: Path) -> None:
+    (tmp_path / "old.toml").write_text(SLOW_PLATE + '[calibration]\nid = "c1"\nexpiry = 2020-01-01\n')
+    measurement = "[measurement]\nwindow_ms = 8\nstep_ms = 4\n"
+    (tmp_path / "a.toml").write_text('plate = "old.toml"\nlink = "tcp://127.0.0.1:1"\n' + measurement)
+    assert load_config(tmp_path / "a.toml").notes == ("calibration c1 expired on 2020-01-01: calibrate anew",)

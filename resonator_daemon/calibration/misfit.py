@@ -71,13 +71,15 @@ def refuse_unknown_sensitivity(plate: Plate, outcome: Outcome) -> None:
         return
     masses = float(np.max(fit.sensitivity_mass_std[worst] / np.abs(fit.sensitivity[worst])))
     remedies = {
-        "load it again with masses further apart, or more often (--repeats)": outcome.loads_std[worst],
+        "load it again with masses further apart, or more often (--repeats)": math.sqrt(
+            max(outcome.loads_std[worst] ** 2 - masses**2, 0.0)
+        ),
         "hold loads longer (--hold-s)": outcome.creep_std,
-        "take masses that are known better (--mass-std)": masses if masses > 0.7 * outcome.loads_std[worst] else 0.0,
+        "take masses that are known better (--mass-std)": masses,
     }
     raise CalibrationRefusedError(
         f"site {plate.site_ids[fit.site[worst]]}: K is known to {100 * outcome.sensitivity_std[worst]:.2g} %, "
-        f"must be known to at least {100 * SENSITIVITY_STD_MAX:g} %; {max(remedies, key=lambda name: remedies[name])}"
+        f"must be {100 * SENSITIVITY_STD_MAX:g} % or better; {max(remedies, key=lambda name: remedies[name])}"
     )
 
 

@@ -84,6 +84,8 @@ class CombChain:
             )
             reach_m = REACH_PITCHES * _pitch_m(sites.positions_m)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
+        self._reach_m = reach_m
+        self._told_m: list[tuple[float, float]] = []  # places of the touches of the last reading
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz), reach_m)
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
@@ -183,6 +185,7 @@ class CombChain:
             status, reason = "overload", f"force above {self._sites.force_max_newton:g} N, the largest of this plate"
         self._drifted = drift
         complete = status in ("ok", "possibly_more", "overload")
+        touches = self._confirmed(touches)
         events = self._tracker.update(board_ticks, touches, complete=complete, status=status, reason=reason)
         self._touched = bool(self._tracker.contacts) or bool(pressed.any())
         return ForceReading(
@@ -197,6 +200,12 @@ class CombChain:
             events,
             self._compensation(drift),
         )
+
+    def _confirmed(self, touches: list[Touch]) -> list[Touch]:
+        """Leave out touches that neither a contact nor the reading before tells of: a fit to a change is no touch."""
+        before = [*self._told_m, *(contact.touch.position_m for contact in self._tracker.contacts)]
+        self._told_m = [touch.position_m for touch in touches]
+        return [t for t in touches if any(math.dist(t.position_m, place) <= self._reach_m for place in before)]
 
     def _forces(self, shifts: SiteShifts, drift: DriftReading, time_s: float) -> Pressed:
         """Force of every site, (m,), NaN where it is not heard.
