@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench figures soak pins clean
+.PHONY: help setup demo test coverage bench figures soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -60,7 +60,12 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	step mypy
 	step lint-imports --no-logo
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
-	step pytest --cov --numprocesses 2
+	step pytest --numprocesses 2
+
+coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
+	$(debian-packages)
+	export OMP_NUM_THREADS=1
+	.venv/bin/pytest --cov --numprocesses 2
 
 bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, measurement, elastic fields, contact and decoding
 	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }

@@ -57,7 +57,8 @@ def find_misfits(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std
     for site_id, site in sites.items():
         others = [other for other_id, other in sites.items() if other_id != site_id]
         share = math.hypot(max(plate.calibration.model_error / math.sqrt(CHANNEL_COUNT), _usual(others)), mass_std)
-        limit_newton = SCATTERS * math.hypot(share * site.force_newton, BAD_NEWTON)
+        seen = math.sqrt(site.freedom / len(site.steps))  # of the scatter: the line takes the rest for itself
+        limit_newton = SCATTERS * math.hypot(share * site.force_newton, BAD_NEWTON) * seen
         if not site.residual_newton <= limit_newton:
             found.append(Misfit(site_id, site.steps, site.residual_newton, limit_newton, plate.force_max_newton))
     return tuple(found)

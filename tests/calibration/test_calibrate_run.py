@@ -285,7 +285,7 @@ def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_
     assert [line["step"] for line in said if line["event"] == "captured"] == [1, 2, 3, 1, 2, 3]
     assert "from the fit of this site so far: its loads do not fit together" in told
     sentence = (
-        "site 1: its loads do not fit together: residual 69. mN rms, at most 116 mN, 5 times what scatter explains"
+        "site 1: its loads do not fit together: residual 69. mN rms, at most 67 mN, 5 times what scatter explains"
     )
     assert len(re.findall(f"{sentence}; once more, please\n", told)) == 1
     assert re.search(f"{sentence}; check masses and places, and begin again\n", told)
