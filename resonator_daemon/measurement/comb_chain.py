@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import pdist, squareform
 
-from resonator_daemon.measurement.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch
+from resonator_daemon.measurement.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.measurement.counting import oscillator_std
 from resonator_daemon.measurement.force import FloatArray, cell_std_m
 from resonator_daemon.measurement.force_sites import ForceSites
@@ -102,6 +102,8 @@ class CombChain:
         self._drift.reset()
         self._errors.reset()
         self._last = self._evaluated_ticks = self._drifted = self._shifts = self._found = None
+        self._told_m = []
+        self._rejections = 0
         self._touched = False
         return events
 
@@ -179,8 +181,11 @@ class CombChain:
         if self._drifted is not None:
             drift = self._follow(shifts, before, forces, load, pressed, elapsed_s)
         if self._spread is None:
-            felt = np.flatnonzero(drift.in_contact & np.isfinite(forces.force_newton))
-            touches = [self._touch_of_site(self._site_force(forces, site)) for site in felt]
+            positions_m, covariance_m2 = self._sites.positions_m, self._covariance_m2
+            touches = [
+                touch_of(self._site_force(forces, site), positions_m[site], covariance_m2[site])
+                for site in np.flatnonzero(drift.in_contact)
+            ]
         if any(touch.status == "overload" for touch in touches):
             status, reason = "overload", f"force above {self._sites.force_max_newton:g} N, the largest of this plate"
         self._drifted = drift
@@ -283,20 +288,6 @@ class CombChain:
                 )
             )
         return touches
-
-    def _touch_of_site(self, force: SiteForce) -> Touch:
-        x, y = self._sites.positions_m[force.site].tolist()
-        return Touch(
-            force.site,
-            (x, y),
-            self._covariance_m2[force.site],
-            force.force_newton,
-            force.noise_newton,
-            force.systematic_newton,
-            0.0,
-            force.status,
-            at_least_newton=force.at_least_newton,
-        )
 
     def _site_force(self, forces: Pressed, site: np.intp) -> SiteForce:
         newton, largest = float(forces.force_newton[site]), self._sites.force_max_newton

@@ -8,6 +8,7 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.measurement.force import FloatArray
+from resonator_daemon.measurement.matching import SiteForce
 
 ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
@@ -27,6 +28,22 @@ class Touch:
     status: str
     reason: str = ""
     at_least_newton: float | None = None
+
+
+def touch_of(force: SiteForce, position_m: FloatArray, covariance_m2: FloatArray) -> Touch:
+    """Return the touch of a site that is touched by itself: its place (2,) is the site's."""
+    x, y = position_m.tolist()
+    return Touch(
+        force.site,
+        (x, y),
+        covariance_m2,
+        force.force_newton,
+        force.noise_newton,
+        force.systematic_newton,
+        force.hidden_newton,
+        force.status,
+        at_least_newton=force.at_least_newton,
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +147,9 @@ class ContactTracker:
             self._open[contact.id] = contact
             return [ContactEvent("onset", board_ticks, contact, "")]
         before = self._open[number]
+        if math.isnan(at_least):
+            self._open[number] = replace(before, touch=touch)
+            return []
         self._open[number] = replace(
             before,
             touch=touch,

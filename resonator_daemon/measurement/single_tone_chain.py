@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.measurement.baseline import CommonMode
-from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch
+from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.measurement.counting import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
 from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fraction
 from resonator_daemon.measurement.force_sites import ForceSites
@@ -206,7 +206,9 @@ class SingleToneChain:
             status, reason = self._silent(tones, pilots)
 
         forces = tuple(self._complete(force, board_ticks / self._reference_hz, status) for force in forces)
-        touches = self._confirmed([self._touch(force) for force in forces], frames)
+        positions_m, covariance_m2 = self._sites.positions_m, self._covariance_m2
+        touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
+        touches = self._confirmed(touches, frames)
         unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
         events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
         return ForceReading(
@@ -311,20 +313,6 @@ class SingleToneChain:
         before, self._told_sites = self._told_sites, {touch.site for touch in touches}
         known = before | {contact.touch.site for contact in self._tracker.contacts}
         return touches if frames > self._onset_frames else [touch for touch in touches if touch.site in known]
-
-    def _touch(self, force: SiteForce) -> Touch:
-        x, y = self._sites.positions_m[force.site].tolist()
-        return Touch(
-            force.site,
-            (x, y),
-            self._covariance_m2[force.site],
-            force.force_newton,
-            force.noise_newton,
-            force.systematic_newton,
-            force.hidden_newton,
-            force.status,
-            at_least_newton=force.at_least_newton,
-        )
 
     def _compensation(self, *, untouched: bool) -> Compensation:
         common_mode = self._common_mode

@@ -100,6 +100,16 @@ def test_a_touch_after_a_gap_that_was_too_long_is_another_contact():
     assert tell(contacts, TIMEOUT + 1, force(1.0)) == [("release", 1, 0), ("onset", 2, 0)]
 
 
+def test_a_touch_that_is_told_of_without_a_force_does_not_keep_its_contact():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0))
+    assert tell(contacts, TIMEOUT // 2, force(math.nan), complete=True) == []
+    assert math.isnan(contacts.contacts[0].touch.force_newton)
+    assert contacts.contacts[0].duration_ticks == 0
+    assert tell(contacts, TIMEOUT + 1, force(math.nan), complete=True) == [("release", 1, 0)]
+    assert contacts.contacts == ()
+
+
 def test_a_site_that_another_one_masks_is_unknown():
     contacts = tracker()
     tell(contacts, 0, force(1.0, 0))
