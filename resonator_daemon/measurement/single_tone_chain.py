@@ -32,9 +32,7 @@ PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay
 BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5
-EVALUATE_FRAMES: Final = 2  # forces are followed this often, however seldom they are published
 ONSET_FRAMES: Final = 2  # window of the fast path
-NO_OTHERS: Final = np.zeros(4, dtype=bool)
 CROWDED_FRAMES: Final = 3
 EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
 
@@ -155,9 +153,13 @@ class SingleToneChain:
         at_step = (sequence + 1) % self._step_frames == 0
         reading = None
         touched = bool(self._tracker.contacts)
-        if at_step or (touched and (sequence + 1) % EVALUATE_FRAMES == 0) or (not touched and self._something_new()):
+        if at_step or (self._tone_has_changed() if touched else self._something_new()):
             reading = self._read(sequence, board_ticks, at_step=at_step)
         return reading if reading is not None and (at_step or reading.events) else None
+
+    def _tone_has_changed(self) -> bool:
+        """Tell whether a channel has heard another tone, or its own anew, for just as long as tells of a touch."""
+        return any(0 <= len(window.gate_hz) - self._onset_frames <= 1 for window in self._windows)
 
     def _something_new(self) -> bool:
         """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""
@@ -193,8 +195,7 @@ class SingleToneChain:
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            # Between steps only contacts are followed: what else a channel hears can wait for the step.
-            counted = (self._counted if at_step else self._counted_roughly)(sums, heard_hz, pilot, frames)
+            counted = self._counted(sums, heard_hz, pilot, frames)
             beats = counted.beats
             match = self._latch.apply(self._match(counted, frames))
             status, reason, forces = match.status, match.reason, match.forces
@@ -266,17 +267,6 @@ class SingleToneChain:
         std = np.sqrt(window_std**2 * (1.0 + excess) + np.nan_to_num(beat_std) ** 2)
         rational = tuple(int(channel) for channel in np.flatnonzero(used & (excess > EXCESS_LIMIT)))
         return _Counted(frequency / (1.0 + np.array(self._common_mode.value)), std, others, rational)
-
-    def _counted_roughly(
-        self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float], _frames: int
-    ) -> _Counted:
-        """Tell what those channels count, without a look at beats."""
-        rows = [
-            (f / (1.0 + g), counter_std(s)) if s is not None and math.isnan(p) else (math.nan, math.nan)
-            for s, f, p, g in zip(sums, heard_hz, pilot, self._common_mode.value, strict=True)
-        ]
-        frequency, std = np.array(rows).T
-        return _Counted(frequency, std, NO_OTHERS, ())
 
     def _match(self, counted: _Counted, frames: int) -> Match:
         oscillator = oscillator_std(frames * self._gate_s)
