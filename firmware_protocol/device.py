@@ -1,10 +1,19 @@
-"""The board's side of a session: answers to requests and packing of frames (PROTOCOL.md, section 3)."""
+"""The board's side of a session: answers to requests and packing of frames (PROTOCOL.md, sections 4, 6 and 7)."""
 
-from enum import Enum
 from itertools import count
 
-from firmware_protocol.layouts import BLOCK_STRUCT, FROM_BOARD, TONE_STRUCT, Block, BlockEncoding, MessageType
+from firmware_protocol.layouts import (
+    BLOCK_STRUCT,
+    FROM_BOARD,
+    PROTOCOL_MAJOR,
+    TONE_STRUCT,
+    Block,
+    BlockEncoding,
+    Capability,
+    MessageType,
+)
 from firmware_protocol.messages import (
+    LEAST_CREDIT_BYTES,
     BoardLog,
     BoardStatus,
     Configuration,
@@ -16,40 +25,69 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
-from firmware_protocol.packets import MAX_PAYLOAD_BYTES, Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import (
+    MAX_PACKET_BYTES,
+    MAX_PAYLOAD_BYTES,
+    ForeignVersion,
+    Packet,
+    PacketDecoder,
+    encode_packet,
+)
+from firmware_protocol.states import BOARD, BoardState, Reaction
 
 MAX_TONES_PER_PART = (MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size
-
-
-class DeviceState(Enum):
-    """What the board is doing; one row of the table in PROTOCOL.md each."""
-
-    IDLE = "idle"
-    CONFIGURED = "configured"
-    RUNNING = "running"
+PING_BYTES = 8
 
 
 class DeviceSession:
     """Bytes from the host in, answers out; the board asks `state` and `configuration` what to do.
 
-    `started` counts the runs, so that a board sees a new START; a repeated START does not begin a new run.
+    `started` counts the runs, so that a board sees a new START; a repeated START does not begin a new run. `located`
+    counts the times that the board was asked to make itself seen. While `fault` says why the board cannot count, a
+    START is refused with those words.
+
+    Raises
+    ------
+    ValueError
+        If the identity promises less credit than every board gives.
     """
 
     def __init__(self, identity: Identity, description: Description, boot_id: int) -> None:
+        if identity.credit_bytes < LEAST_CREDIT_BYTES:
+            raise ValueError(f"credit_bytes must be at least {LEAST_CREDIT_BYTES}, got {identity.credit_bytes}")
         self._identity = identity
         self._description = description
         self._boot_id = boot_id
-        self._decoder = PacketDecoder(from_board=False)
+        self._decoder = PacketDecoder(from_board=False, max_packet_bytes=min(identity.credit_bytes, MAX_PACKET_BYTES))
         self._notices = count()
-        self.state = DeviceState.IDLE
+        self.counts = self._decoder.counts
+        self.state = BoardState.IDLE
         self.configuration: Configuration | None = None
         self.started = 0
+        self.located = 0
+        self.fault: str | None = None
+
+    @property
+    def waiting_bytes(self) -> int:
+        """Received bytes of a request that is not complete yet."""
+        return self._decoder.waiting_bytes
+
+    def begin(self) -> None:
+        """Be idle, and give up a request that has begun: a host begins afresh, where the link can say so."""
+        self._decoder.abandon()
+        self.state = BoardState.IDLE
+        self.configuration = None
 
     def receive(self, data: bytes, board_ticks: int) -> bytes:
         """Take bytes from the host, received at `board_ticks`; return the answers."""
-        return b"".join(
-            self._answer(packet, board_ticks) for packet in self._decoder.feed(data) if isinstance(packet, Packet)
-        )
+        answers = []
+        for found in self._decoder.feed(data):
+            if isinstance(found, Packet):
+                answers.append(self._answer(found, board_ticks))
+            elif isinstance(found, ForeignVersion) and not found.type & FROM_BOARD:
+                text = f"this board speaks version {PROTOCOL_MAJOR}, not {found.major}"
+                answers.append(self._refusal(Refusal(RefusalCode.OTHER_VERSION, text), found.sequence, board_ticks))
+        return b"".join(answers)
 
     def frame(self, sequence: int, board_ticks: int, records: bytes) -> bytes:
         """Return the packet of one single-tone frame."""
@@ -88,54 +126,67 @@ class DeviceSession:
     def _packet(self, message_type: int, sequence: int, board_ticks: int, payload: bytes = b"") -> bytes:
         return encode_packet(message_type, sequence, payload, board_ticks=board_ticks, boot_id=self._boot_id)
 
-    def _answer(self, request: Packet, board_ticks: int) -> bytes:
-        try:
-            payload = self._carry_out(request)
-        except _RefusedError as refused:
-            payload = encode_message(refused.refusal)
-            return self._packet(MessageType.REFUSED, request.sequence, board_ticks, payload)
-        return self._packet(request.type | FROM_BOARD, request.sequence, board_ticks, payload)
+    def _refusal(self, refusal: Refusal, sequence: int, board_ticks: int) -> bytes:
+        return self._packet(MessageType.REFUSED, sequence, board_ticks, encode_message(refusal))
 
-    def _carry_out(self, request: Packet) -> bytes:
+    def _answer(self, request: Packet, board_ticks: int) -> bytes:
+        reaction = BOARD.get((self.state, request.type))
+        try:
+            if reaction is None:
+                raise _unknown(request.type)
+            payload = self._carry_out(request, reaction)
+        except _RefusedError as refused:
+            return self._refusal(refused.refusal, request.sequence, board_ticks)
+        self.state = reaction.next_state
+        return self._packet(reaction.answer, request.sequence, board_ticks, payload)
+
+    def _carry_out(self, request: Packet, reaction: Reaction) -> bytes:
         match request.type:
             case MessageType.IDENTIFY:
                 return encode_message(self._identity)
             case MessageType.DESCRIBE:
                 return encode_message(self._description)
             case MessageType.PING:
+                if len(request.payload) != PING_BYTES:
+                    raise _RefusedError(
+                        RefusalCode.MALFORMED, f"PING needs {PING_BYTES} bytes, got {len(request.payload)}"
+                    )
                 return request.payload
+            case MessageType.LOCATE:
+                if not self._description.capabilities & Capability.LOCATE:
+                    raise _unknown(request.type)
+                self.located += 1
             case MessageType.CONFIGURE:
-                return self._configure(request.payload)
+                self.configuration = self._allowed(request.payload)
+                return encode_message(self.configuration)
             case MessageType.START:
-                if self.state is DeviceState.IDLE:
-                    raise _RefusedError(RefusalCode.NOT_IN_THIS_STATE, "START needs a configuration")
-                if self.state is DeviceState.CONFIGURED:
-                    self.state = DeviceState.RUNNING
-                    self.started += 1
-                return b""
-            case MessageType.STOP:
-                if self.state is DeviceState.RUNNING:
-                    self.state = DeviceState.CONFIGURED
-                return b""
-            case _:
-                raise _RefusedError(RefusalCode.UNKNOWN_MESSAGE, f"unknown message 0x{request.type:02X}")
+                if reaction.refusal is not None:
+                    raise _RefusedError(reaction.refusal, "START needs a configuration")
+                if self.fault is not None:
+                    raise _RefusedError(RefusalCode.FAULT, self.fault)
+                self.started += self.state is not reaction.next_state
+        return b""
 
-    def _configure(self, payload: bytes) -> bytes:
+    def _allowed(self, payload: bytes) -> Configuration:
         try:
             configuration = decode_message(Configuration, payload)
         except MalformedMessageError as error:
-            raise _RefusedError(RefusalCode.MALFORMED, str(error)) from error
+            text = "CONFIGURE needs gate_ticks, a number of 1 to 8 bytes"
+            raise _RefusedError(RefusalCode.MALFORMED, text) from error
         low, high = self._description.gate_ticks_min, self._description.gate_ticks_max
-        if not low <= configuration.gate_ticks <= high:
-            raise _RefusedError(
-                RefusalCode.OUT_OF_RANGE, f"gate_ticks must be {low} to {high}, got {configuration.gate_ticks}"
-            )
-        self.state = DeviceState.CONFIGURED
-        self.configuration = configuration
-        return encode_message(configuration)
+        step, gate_ticks = self._description.gate_ticks_step, configuration.gate_ticks
+        if not low <= gate_ticks <= high:
+            raise _RefusedError(RefusalCode.OUT_OF_RANGE, f"gate_ticks must be {low} to {high}, got {gate_ticks}")
+        if gate_ticks % step:
+            raise _RefusedError(RefusalCode.OUT_OF_RANGE, f"gate_ticks must be a multiple of {step}, got {gate_ticks}")
+        return configuration
 
 
 class _RefusedError(Exception):
     def __init__(self, code: RefusalCode, text: str) -> None:
         super().__init__(text)
         self.refusal = Refusal(code, text)
+
+
+def _unknown(message_type: int) -> _RefusedError:
+    return _RefusedError(RefusalCode.UNKNOWN_MESSAGE, f"unknown message 0x{message_type:02X}")

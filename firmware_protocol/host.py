@@ -1,20 +1,23 @@
-"""The host's side of a session: which request comes next and what the board's packets mean (PROTOCOL.md, section 3)."""
+"""The host's side of a session: which request comes next and what the board's packets mean (PROTOCOL.md, section 4)."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
     CHANNEL_COUNT,
+    FROM_BOARD,
     SINGLE_TONE_STRUCT,
     TONE_STRUCT,
     Block,
     BlockEncoding,
     MessageType,
     SingleToneRecord,
+    single_tone_records,
 )
 from firmware_protocol.messages import (
+    LEAST_CREDIT_BYTES,
     BoardLog,
     BoardStatus,
     Configuration,
@@ -25,19 +28,9 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
-from firmware_protocol.packets import Damage, ForeignVersion, Packet, PacketDecoder, encode_packet
-
-
-class HostState(Enum):
-    """Where the host is in the handshake; one row of the table in PROTOCOL.md each."""
-
-    IDENTIFYING = "identifying"
-    DESCRIBING = "describing"
-    DESCRIBED = "described"
-    CONFIGURING = "configuring"
-    STARTING = "starting"
-    RUNNING = "running"
-    REFUSED = "refused"
+from firmware_protocol.packets import Damage, ForeignVersion, Packet, PacketDecoder
+from firmware_protocol.requests import Request, Requests
+from firmware_protocol.states import HOST, Cue, HostState
 
 
 class Described(NamedTuple):
@@ -49,18 +42,23 @@ class Described(NamedTuple):
 
 
 class Started(NamedTuple):
-    """Frames count from here, from number 0 unless the board was running already."""
+    """Frames count from here, from number 0 unless the board was running already; also the answer to a resume."""
 
     configuration: Configuration
 
 
 class Frame(NamedTuple):
-    """One gate of a single-tone counter."""
+    """One gate of a single-tone counter; `payload` is its four records as they came."""
 
     sequence: int
     board_ticks: int
     size_bytes: int
-    records: tuple[SingleToneRecord, ...]
+    payload: bytes
+
+    @property
+    def records(self) -> tuple[SingleToneRecord, ...]:
+        """The four records, channel 0 first, parsed anew at each call."""
+        return single_tone_records(self.payload)
 
 
 class FramePart(NamedTuple):
@@ -80,6 +78,12 @@ class Pong(NamedTuple):
     board_ticks: int
 
 
+class Located(NamedTuple):
+    """The answer to a locate: the board makes itself seen, or says why it does not."""
+
+    refusal: Refusal | None
+
+
 class Rebooted(NamedTuple):
     """The board started anew; the session is back at identifying."""
 
@@ -92,6 +96,7 @@ HostEvent = (
     | Frame
     | FramePart
     | Pong
+    | Located
     | Rebooted
     | BoardStatus
     | BoardLog
@@ -110,44 +115,52 @@ class MessageCounts:
     unknown: int = 0
 
 
-_ANSWER_TO = {
-    MessageType.IDENTITY: MessageType.IDENTIFY,
-    MessageType.DESCRIPTION: MessageType.DESCRIBE,
-    MessageType.CONFIGURED: MessageType.CONFIGURE,
-    MessageType.STARTED: MessageType.START,
+_FRAME_BYTES = CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
+_HANDSHAKE: Mapping[tuple[int, int], Cue] = {
+    (MessageType.IDENTIFY, MessageType.IDENTITY): Cue.IDENTITY,
+    (MessageType.DESCRIBE, MessageType.DESCRIPTION): Cue.DESCRIPTION,
+    (MessageType.CONFIGURE, MessageType.CONFIGURED): Cue.CONFIGURED,
+    (MessageType.START, MessageType.STARTED): Cue.STARTED,
 }
+_CUES: Mapping[tuple[int, int], Cue] = {
+    **_HANDSHAKE,
+    **{(request, MessageType.REFUSED): Cue.REFUSED for request, _ in _HANDSHAKE},
+}
+_ANSWERS = {*(answer for _, answer in _HANDSHAKE), MessageType.STOPPED, MessageType.LOCATED, MessageType.REFUSED}
 
 
 class HostSession:
     """Bytes from the board in, events out; bytes for the board in `data_to_send`.
 
     A new session asks the board who it is. After Described, call `configure`; after Started, frames follow.
-    The caller has the clock: when an answer is overdue it calls `ask_again`.
+    The caller has the clock: when `awaits_answer` has been true for 300 ms and no answer came it calls `ask_again`.
+    Requests that the board has no room for wait here until it has.
     """
 
     def __init__(self) -> None:
         self._decoder = PacketDecoder(from_board=True)
-        self._outgoing = bytearray()
-        self._request_number = 0
-        self._pending: tuple[MessageType, bytes] | None = None
+        self._requests = Requests()
         self._boot_id = 0
         self._identity: Identity
         self._configuration: Configuration
         self.state = HostState.IDENTIFYING
         self.bytes = self._decoder.counts
         self.messages = MessageCounts()
-        self._ask(MessageType.IDENTIFY)
+        self._pending: Request | None = self._requests.send(MessageType.IDENTIFY)  # which the state waits for
 
     @property
     def waiting_bytes(self) -> int:
         """Received bytes of a packet that is not complete yet."""
         return self._decoder.waiting_bytes
 
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether a request has no answer yet, be it sent or not."""
+        return self._requests.open or self._pending is not None
+
     def data_to_send(self) -> bytes:
         """Return and clear the bytes that the board must get."""
-        data = bytes(self._outgoing)
-        self._outgoing.clear()
-        return data
+        return self._requests.data_to_send()
 
     def configure(self, configuration: Configuration) -> None:
         """Choose the gate; the board is started when it has accepted.
@@ -157,116 +170,141 @@ class HostSession:
         ValueError
             Before the board has described itself.
         """
-        if self.state is not HostState.DESCRIBED:
-            raise ValueError(f"configure needs a described board, the session is {self.state.value}")
-        self.state = HostState.CONFIGURING
-        self._ask(MessageType.CONFIGURE, encode_message(configuration))
+        self._move(Cue.CONFIGURE, encode_message(configuration))
 
-    def ask_again(self) -> None:
-        """Repeat the pending request, if there is one, under its own number."""
-        if self._pending is not None:
-            self._outgoing += encode_packet(self._pending[0], self._request_number, self._pending[1])
+    def resume(self) -> None:
+        """Ask a board that should be running, and sends no frames, to start; it goes on counting if it does run.
 
-    def ping(self, opaque: bytes) -> None:
-        """Ask for the board's tick count; `opaque` (8 bytes) comes back in Pong."""
-        # Its number answers nothing: a pong is recognised by what it carries, also while a request is pending.
-        self._outgoing += encode_packet(MessageType.PING, 0, opaque)
+        Raises
+        ------
+        ValueError
+            In any state but running.
+        """
+        self._move(Cue.RESUME)
 
     def stop(self) -> None:
-        """Ask the board to stop counting; nobody waits for the answer."""
-        self._outgoing += encode_packet(MessageType.STOP, 0)
+        """Ask the board to stop counting; nobody waits for the answer, frames are stale from here."""
+        self._move(Cue.STOP)
+
+    def locate(self) -> None:
+        """Ask the board to make itself seen; the answer comes as Located."""
+        self._requests.send(MessageType.LOCATE)
+
+    def ping(self, opaque: bytes) -> bool:
+        """Ask for the board's tick count; `opaque` (8 bytes) comes back in Pong.
+
+        Returns False, and nothing goes out, when the board has no room: a ping that waits measures nothing.
+        """
+        if not self._requests.room_for(len(opaque)):
+            return False
+        self._requests.send(MessageType.PING, opaque)
+        return True
+
+    def ask_again(self) -> None:
+        """Take every unanswered request for lost; repeat the one that the state waits for, under its own number."""
+        self._requests.overdue(self._pending)
 
     def receive(self, data: bytes) -> list[HostEvent]:
         """Take received bytes and return what they mean, in order."""
         events: list[HostEvent] = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
+                if (
+                    found.type == MessageType.FRAME
+                    and self.state is HostState.RUNNING
+                    and found.boot_id == self._boot_id
+                    and len(found.payload) == _FRAME_BYTES
+                ):
+                    events.append(Frame(found.sequence, found.board_ticks, found.size_bytes, found.payload))
+                    continue
                 try:
                     self._interpret(found, events)
                 except MalformedMessageError:
                     self.messages.malformed += 1
-            else:
+            elif isinstance(found, Damage) or found.type & FROM_BOARD:
                 events.append(found)
         return events
 
-    def _ask(self, request: MessageType, payload: bytes = b"") -> None:
-        self._request_number += 1
-        self._pending = (request, payload)
-        self.ask_again()
+    def _move(self, cue: Cue, payload: bytes = b"") -> None:
+        step = HOST.get((self.state, cue))
+        if step is None:
+            needed = " or ".join(state.value for state, possible in HOST if possible is cue)
+            raise ValueError(f"{cue.value}: the session must be {needed}, it is {self.state.value}")
+        if step.next_state is not self.state:
+            self._forget_pending()
+        self.state = step.next_state
+        if step.sends is MessageType.STOP:
+            self._requests.send(step.sends)
+        elif step.sends is not None:
+            self._forget_pending()
+            self._pending = self._requests.send(step.sends, payload)
+
+    def _forget_pending(self) -> None:
+        if self._pending is not None:
+            self._requests.withdraw(self._pending)
+        self._pending = None
 
     def _interpret(self, packet: Packet, events: list[HostEvent]) -> None:
         if packet.boot_id != self._boot_id:
             if self._boot_id:
                 events.append(Rebooted(packet.boot_id))
-                self.state = HostState.IDENTIFYING
-                self._ask(MessageType.IDENTIFY)
+                self._requests.forget()
+                self._pending = None
+                self._move(Cue.REBOOT)
             self._boot_id = packet.boot_id
         match packet.type:
-            case MessageType.FRAME if self.state is HostState.RUNNING:
-                events.append(_frame(packet))
-            case MessageType.FRAME_PART if self.state is HostState.RUNNING:
+            case MessageType.FRAME | MessageType.FRAME_PART if self.state is not HostState.RUNNING:
+                self.messages.stale += 1
+            case MessageType.FRAME:
+                raise MalformedMessageError(f"a frame has {_FRAME_BYTES} bytes, got {len(packet.payload)}")
+            case MessageType.FRAME_PART:
                 if (part := _frame_part(packet)) is None:
                     self.messages.unknown += 1
                 else:
                     events.append(part)
-            case MessageType.FRAME | MessageType.FRAME_PART | MessageType.STOPPED:
-                self.messages.stale += 1
-            case MessageType.PONG:
-                events.append(Pong(packet.payload, packet.board_ticks))
             case MessageType.STATUS:
                 events.append(decode_message(BoardStatus, packet.payload))
             case MessageType.LOG:
                 events.append(decode_message(BoardLog, packet.payload))
-            case (
-                MessageType.IDENTITY
-                | MessageType.DESCRIPTION
-                | MessageType.CONFIGURED
-                | MessageType.STARTED
-                | MessageType.REFUSED
-            ):
-                self._answered(packet, events)
+            case MessageType.PONG:
+                self._requests.answered(packet.sequence)
+                events.append(Pong(packet.payload, packet.board_ticks))
+            case answer if answer in _ANSWERS:
+                self._take_answer(packet, events)
             case _:
                 self.messages.unknown += 1
 
-    def _answered(self, packet: Packet, events: list[HostEvent]) -> None:
-        expected = self._pending and self._pending[0]
-        refused = packet.type == MessageType.REFUSED
-        if packet.sequence != self._request_number or (
-            not refused and _ANSWER_TO[MessageType(packet.type)] != expected
-        ):
+    def _take_answer(self, packet: Packet, events: list[HostEvent]) -> None:
+        answered = self._requests.answered(packet.sequence)
+        pending = self._pending
+        if pending is not None and pending.number == packet.sequence:
+            cue = _CUES.get((pending.type, packet.type))
+            if cue is not None:
+                self._go_on(packet, cue, events)
+                return
+        if answered is MessageType.LOCATE and packet.type == MessageType.REFUSED:
+            events.append(Located(decode_message(Refusal, packet.payload)))
+        elif answered is MessageType.LOCATE and packet.type == MessageType.LOCATED:
+            events.append(Located(None))
+        elif answered is not MessageType.STOP:
             self.messages.stale += 1
-            return
-        match packet.type:
-            case MessageType.IDENTITY:
+
+    def _go_on(self, packet: Packet, cue: Cue, events: list[HostEvent]) -> None:
+        match cue:
+            case Cue.IDENTITY:
                 self._identity = decode_message(Identity, packet.payload)
-                self.state = HostState.DESCRIBING
-                self._ask(MessageType.DESCRIBE)
-            case MessageType.DESCRIPTION:
+                self._requests.credit_bytes = max(LEAST_CREDIT_BYTES, self._identity.credit_bytes)
+            case Cue.DESCRIPTION:
                 description = decode_message(Description, packet.payload)
                 events.append(Described(self._identity, description, packet.boot_id))
-                self.state = HostState.DESCRIBED
-                self._pending = None
-            case MessageType.CONFIGURED:
+            case Cue.CONFIGURED:
                 self._configuration = decode_message(Configuration, packet.payload)
-                self.state = HostState.STARTING
-                self._ask(MessageType.START)
-            case MessageType.STARTED:
+            case Cue.STARTED:
                 events.append(Started(self._configuration))
-                self.state = HostState.RUNNING
-                self._pending = None
-            case MessageType.REFUSED:
+            case Cue.REFUSED:
                 events.append(decode_message(Refusal, packet.payload))
-                self.state = HostState.REFUSED
-                self._pending = None
-
-
-def _frame(packet: Packet) -> Frame:
-    if len(packet.payload) != CHANNEL_COUNT * SINGLE_TONE_STRUCT.size:
-        raise MalformedMessageError(
-            f"a frame has {CHANNEL_COUNT} records of {SINGLE_TONE_STRUCT.size} bytes, got {len(packet.payload)} bytes"
-        )
-    records = tuple(SingleToneRecord._make(values) for values in SINGLE_TONE_STRUCT.iter_unpack(packet.payload))
-    return Frame(packet.sequence, packet.board_ticks, packet.size_bytes, records)
+        self._forget_pending()
+        self._move(cue)
 
 
 def _frame_part(packet: Packet) -> FramePart | None:

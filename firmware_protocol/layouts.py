@@ -22,12 +22,14 @@ class MessageType(IntEnum):
     START = 0x04
     STOP = 0x05
     PING = 0x06
+    LOCATE = 0x07
     IDENTITY = 0x81
     DESCRIPTION = 0x82
     CONFIGURED = 0x83
     STARTED = 0x84
     STOPPED = 0x85
     PONG = 0x86
+    LOCATED = 0x87
     FRAME = 0x90
     FRAME_PART = 0x91
     STATUS = 0x92
@@ -36,6 +38,13 @@ class MessageType(IntEnum):
 
 
 FROM_BOARD = 0x80  # set in the type of every message that a board sends
+
+
+class Capability(IntFlag):
+    """What a board can do beyond what every board can; DESCRIPTION tells."""
+
+    TEMPERATURE = 0x01  # STATUS carries temperature_millikelvin
+    LOCATE = 0x02
 
 
 class RecordFlag(IntFlag):
@@ -139,3 +148,8 @@ class BlockEncoding(IntEnum):
 SINGLE_TONE_STRUCT = struct_of(SINGLE_TONE_FIELDS)
 TONE_STRUCT = struct_of(TONE_FIELDS)
 BLOCK_STRUCT = struct_of(BLOCK_FIELDS)
+
+
+def single_tone_records(payload: bytes) -> tuple[SingleToneRecord, ...]:
+    """Return the records of a FRAME, channel 0 first; the payload is a whole number of them."""
+    return tuple(map(SingleToneRecord._make, SINGLE_TONE_STRUCT.iter_unpack(payload)))

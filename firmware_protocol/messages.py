@@ -1,6 +1,6 @@
 """Messages that are lists of tagged fields: their tables, and the one codec that reads and writes them."""
 
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
 
@@ -23,6 +23,22 @@ class RefusalCode(IntEnum):
     UNKNOWN_MESSAGE = 2
     NOT_IN_THIS_STATE = 3
     OUT_OF_RANGE = 4
+    FAULT = 5
+    OTHER_VERSION = 6
+
+
+class ResetCause(IntEnum):
+    """Why the board began anew."""
+
+    UNKNOWN = 0
+    POWER_ON = 1
+    BROWN_OUT = 2
+    WATCHDOG = 3
+    SOFTWARE = 4
+    RESET_PIN = 5
+
+
+LEAST_CREDIT_BYTES = 64  # what every board takes, and all that a host sends before IDENTITY
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +49,8 @@ class Identity:
     serial_number: str
     firmware: str
     protocol_minor: int
+    credit_bytes: int = LEAST_CREDIT_BYTES
+    reset_cause: int = ResetCause.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +66,9 @@ class Description:
     plate: str
     oscillator_millihertz: int = 0
     oscillator_spacing_millihertz: int = 0
+    queue_bytes: int | None = None
+    capabilities: int = 0
+    gate_ticks_step: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +84,7 @@ class BoardStatus:
 
     frames_dropped: int
     temperature_millikelvin: int | None = None
+    bytes_discarded: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,35 +103,50 @@ class Refusal:
     text: str
 
 
-class _Tagged(NamedTuple):
+class TaggedField(NamedTuple):
+    """One field of a message: its number on the wire, its name with unit, and whether it is a number or a text."""
+
     tag: int
     name: str
     kind: type[int] | type[str]
-    required: bool = True
 
 
-_FIELDS: dict[type[Any], tuple[_Tagged, ...]] = {
+# A field whose attribute has a default may be absent, which means that default.
+MESSAGE_FIELDS: dict[type[Any], tuple[TaggedField, ...]] = {
     Identity: (
-        _Tagged(1, "product", str),
-        _Tagged(2, "serial_number", str),
-        _Tagged(3, "firmware", str),
-        _Tagged(4, "protocol_minor", int),
+        TaggedField(1, "product", str),
+        TaggedField(2, "serial_number", str),
+        TaggedField(3, "firmware", str),
+        TaggedField(4, "protocol_minor", int),
+        TaggedField(5, "credit_bytes", int),
+        TaggedField(6, "reset_cause", int),
     ),
     Description: (
-        _Tagged(1, "counter_kind", int),
-        _Tagged(2, "channels", int),
-        _Tagged(3, "tones", int),
-        _Tagged(4, "reference_millihertz", int),
-        _Tagged(5, "gate_ticks_min", int),
-        _Tagged(6, "gate_ticks_max", int),
-        _Tagged(7, "plate", str),
-        _Tagged(8, "oscillator_millihertz", int, required=False),
-        _Tagged(9, "oscillator_spacing_millihertz", int, required=False),
+        TaggedField(1, "counter_kind", int),
+        TaggedField(2, "channels", int),
+        TaggedField(3, "tones", int),
+        TaggedField(4, "reference_millihertz", int),
+        TaggedField(5, "gate_ticks_min", int),
+        TaggedField(6, "gate_ticks_max", int),
+        TaggedField(7, "plate", str),
+        TaggedField(8, "oscillator_millihertz", int),
+        TaggedField(9, "oscillator_spacing_millihertz", int),
+        TaggedField(10, "queue_bytes", int),
+        TaggedField(11, "capabilities", int),
+        TaggedField(12, "gate_ticks_step", int),
     ),
-    Configuration: (_Tagged(1, "gate_ticks", int),),
-    BoardStatus: (_Tagged(1, "frames_dropped", int), _Tagged(2, "temperature_millikelvin", int, required=False)),
-    BoardLog: (_Tagged(1, "level", int), _Tagged(2, "text", str)),
-    Refusal: (_Tagged(1, "code", int), _Tagged(2, "text", str)),
+    Configuration: (TaggedField(1, "gate_ticks", int),),
+    BoardStatus: (
+        TaggedField(1, "frames_dropped", int),
+        TaggedField(2, "temperature_millikelvin", int),
+        TaggedField(3, "bytes_discarded", int),
+    ),
+    BoardLog: (TaggedField(1, "level", int), TaggedField(2, "text", str)),
+    Refusal: (TaggedField(1, "code", int), TaggedField(2, "text", str)),
+}
+
+OPTIONAL_FIELDS: dict[type[Any], frozenset[str]] = {
+    kind: frozenset(field.name for field in fields(kind) if field.default is not MISSING) for kind in MESSAGE_FIELDS
 }
 
 _MAX_VALUE_BYTES = 255
@@ -119,9 +156,9 @@ Message = TypeVar("Message", Identity, Description, Configuration, BoardStatus, 
 
 
 def encode_message(message: Identity | Description | Configuration | BoardStatus | BoardLog | Refusal) -> bytes:
-    """Return the payload; text longer than a field may be is cut at a character."""
+    """Return the payload; text longer than a field may be is cut at a character, what is None is left out."""
     parts = []
-    for field in _FIELDS[type(message)]:
+    for field in MESSAGE_FIELDS[type(message)]:
         value = getattr(message, field.name)
         if value is None:
             continue
@@ -146,7 +183,7 @@ def decode_message(kind: type[Message], payload: bytes) -> Message:
     MalformedMessageError
         If a field is cut off, has an impossible size or a required one is missing.
     """
-    table = {field.tag: field for field in _FIELDS[kind]}
+    table = {field.tag: field for field in MESSAGE_FIELDS[kind]}
     values: dict[str, Any] = {}
     position = 0
     while position < len(payload):
@@ -163,6 +200,6 @@ def decode_message(kind: type[Message], payload: bytes) -> Message:
             values[field.name] = int.from_bytes(raw, "little")
         else:
             raise MalformedMessageError(f"{field.name} must have 1 to {_MAX_NUMBER_BYTES} bytes, got {size}")
-    if missing := [field.name for field in table.values() if field.required and field.name not in values]:
+    if missing := [field.name for field in table.values() if field.name not in {*values, *OPTIONAL_FIELDS[kind]}]:
         raise MalformedMessageError(f"missing {', '.join(missing)}")
     return kind(**values)

@@ -12,11 +12,15 @@ from firmware_protocol.layouts import FROM_BOARD, PROTOCOL_MAJOR
 SYNC = b"\xa5\x5a"
 MAX_PAYLOAD_BYTES = 8944  # so that a packet fits one datagram in a jumbo Ethernet frame
 
-_HEADER = struct.Struct("<2sBBIQIHH")
+_HEADER = struct.Struct("<HBBIQIHH")
+_HEADER_BYTES = _HEADER.size
 _CRC = struct.Struct("<I")
-_CHECKED_HEADER_BYTES = _HEADER.size - 2  # all but header_check itself
+_CHECKED_HEADER_BYTES = _HEADER_BYTES - 2  # all but header_check itself
+_SYNC_NUMBER = int.from_bytes(SYNC, "little")
+_SOUND = 0x2144DF1C  # CRC-32 of anything followed by its own CRC-32
 
-PACKET_OVERHEAD_BYTES = _HEADER.size + _CRC.size
+PACKET_OVERHEAD_BYTES = _HEADER_BYTES + _CRC.size
+MAX_PACKET_BYTES = PACKET_OVERHEAD_BYTES + MAX_PAYLOAD_BYTES
 
 
 class Packet(NamedTuple):
@@ -36,7 +40,7 @@ class Packet(NamedTuple):
 class Defect(Enum):
     """Why a run of bytes was discarded."""
 
-    GARBAGE = "garbage"  # no sync word where a packet had to begin
+    GARBAGE = "garbage"  # no sync word where a packet had to begin, or a packet that was given up
     BAD_HEADER = "bad_header"
     BAD_LENGTH = "bad_length"
     BAD_CRC = "bad_crc"
@@ -53,6 +57,8 @@ class ForeignVersion(NamedTuple):
     """A sound packet of another major version, not interpreted."""
 
     major: int
+    type: int
+    sequence: int
 
 
 @dataclass(slots=True)
@@ -85,7 +91,14 @@ def encode_packet(
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload must have at most {MAX_PAYLOAD_BYTES} bytes, got {len(payload)}")
     head = _HEADER.pack(
-        SYNC, major, message_type, sequence & 0xFFFFFFFF, board_ticks & 0xFFFFFFFFFFFFFFFF, boot_id, len(payload), 0
+        _SYNC_NUMBER,
+        major,
+        message_type,
+        sequence & 0xFFFFFFFF,
+        board_ticks & 0xFFFFFFFFFFFFFFFF,
+        boot_id,
+        len(payload),
+        0,
     )[:_CHECKED_HEADER_BYTES]
     body = b"".join((head, crc_hqx(head, 0xFFFF).to_bytes(2, "little"), payload))
     return body + _CRC.pack(crc32(body))
@@ -98,70 +111,97 @@ class PacketDecoder:
     ----------
     from_board
         Which direction this end expects; sound packets of the other direction are an echo, counted and dropped.
+    max_packet_bytes
+        What this end has room for; a header that promises more is damage.
     """
 
-    def __init__(self, *, from_board: bool) -> None:
+    def __init__(self, *, from_board: bool, max_packet_bytes: int = MAX_PACKET_BYTES) -> None:
         self._direction = FROM_BOARD if from_board else 0
-        self._tail = b""
+        self._max_packet_bytes = max_packet_bytes
+        self._waiting: list[bytes] = []
+        self._wanted_bytes = 0  # as long as fewer are waiting, nothing can be told of them
         self._discarding: Defect | None = None
         self._discarded_bytes = 0
         self.counts = ByteCounts()
+        self.waiting_bytes = 0  # of a packet that has begun and is not complete
 
-    @property
-    def waiting_bytes(self) -> int:
-        """Bytes of a packet that has begun and is not complete."""
-        return len(self._tail)
+    def abandon(self) -> None:
+        """Give up the packet that has begun: its rest will not come. Its bytes count as discarded."""
+        self._discard(self.waiting_bytes, Defect.GARBAGE)
+        self._keep(b"", 0)
 
     def feed(self, data: bytes) -> list[Packet | Damage | ForeignVersion]:
         """Take received bytes; return the packets they complete, each after the damage that came before it."""
-        counts = self.counts
-        counts.received += len(data)
-        buffer = self._tail + data
-        view = memoryview(buffer)
-        end = len(buffer)
-        position = 0
+        self.counts.received += len(data)
+        self.waiting_bytes += len(data)
+        if self.waiting_bytes < self._wanted_bytes:
+            if data:
+                self._waiting.append(data)  # joined when it pays: a packet in many pieces is copied once
+            return []
+        return self._search(b"".join((*self._waiting, data)) if self._waiting else data)
+
+    def _search(self, buffer: bytes) -> list[Packet | Damage | ForeignVersion]:
+        # The loop runs once a packet at megabytes a second: locals, and one slice for each check.
+        unpack_header, new_tuple, max_packet_bytes = _HEADER.unpack_from, tuple.__new__, self._max_packet_bytes
+        direction = self._direction
         found: list[Packet | Damage | ForeignVersion] = []
+        accepted_bytes = 0
+        position, end = 0, len(buffer)
         while True:
-            start = buffer.find(SYNC, position)
-            if start < 0:
-                start = end - buffer.endswith(SYNC[:1], position)
-                self._discard(start - position, Defect.GARBAGE)
-                position = start
+            if end - position < _HEADER_BYTES:
+                start = self._next_start(buffer, position)
+                if start != position:
+                    position = start
+                    continue
+                wanted_bytes = _HEADER_BYTES if end - position >= len(SYNC) else (end - position) * len(SYNC)
                 break
-            self._discard(start - position, Defect.GARBAGE)
-            position = start
-            if end - position < _HEADER.size:
-                break
-            header = _HEADER.unpack_from(buffer, position)
-            _, major, message_type, sequence, board_ticks, boot_id, length, header_check = header
-            if crc_hqx(view[position : position + _CHECKED_HEADER_BYTES], 0xFFFF) != header_check:
+            sync, major, message_type, sequence, board_ticks, boot_id, length, check = unpack_header(buffer, position)
+            if sync != _SYNC_NUMBER:
+                position = self._next_start(buffer, position)
+                continue
+            if crc_hqx(buffer[position : position + _CHECKED_HEADER_BYTES], 0xFFFF) != check:
                 position += self._discard(len(SYNC), Defect.BAD_HEADER)
                 continue
-            if length > MAX_PAYLOAD_BYTES:
+            size_bytes = length + PACKET_OVERHEAD_BYTES
+            if size_bytes > max_packet_bytes:
                 position += self._discard(len(SYNC), Defect.BAD_LENGTH)
                 continue
-            crc_at = position + _HEADER.size + length
-            if end < crc_at + _CRC.size:
+            after = position + size_bytes
+            if after > end:
+                wanted_bytes = size_bytes
                 break
-            if crc32(view[position:crc_at]) != _CRC.unpack_from(buffer, crc_at)[0]:
+            if crc32(buffer[position:after]) != _SOUND:
                 position += self._discard(len(SYNC), Defect.BAD_CRC)
                 continue
             if self._discarding is not None:
                 found.append(Damage(self._discarding, self._discarded_bytes))
                 self._discarding, self._discarded_bytes = None, 0
-            size_bytes = crc_at + _CRC.size - position
             if major != PROTOCOL_MAJOR:
-                counts.other_version += size_bytes
-                found.append(ForeignVersion(major))
-            elif message_type & FROM_BOARD != self._direction:
-                counts.own_direction += size_bytes
+                self.counts.other_version += size_bytes
+                found.append(ForeignVersion(major, message_type, sequence))
+            elif message_type & FROM_BOARD != direction:
+                self.counts.own_direction += size_bytes
             else:
-                counts.accepted += size_bytes
-                payload = bytes(view[position + _HEADER.size : crc_at])
-                found.append(Packet(message_type, sequence, board_ticks, boot_id, payload))
-            position += size_bytes
-        self._tail = buffer[position:]
+                accepted_bytes += size_bytes
+                payload = buffer[position + _HEADER_BYTES : after - _CRC.size]
+                found.append(new_tuple(Packet, (message_type, sequence, board_ticks, boot_id, payload)))
+            position = after
+        self.counts.accepted += accepted_bytes
+        self._keep(buffer[position:], wanted_bytes)
         return found
+
+    def _keep(self, rest: bytes, wanted_bytes: int) -> None:
+        self._waiting = [rest] if rest else []
+        self.waiting_bytes = len(rest)
+        self._wanted_bytes = wanted_bytes
+
+    def _next_start(self, buffer: bytes, position: int) -> int:
+        """Discard what precedes the next sync word, or the half of one at the end; return where that is."""
+        start = buffer.find(SYNC, position)
+        if start < 0:
+            start = len(buffer) - buffer.endswith(SYNC[:1], position)
+        self._discard(start - position, Defect.GARBAGE)
+        return start
 
     def _discard(self, size_bytes: int, defect: Defect) -> int:
         if size_bytes:

@@ -13,6 +13,7 @@ from firmware_protocol.messages import (
     Description,
     Identity,
     MalformedMessageError,
+    ResetCause,
     decode_message,
     encode_message,
 )
@@ -21,12 +22,12 @@ numbers = st.integers(0, 2**64 - 1)
 short_text = st.text(max_size=60)
 
 
-@given(st.builds(Identity, short_text, short_text, short_text, numbers))
+@given(st.builds(Identity, short_text, short_text, short_text, numbers, numbers, numbers))
 def test_identity_round_trip(identity: Identity) -> None:
     assert decode_message(Identity, encode_message(identity)) == identity
 
 
-@given(st.builds(Description, *[numbers] * 6, short_text, numbers, numbers))
+@given(st.builds(Description, *[numbers] * 6, short_text, *[numbers] * 2, st.none() | numbers, *[numbers] * 2))
 def test_description_round_trip(description: Description) -> None:
     assert decode_message(Description, encode_message(description)) == description
 
@@ -35,6 +36,20 @@ def test_bytes_are_those_of_the_page() -> None:
     assert encode_message(Configuration(1_000_000)) == bytes((1, 3, 0x40, 0x42, 0x0F))
     assert encode_message(BoardStatus(0)) == bytes((1, 1, 0))
     assert encode_message(BoardStatus(258, 298_150)) == bytes((1, 2, 2, 1, 2, 3, 0xA6, 0x8C, 0x04))
+
+
+def test_fields_that_may_be_absent_have_the_meanings_of_the_page() -> None:
+    identity = decode_message(Identity, bytes((1, 0, 2, 0, 3, 0, 4, 1, 0)))
+    assert (identity.credit_bytes, identity.reset_cause) == (64, ResetCause.UNKNOWN)
+    required = b"".join(bytes((tag, 1, 1)) for tag in range(1, 7)) + bytes((7, 0))
+    description = decode_message(Description, required)
+    assert description == Description(1, 1, 1, 1, 1, 1, "", 0, 0, None, 0, 1)
+    assert encode_message(description) == required + bytes((8, 1, 0, 9, 1, 0, 11, 1, 0, 12, 1, 1))  # no queue_bytes
+    assert decode_message(BoardStatus, bytes((1, 1, 0))) == BoardStatus(0, None, None)
+
+
+def test_the_last_of_repeated_fields_counts() -> None:
+    assert decode_message(Configuration, bytes((1, 1, 3, 1, 1, 4))) == Configuration(4)
 
 
 def test_unknown_fields_are_skipped_and_order_is_free() -> None:

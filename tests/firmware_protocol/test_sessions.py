@@ -1,79 +1,39 @@
 """Host and board sessions facing each other, and each against what the other must not send."""
 
-import re
-from pathlib import Path
+from dataclasses import replace
 
 import pytest
+from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS, exchange, new_device, running
 
-import firmware_protocol.host
-from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession, DeviceState
-from firmware_protocol.host import Described, Frame, FramePart, HostSession, HostState, Pong, Rebooted, Started
-from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_STRUCT, MessageType, SingleToneRecord
+from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
+from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Pong, Rebooted, Started
+from firmware_protocol.layouts import TONE_STRUCT, MessageType
 from firmware_protocol.messages import (
     BoardLog,
     BoardStatus,
     Configuration,
-    CounterKind,
-    Description,
-    Identity,
     Refusal,
     RefusalCode,
+    decode_message,
     encode_message,
 )
 from firmware_protocol.packets import MAX_PAYLOAD_BYTES, ForeignVersion, Packet, PacketDecoder, encode_packet
-
-PAGE = Path(firmware_protocol.host.__file__).with_name("PROTOCOL.md").read_text()
-IDENTITY = Identity("test plate", "0042", "1.0", 0)
-DESCRIPTION = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 10**5, 10**8, "quartz16")
-RECORD = SingleToneRecord(1, 2, 3, 10, 5, 6, 7, 8, 9, 0)
-
-
-def new_device(boot_id: int = 0x1234) -> DeviceSession:
-    return DeviceSession(IDENTITY, DESCRIPTION, boot_id)
-
-
-def exchange(host: HostSession, device: DeviceSession) -> list[object]:
-    """Carry bytes both ways until nobody has anything to say."""
-    events: list[object] = []
-    while request := host.data_to_send():
-        events += host.receive(device.receive(request, board_ticks=500))
-    return events
-
-
-def running() -> tuple[HostSession, DeviceSession]:
-    host, device = HostSession(), new_device()
-    exchange(host, device)
-    host.configure(Configuration(10**6))
-    exchange(host, device)
-    return host, device
+from firmware_protocol.states import BoardState, HostState
 
 
 def test_handshake_reaches_frames() -> None:
     host, device = HostSession(), new_device()
     assert exchange(host, device) == [Described(IDENTITY, DESCRIPTION, 0x1234)]
     assert host.state is HostState.DESCRIBED
-    host.configure(Configuration(10**6))
-    assert exchange(host, device) == [Started(Configuration(10**6))]
-    assert (host.state, device.state) == (HostState.RUNNING, DeviceState.RUNNING)
-    raw = device.frame(0, 123, SINGLE_TONE_STRUCT.pack(*RECORD) * 4)
+    host.configure(GATE)
+    assert exchange(host, device) == [Started(GATE)]
+    assert (host.state, device.state) == (HostState.RUNNING, BoardState.RUNNING)
+    raw = device.frame(0, 123, RECORDS)
     assert len(raw) == 204
-    assert host.receive(raw) == [Frame(0, 123, 204, (RECORD,) * 4)]
-
-
-def test_record_layout_is_the_one_of_the_page() -> None:
-    section = PAGE.split("## 4.")[1].split("## 5.")[0]
-    rows = re.findall(r"^\| (\d+) \| (\d+) \| (\w+) \|", section, re.MULTILINE)
-    offset = 0
-    for (at, size, name), field in zip(rows, SingleToneRecord._fields, strict=True):
-        assert (int(at), name) == (offset, field)
-        offset += int(size)
-    assert offset == SINGLE_TONE_STRUCT.size == 44
-
-
-def test_message_numbers_are_those_of_the_page() -> None:
-    rows = re.findall(r"^\| 0x([0-9A-F]{2}) \| (\w+) \| (host|board) \|", PAGE, re.MULTILINE)
-    assert {name: int(code, 16) for code, name, _ in rows} == {member.name: member.value for member in MessageType}
-    assert all((int(code, 16) >= 0x80) == (sender == "board") for code, _, sender in rows)
+    (frame,) = host.receive(raw)
+    assert frame == Frame(0, 123, 204, RECORDS)
+    assert isinstance(frame, Frame)
+    assert frame.records == (RECORD,) * 4
 
 
 def test_channelised_frame_travels_in_parts_of_at_most_9_kb() -> None:
@@ -101,15 +61,15 @@ def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:
     assert host.data_to_send() == b""
     host.ask_again()
     exchange(host, device)
-    host.configure(Configuration(10**6))
+    host.configure(GATE)
     events = host.receive(device.receive(host.data_to_send(), 0))
     device.receive(host.data_to_send(), 0)  # STARTED is lost
     assert events == []
     assert host.state is HostState.STARTING
-    host.receive(device.frame(0, 1, SINGLE_TONE_STRUCT.pack(*RECORD) * 4))
+    host.receive(device.frame(0, 1, RECORDS))
     assert host.messages.stale == 1
     host.ask_again()
-    assert exchange(host, device) == [Started(Configuration(10**6))]
+    assert exchange(host, device) == [Started(GATE)]
     assert device.started == 1
 
 
@@ -135,50 +95,165 @@ def test_reboot_is_seen_and_the_handshake_begins_again() -> None:
     events = host.receive(reborn.status(BoardStatus(0), 1))
     assert events == [Rebooted(0x9999), BoardStatus(0)]
     assert exchange(host, reborn) == [Described(IDENTITY, DESCRIPTION, 0x9999)]
-    assert old.state is DeviceState.RUNNING
+    assert old.state is BoardState.RUNNING
+
+
+def test_a_frame_of_another_boot_is_no_frame() -> None:
+    host, _ = running()
+    assert host.receive(new_device(boot_id=0x9999).frame(7, 1, RECORDS)) == [Rebooted(0x9999)]
+    assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
 
 
 def test_frames_before_the_start_are_stale() -> None:
     host, device = HostSession(), new_device()
-    assert host.receive(device.frame(0, 1, SINGLE_TONE_STRUCT.pack(*RECORD) * 4)) == []
+    assert host.receive(device.frame(0, 1, RECORDS)) == []
     assert host.messages.stale == 1
 
 
 def test_other_major_version_is_an_event() -> None:
-    assert HostSession().receive(encode_packet(0x81, 1, b"?", boot_id=1, major=2)) == [ForeignVersion(2)]
+    assert HostSession().receive(encode_packet(0x81, 1, b"?", boot_id=1, major=2)) == [ForeignVersion(2, 0x81, 1)]
 
 
-@pytest.mark.parametrize("gate_ticks", [0, 99_999, 100_000_001])
-def test_board_refuses_a_gate_out_of_range(gate_ticks: int) -> None:
+def test_a_request_of_another_version_is_no_event_of_a_board() -> None:
+    assert HostSession().receive(encode_packet(0x01, 1, b"?", major=2)) == []
+
+
+@pytest.mark.parametrize(
+    ("gate_ticks", "text"),
+    [
+        (0, "gate_ticks must be 100000 to 100000000, got 0"),
+        (99_999, "gate_ticks must be 100000 to 100000000, got 99999"),
+        (100_000_001, "gate_ticks must be 100000 to 100000000, got 100000001"),
+        (100_050, "gate_ticks must be a multiple of 100, got 100050"),
+    ],
+)
+def test_board_refuses_a_gate_out_of_range(gate_ticks: int, text: str) -> None:
     host, device = HostSession(), new_device()
     exchange(host, device)
     host.configure(Configuration(gate_ticks))
-    text = f"gate_ticks must be 100000 to 100000000, got {gate_ticks}"
     assert exchange(host, device) == [Refusal(RefusalCode.OUT_OF_RANGE, text)]
     assert host.state is HostState.REFUSED
 
 
-def refusal_code(device: DeviceSession, message_type: int, payload: bytes = b"") -> int:
-    (packet,) = PacketDecoder(from_board=True).feed(device.receive(encode_packet(message_type, 3, payload), 0))
+@pytest.mark.parametrize("gate_ticks", [100_000, 100_000_000])
+def test_board_takes_the_gates_of_its_limits(gate_ticks: int) -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    host.configure(Configuration(gate_ticks))
+    assert exchange(host, device) == [Started(Configuration(gate_ticks))]
+
+
+def refusal(device: DeviceSession, message_type: int, payload: bytes = b"", major: int = 1) -> Refusal:
+    request = encode_packet(message_type, 3, payload, major=major)
+    (packet,) = PacketDecoder(from_board=True).feed(device.receive(request, 0))
     assert isinstance(packet, Packet)
     assert (packet.type, packet.sequence) == (MessageType.REFUSED, 3)
-    return packet.payload[2]  # the first field's value
+    return decode_message(Refusal, packet.payload)
 
 
 def test_board_refuses_by_code() -> None:
-    assert refusal_code(new_device(), MessageType.START) == RefusalCode.NOT_IN_THIS_STATE
-    assert refusal_code(new_device(), 0x44) == RefusalCode.UNKNOWN_MESSAGE
-    assert refusal_code(new_device(), MessageType.CONFIGURE, b"\x01") == RefusalCode.MALFORMED
+    assert refusal(new_device(), MessageType.START).code == RefusalCode.NOT_IN_THIS_STATE
+    assert refusal(new_device(), 0x44) == Refusal(RefusalCode.UNKNOWN_MESSAGE, "unknown message 0x44")
+    assert refusal(new_device(), MessageType.CONFIGURE, b"\x01").code == RefusalCode.MALFORMED
+    assert refusal(new_device(), MessageType.PING, b"7 bytes") == Refusal(
+        RefusalCode.MALFORMED, "PING needs 8 bytes, got 7"
+    )
+    assert refusal(new_device(), MessageType.IDENTIFY, major=2) == Refusal(
+        RefusalCode.OTHER_VERSION, "this board speaks version 1, not 2"
+    )
+
+
+def test_board_with_a_fault_refuses_to_start() -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    device.fault = "no reference clock"
+    host.configure(GATE)
+    assert exchange(host, device) == [Refusal(RefusalCode.FAULT, "no reference clock")]
+    assert device.state is BoardState.CONFIGURED
+
+
+def test_board_answers_no_answer_of_another_version() -> None:
+    device = new_device()
+    assert device.receive(encode_packet(MessageType.PONG, 3, major=2), 0) == b""
+    assert device.counts.other_version == 28
+
+
+def test_board_without_a_light_cannot_be_located() -> None:
+    host, dark = HostSession(), DeviceSession(IDENTITY, replace(DESCRIPTION, capabilities=0), BOOT)
+    exchange(host, dark)
+    host.locate()
+    assert exchange(host, dark) == [Located(Refusal(RefusalCode.UNKNOWN_MESSAGE, "unknown message 0x07"))]
+    assert host.state is HostState.DESCRIBED
+
+
+def test_located_board_shows_itself_and_goes_on() -> None:
+    host, device = running()
+    host.locate()
+    assert exchange(host, device) == [Located(None)]
+    assert (device.located, device.state, host.state) == (1, BoardState.RUNNING, HostState.RUNNING)
+
+
+def test_payloads_of_empty_requests_are_left_to_later_versions() -> None:
+    assert new_device().receive(encode_packet(MessageType.STOP, 1, b"later"), 0)[3] == MessageType.STOPPED
+
+
+def test_a_request_longer_than_the_credit_is_damage() -> None:
+    device = new_device()
+    assert device.receive(encode_packet(MessageType.STOP, 1, bytes(37)), 0) == b""
+    assert device.counts.discarded > 0
+    assert new_device().receive(encode_packet(MessageType.STOP, 1, bytes(36)), 0)
+
+
+def test_board_promises_no_less_than_the_least_credit() -> None:
+    with pytest.raises(ValueError, match="at least 64, got 63"):
+        new_device(identity=replace(IDENTITY, credit_bytes=63))
+
+
+def test_begin_gives_up_what_was_under_way() -> None:
+    _, device = running()
+    device.receive(encode_packet(MessageType.PING, 9, bytes(8))[:30], 0)
+    device.begin()
+    assert (device.state, device.configuration) == (BoardState.IDLE, None)
+    assert (device.counts.discarded, device.waiting_bytes) == (30, 0)
+    assert exchange(HostSession(), device) == [Described(IDENTITY, DESCRIPTION, BOOT)]
+    assert refusal(device, MessageType.START).code == RefusalCode.NOT_IN_THIS_STATE
+
+
+def test_resumed_board_begins_a_run_only_if_it_had_stopped() -> None:
+    host, device = running()
+    host.resume()
+    assert exchange(host, device) == [Started(GATE)]
+    assert device.started == 1
+    device.receive(encode_packet(MessageType.STOP, 1), 0)  # as another host would
+    host.resume()
+    assert exchange(host, device) == [Started(GATE)]
+    assert device.started == 2
+    device.begin()
+    host.resume()
+    (refused,) = exchange(host, device)
+    assert isinstance(refused, Refusal)
+    assert host.state is HostState.REFUSED
+
+
+def test_stopped_host_can_configure_again() -> None:
+    host, device = running()
+    host.stop()
+    assert exchange(host, device) == []
+    assert host.receive(device.frame(1, 1, RECORDS)) == []
+    assert host.messages.stale == 1
+    host.configure(GATE)
+    assert exchange(host, device) == [Started(GATE)]
+    assert device.started == 2
 
 
 def test_stop_and_configure_end_a_run() -> None:
     host, device = running()
     host.stop()
     exchange(host, device)
-    assert device.state is DeviceState.CONFIGURED
+    assert device.state is BoardState.CONFIGURED
     _, device = running()
     device.receive(encode_packet(MessageType.CONFIGURE, 9, encode_message(Configuration(2 * 10**6))), 0)
-    assert device.state is DeviceState.CONFIGURED
+    assert device.state is BoardState.CONFIGURED
     assert device.configuration == Configuration(2 * 10**6)
     _, device = running()
     device.receive(encode_packet(MessageType.STOP, 1), 0)
@@ -207,5 +282,5 @@ def test_malformed_and_unknown_messages_are_counted() -> None:
 
 
 def test_configure_needs_a_described_board() -> None:
-    with pytest.raises(ValueError, match="needs a described board, the session is identifying"):
+    with pytest.raises(ValueError, match="user configures: the session must be described, it is identifying"):
         HostSession().configure(Configuration(1))

@@ -1,0 +1,93 @@
+"""The host's requests: numbered, and sent no faster than the board has room for (PROTOCOL.md, section 5)."""
+
+from collections import deque
+from typing import NamedTuple
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import LEAST_CREDIT_BYTES
+from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, encode_packet
+
+
+class Request(NamedTuple):
+    """A request under its number."""
+
+    number: int
+    type: MessageType
+    packet: bytes
+
+
+class Requests:
+    """Numbers requests, sends them while the board has room and keeps the others in order until it has.
+
+    `credit_bytes` is what the packets of unanswered requests may take together.
+    """
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._outgoing = bytearray()
+        self._unanswered: deque[Request] = deque()
+        self._waiting: deque[Request] = deque()
+        self.credit_bytes = LEAST_CREDIT_BYTES
+
+    @property
+    def open(self) -> bool:
+        """Whether a request is unanswered or waits to be sent."""
+        return bool(self._unanswered or self._waiting)
+
+    def data_to_send(self) -> bytes:
+        """Return and clear the bytes that the board must get."""
+        data = bytes(self._outgoing)
+        self._outgoing.clear()
+        return data
+
+    def send(self, request_type: MessageType, payload: bytes = b"") -> Request:
+        """Send a request as soon as there is room. One of the same type that still waits gives way to it."""
+        for waiting in [waiting for waiting in self._waiting if waiting.type is request_type]:
+            self._waiting.remove(waiting)
+        self._number = (self._number + 1) & 0xFFFFFFFF
+        request = Request(self._number, request_type, encode_packet(request_type, self._number, payload))
+        self._waiting.append(request)
+        self._send_waiting()
+        return request
+
+    def room_for(self, payload_bytes: int) -> bool:
+        """Tell whether a request with that payload would go out at once."""
+        return not self._waiting and self._room(PACKET_OVERHEAD_BYTES + payload_bytes)
+
+    def withdraw(self, request: Request) -> None:
+        """Do not send a request any more, if it still waits."""
+        if request in self._waiting:
+            self._waiting.remove(request)
+
+    def overdue(self, again: Request | None) -> None:
+        """Take all unanswered requests for lost; send `again` once more, before those that wait."""
+        self._unanswered.clear()
+        if again is not None and again not in self._waiting:
+            self._waiting.appendleft(again)
+        self._send_waiting()
+
+    def answered(self, number: int) -> MessageType | None:
+        """Give back the room of a request and of all before it; return its type, None when it is not unanswered."""
+        answered = next((request for request in self._unanswered if request.number == number), None)
+        if answered is None:
+            return None
+        while self._unanswered.popleft() is not answered:
+            pass
+        self._send_waiting()
+        return answered.type
+
+    def forget(self) -> None:
+        """Drop everything: another boot knows nothing of it."""
+        self._unanswered.clear()
+        self._waiting.clear()
+        self._outgoing.clear()
+        self.credit_bytes = LEAST_CREDIT_BYTES
+
+    def _send_waiting(self) -> None:
+        while self._waiting and self._room(len(self._waiting[0].packet)):
+            request = self._waiting.popleft()
+            self._unanswered.append(request)
+            self._outgoing += request.packet
+
+    def _room(self, packet_bytes: int) -> bool:
+        return sum(len(request.packet) for request in self._unanswered) + packet_bytes <= self.credit_bytes

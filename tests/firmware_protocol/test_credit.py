@@ -1,0 +1,214 @@
+"""A host never sends more than the board has room for, and no lost answer stops it for ever."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device, running
+
+from firmware_protocol.host import HostSession, Pong
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import Configuration
+from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from firmware_protocol.requests import Requests
+from firmware_protocol.states import HostState
+
+PING = bytes(8)
+
+
+def types(data: bytes) -> list[int]:
+    return [found.type for found in PacketDecoder(from_board=False).feed(data) if isinstance(found, Packet)]
+
+
+def test_a_ping_without_credit_is_not_sent() -> None:
+    host, device = running()
+    assert host.ping(PING)
+    assert not host.ping(PING)  # 2 x 36 bytes are more than 64
+    data = host.data_to_send()
+    assert types(data) == [MessageType.PING]
+    assert host.receive(device.receive(data, 7)) == [Pong(PING, 7)]
+    assert host.ping(PING)
+
+
+def test_promised_credit_is_used() -> None:
+    host, _ = running(replace(IDENTITY, credit_bytes=200))
+    assert [host.ping(PING) for _ in range(6)] == [True] * 5 + [False]
+
+
+def test_before_identity_the_least_credit_holds() -> None:
+    host = HostSession()
+    assert [host.ping(PING), host.ping(PING)] == [True, False]  # IDENTIFY and one PING fill 64 bytes
+    assert types(host.data_to_send()) == [MessageType.IDENTIFY, MessageType.PING]
+
+
+def test_requests_wait_in_order_until_there_is_room() -> None:
+    host, device = running()
+    host.ping(PING)
+    ping = host.data_to_send()
+    host.locate()  # fits beside the ping
+    host.stop()
+    assert types(host.data_to_send()) == [MessageType.LOCATE]
+    assert not host.ping(PING)
+    host.receive(device.receive(ping, 0))
+    assert types(host.data_to_send()) == [MessageType.STOP]
+
+
+def test_an_answer_gives_back_what_was_asked_before_it() -> None:
+    host, device = running(replace(IDENTITY, credit_bytes=110))
+    assert [host.ping(bytes([n] * 8)) for n in range(4)] == [True, True, True, False]
+    pings = host.data_to_send()
+    answers = [device.receive(pings[at : at + 36], 0) for at in (0, 36, 72)]
+    host.receive(answers[1])  # the first is lost
+    assert [host.ping(PING), host.ping(PING), host.ping(PING)] == [True, True, False]
+
+
+def test_a_lost_answer_is_overdue_and_gives_its_room_back() -> None:
+    host, device = running()
+    assert not host.awaits_answer
+    host.ping(PING)
+    device.receive(host.data_to_send(), 0)  # the answer is lost
+    assert host.awaits_answer
+    assert not host.ping(PING)
+    host.ask_again()
+    assert host.data_to_send() == b""  # a ping is not repeated: its time has passed
+    assert host.ping(PING)
+    assert exchange(host, device) == [Pong(PING, 500)]
+    assert not host.awaits_answer
+
+
+def test_the_pending_request_is_repeated_byte_by_byte() -> None:
+    host = HostSession()
+    first = host.data_to_send()
+    host.ping(PING)
+    host.data_to_send()
+    host.ask_again()
+    assert host.data_to_send() == first
+
+
+def test_a_repeated_request_goes_before_those_that_wait() -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    host.ping(PING)
+    host.data_to_send()
+    host.configure(GATE)  # 36 + 33 bytes are too many
+    assert host.data_to_send() == b""
+    host.locate()
+    host.ask_again()
+    assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
+
+
+def test_a_repeated_request_goes_before_the_one_that_waits() -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    host.configure(GATE)
+    host.locate()
+    host.locate()  # the second waits
+    assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
+    host.ask_again()
+    assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
+
+
+def test_of_one_kind_one_waits() -> None:
+    host, device = running()
+    host.ping(PING)
+    for _ in range(4):
+        host.locate()  # the first goes out
+    host.receive(device.receive(host.data_to_send(), 0))
+    assert types(host.data_to_send()) == [MessageType.LOCATE]
+
+
+def test_a_ping_does_not_wait_behind_another_request() -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    host.locate()
+    host.configure(Configuration(2**63))  # 38 bytes, where 36 are free
+    assert not host.ping(PING)
+
+
+def test_a_malformed_answer_is_still_awaited() -> None:
+    host = HostSession()
+    first = host.data_to_send()
+    host.receive(encode_packet(MessageType.IDENTITY, 1, b"\x01", boot_id=BOOT))
+    assert (host.messages.malformed, host.awaits_answer) == (1, True)
+    host.ask_again()
+    assert host.data_to_send() == first
+
+
+def test_an_answer_under_another_number_moves_nothing() -> None:
+    host, device = HostSession(), new_device()
+    assert host.receive(device.receive(encode_packet(MessageType.IDENTIFY, 9), 0)) == []
+    assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
+
+
+def test_a_host_that_stops_withdraws_what_still_waits() -> None:
+    host, device = HostSession(), new_device()
+    exchange(host, device)
+    host.ping(PING)
+    ping = host.data_to_send()
+    host.configure(GATE)
+    host.stop()
+    host.receive(device.receive(ping, 0))
+    assert types(host.data_to_send()) == [MessageType.STOP]
+    assert host.state is HostState.DESCRIBED
+
+
+def test_another_boot_forgets_requests_and_credit() -> None:
+    host, _ = running(replace(IDENTITY, credit_bytes=1000))
+    host.locate()
+    host.stop()
+    host.receive(encode_packet(MessageType.LOG, 0, bytes((1, 1, 20, 2, 0)), boot_id=BOOT + 1))
+    assert types(host.data_to_send()) == [MessageType.IDENTIFY]
+    assert [host.ping(PING), host.ping(PING)] == [True, False]
+
+
+def test_a_board_that_promises_less_than_every_board_still_gets_64_bytes() -> None:
+    host, device = HostSession(), new_device()
+    host.receive(device.receive(host.data_to_send(), 0)[:0] + identity_with_credit(b"\x05\x01\x01"))
+    assert host.state is HostState.DESCRIBING
+    assert host.ping(PING)
+
+
+def identity_with_credit(field: bytes) -> bytes:
+    payload = bytes((1, 0, 2, 0, 3, 0, 4, 1, 0)) + field
+    return encode_packet(MessageType.IDENTITY, 1, payload, boot_id=BOOT)
+
+
+def test_numbers_wrap() -> None:
+    requests = Requests()
+    requests._number = 0xFFFFFFFE
+    assert [requests.send(MessageType.PING).number for _ in range(3)] == [0xFFFFFFFF, 0, 1]
+
+
+@pytest.mark.parametrize("credit_bytes", [64, 100, 256])
+@given(acts=st.lists(st.sampled_from(["ping", "locate", "stop", "lose", "answer", "again"]), max_size=60))
+def test_outstanding_bytes_never_exceed_the_credit(credit_bytes: int, acts: list[str]) -> None:
+    host, device = running(replace(IDENTITY, credit_bytes=credit_bytes))
+    on_the_way: list[int] = []  # sizes of requests that the board has not answered
+    line = b""
+    for act in acts:
+        if act == "ping":
+            host.ping(PING)
+        elif act == "locate":
+            host.locate()
+        elif act == "stop":
+            host.stop()
+        elif act == "again":
+            on_the_way.clear()
+            host.ask_again()
+        sent = host.data_to_send()
+        on_the_way += [
+            found.size_bytes for found in PacketDecoder(from_board=False).feed(sent) if isinstance(found, Packet)
+        ]
+        assert sum(on_the_way) <= credit_bytes
+        line += sent
+        if act in ("lose", "answer"):
+            answers = device.receive(line, 0)
+            line = b""
+            if act == "answer" and answers:
+                on_the_way.clear()
+                host.receive(answers)
+                sent = host.data_to_send()
+                on_the_way += [len(sent)] if sent else []
+                line += sent
+    assert len(host._requests._waiting) <= 4
