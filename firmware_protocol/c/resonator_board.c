@@ -1,0 +1,235 @@
+#include "resonator_board.h"
+
+#include <stddef.h>
+
+#include "resonator_messages.h"
+#include "resonator_output.h"
+#include "resonator_payloads.h"
+
+#define PING_BYTES 8
+
+static void answer(struct resonator_board *board, uint8_t type, uint32_t sequence, resonator_payload payload,
+                   const void *what)
+{
+    if (!resonator_make_room(board, resonator_payload_bytes(payload, what))) {
+        board->output_counts.answers_dropped++;
+        return;
+    }
+    struct resonator_head head = resonator_head_of(board, type, sequence);
+    (void)resonator_queue_packet(&board->queue, RESONATOR_KIND_ANSWER, &head, payload, what);
+}
+
+static void refuse(struct resonator_board *board, uint32_t sequence, enum resonator_refusal_code code,
+                   const char *text)
+{
+    struct resonator_refusal refusal;
+    refusal.code = code;
+    refusal.text = text;
+    answer(board, RESONATOR_REFUSED, sequence, resonator_put_refusal, &refusal);
+}
+
+static void refuse_unknown(struct resonator_board *board, const struct resonator_packet *request)
+{
+    struct resonator_text text;
+    resonator_text_begin(&text, "unknown message 0x");
+    resonator_text_add_hex(&text, request->type);
+    refuse(board, request->sequence, RESONATOR_REFUSED_UNKNOWN_MESSAGE, text.characters);
+}
+
+static void ping(struct resonator_board *board, const struct resonator_packet *request)
+{
+    if (request->payload_bytes != PING_BYTES) {
+        struct resonator_text text;
+        resonator_text_begin(&text, "PING needs 8 bytes, got ");
+        resonator_text_add_number(&text, request->payload_bytes);
+        refuse(board, request->sequence, RESONATOR_REFUSED_MALFORMED, text.characters);
+        return;
+    }
+    answer(board, RESONATOR_PING | RESONATOR_FROM_BOARD, request->sequence, resonator_put_payload_again, request);
+}
+
+static void configure(struct resonator_board *board, const struct resonator_packet *request)
+{
+    const struct resonator_description *limits = board->description;
+    uint64_t gate_ticks;
+    if (!resonator_find_number(request->payload, request->payload_bytes, 1, &gate_ticks)) {
+        refuse(board, request->sequence, RESONATOR_REFUSED_MALFORMED,
+               "CONFIGURE needs gate_ticks, a number of 1 to 8 bytes");
+        return;
+    }
+    bool in_range = gate_ticks >= limits->gate_ticks_min && gate_ticks <= limits->gate_ticks_max;
+    if (!in_range || gate_ticks % limits->gate_ticks_step != 0) {
+        struct resonator_text text;
+        resonator_text_begin(&text, "gate_ticks must be ");
+        if (in_range) {
+            resonator_text_add(&text, "a multiple of ");
+            resonator_text_add_number(&text, limits->gate_ticks_step);
+        } else {
+            resonator_text_add_number(&text, limits->gate_ticks_min);
+            resonator_text_add(&text, " to ");
+            resonator_text_add_number(&text, limits->gate_ticks_max);
+        }
+        resonator_text_add(&text, ", got ");
+        resonator_text_add_number(&text, gate_ticks);
+        refuse(board, request->sequence, RESONATOR_REFUSED_OUT_OF_RANGE, text.characters);
+        return;
+    }
+    board->state = RESONATOR_CONFIGURED;
+    board->gate_ticks = gate_ticks;
+    answer(board, RESONATOR_CONFIGURE | RESONATOR_FROM_BOARD, request->sequence, resonator_put_configuration,
+           &gate_ticks);
+}
+
+static void begin_run(struct resonator_board *board)
+{
+    /* Frames of the last run that still wait: nobody could tell them from those of this one. */
+    while (resonator_queue_oldest_frame(&board->queue) != RESONATOR_NO_CHUNK) {
+        resonator_queue_drop_oldest_frame(&board->queue);
+        board->output_counts.frames_dropped++;
+    }
+    board->state = RESONATOR_RUNNING;
+    board->started++;
+    board->frame_sequence = 0;
+    board->run_dropped = 0;
+    board->run_skipped = 0;
+    board->run_told = 0;
+    board->open_frame = RESONATOR_NO_CHUNK;
+}
+
+static void start(struct resonator_board *board, const struct resonator_packet *request)
+{
+    if (board->state == RESONATOR_IDLE) {
+        refuse(board, request->sequence, RESONATOR_REFUSED_NOT_IN_THIS_STATE, "START needs a configuration");
+        return;
+    }
+    if (board->fault != NULL) {
+        refuse(board, request->sequence, RESONATOR_REFUSED_FAULT, board->fault);
+        return;
+    }
+    if (board->state == RESONATOR_CONFIGURED) {
+        begin_run(board);
+    }
+    answer(board, RESONATOR_START | RESONATOR_FROM_BOARD, request->sequence, resonator_put_nothing, NULL);
+}
+
+static void carry_out(struct resonator_board *board, const struct resonator_packet *request)
+{
+    uint8_t answer_type = request->type | RESONATOR_FROM_BOARD;
+    switch (request->type) {
+    case RESONATOR_IDENTIFY:
+        answer(board, answer_type, request->sequence, resonator_put_identity, board);
+        return;
+    case RESONATOR_DESCRIBE:
+        answer(board, answer_type, request->sequence, resonator_put_description, board);
+        return;
+    case RESONATOR_CONFIGURE:
+        configure(board, request);
+        return;
+    case RESONATOR_START:
+        start(board, request);
+        return;
+    case RESONATOR_STOP:
+        if (board->state == RESONATOR_RUNNING) {
+            board->state = RESONATOR_CONFIGURED;
+        }
+        answer(board, answer_type, request->sequence, resonator_put_nothing, NULL);
+        return;
+    case RESONATOR_PING:
+        ping(board, request);
+        return;
+    case RESONATOR_LOCATE:
+        if ((board->description->capabilities & RESONATOR_CAN_LOCATE) != 0) {
+            board->located++;
+            answer(board, answer_type, request->sequence, resonator_put_nothing, NULL);
+            return;
+        }
+        break;
+    default:
+        break;
+    }
+    refuse_unknown(board, request);
+}
+
+static void packet_found(void *context, const struct resonator_packet *packet)
+{
+    struct resonator_board *board = context;
+    if (board->watcher != NULL && board->watcher->packet != NULL) {
+        board->watcher->packet(board->watcher->context, packet);
+    }
+    if (packet->major == RESONATOR_PROTOCOL_MAJOR) {
+        board->asked = true;
+        carry_out(board, packet);
+    } else if ((packet->type & RESONATOR_FROM_BOARD) == 0) {
+        struct resonator_text text;
+        resonator_text_begin(&text, "this board speaks version ");
+        resonator_text_add_number(&text, RESONATOR_PROTOCOL_MAJOR);
+        resonator_text_add(&text, ", not ");
+        resonator_text_add_number(&text, packet->major);
+        refuse(board, packet->sequence, RESONATOR_REFUSED_OTHER_VERSION, text.characters);
+    }
+}
+
+static void damage_found(void *context, enum resonator_defect defect, uint64_t size_bytes)
+{
+    const struct resonator_board *board = context;
+    if (board->watcher != NULL && board->watcher->damage != NULL) {
+        board->watcher->damage(board->watcher->context, defect, size_bytes);
+    }
+}
+
+bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
+                    const struct resonator_description *description, uint32_t boot_id,
+                    const struct resonator_memory *memory)
+{
+    if (boot_id == 0 || memory->input_bytes < RESONATOR_MIN_INPUT_BYTES ||
+        memory->input_bytes > RESONATOR_MAX_PACKET_BYTES || memory->chunk_count == 0 ||
+        memory->chunk_count == RESONATOR_NO_CHUNK || description->gate_ticks_step == 0) {
+        return false;
+    }
+    resonator_decoder_init(&board->decoder, 0, memory->input, memory->input_bytes);
+    resonator_queue_init(&board->queue, memory->chunks, memory->chunk_count);
+    board->identity = identity;
+    board->description = description;
+    board->boot_id = boot_id;
+    board->fault = NULL;
+    board->watcher = NULL;
+    board->started = 0;
+    board->located = 0;
+    board->output_counts.frames_dropped = 0;
+    board->output_counts.parts_dropped = 0;
+    board->output_counts.answers_dropped = 0;
+    board->output_counts.logs_dropped = 0;
+    board->ticks = 0;
+    board->frame_sequence = 0;
+    board->run_dropped = 0;
+    board->run_skipped = 0;
+    board->run_told = 0;
+    board->notice_sequence = 0;
+    board->temperature_known = false;
+    board->temperature_millikelvin = 0;
+    resonator_begin(board);
+    return true;
+}
+
+void resonator_begin(struct resonator_board *board)
+{
+    resonator_decoder_forget(&board->decoder);
+    resonator_queue_clear(&board->queue);
+    board->state = RESONATOR_IDLE;
+    board->gate_ticks = 0;
+    board->asked = false;
+    board->open_frame = RESONATOR_NO_CHUNK;
+    board->status_due = false;
+    board->status_bytes = 0;
+    board->status_read_bytes = 0;
+}
+
+void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint32_t size, uint64_t ticks)
+{
+    struct resonator_decoder_handler handler;
+    handler.context = board;
+    handler.packet = packet_found;
+    handler.damage = damage_found;
+    board->ticks = ticks;
+    resonator_decoder_feed(&board->decoder, bytes, size, &handler);
+}

@@ -1,0 +1,201 @@
+/* The board's side of the wire (PROTOCOL.md): bytes from the host in, answers and frames out.
+ *
+ * No allocation, no globals, no clock: the caller places one struct resonator_board, gives it memory for input and
+ * output, tells it the ticks, and moves the bytes. All functions for one board are called from one context, or with
+ * the interrupts masked that call the others; each returns soon. README.md has the order of calls.
+ */
+#ifndef RESONATOR_BOARD_H
+#define RESONATOR_BOARD_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "resonator_packets.h"
+#include "resonator_queue.h"
+
+#define RESONATOR_CHANNELS 4
+#define RESONATOR_RECORD_BYTES 44
+#define RESONATOR_TONE_BYTES 12
+#define RESONATOR_MAX_TONES_PER_PART 744
+#define RESONATOR_MIN_INPUT_BYTES 64
+
+enum resonator_state { RESONATOR_IDLE = 0, RESONATOR_CONFIGURED = 1, RESONATOR_RUNNING = 2 };
+
+enum resonator_counter_kind { RESONATOR_SINGLE_TONE = 0, RESONATOR_CHANNELISED = 1 };
+
+enum resonator_reset_cause {
+    RESONATOR_RESET_UNKNOWN = 0,
+    RESONATOR_RESET_POWER_ON = 1,
+    RESONATOR_RESET_BROWN_OUT = 2,
+    RESONATOR_RESET_WATCHDOG = 3,
+    RESONATOR_RESET_SOFTWARE = 4,
+    RESONATOR_RESET_PIN = 5
+};
+
+enum resonator_capability { RESONATOR_CAN_TELL_TEMPERATURE = 1, RESONATOR_CAN_LOCATE = 2 };
+
+enum resonator_log_level {
+    RESONATOR_LOG_DEBUG = 10,
+    RESONATOR_LOG_INFO = 20,
+    RESONATOR_LOG_WARNING = 30,
+    RESONATOR_LOG_ERROR = 40
+};
+
+enum resonator_record_flag {
+    RESONATOR_LOST_EDGE = 1,
+    RESONATOR_OVERFLOW = 2,
+    RESONATOR_SATURATED = 4,
+    RESONATOR_CAPTURE_SWITCH = 8,
+    RESONATOR_NO_SIGNAL = 16,
+    RESONATOR_STRIDE_BREAK = 32
+};
+
+/* Who the board is. Texts are UTF-8, terminated by 0, cut at 255 bytes on the wire. */
+struct resonator_identity {
+    const char *product;
+    const char *serial_number;
+    const char *firmware;
+    uint8_t reset_cause;
+};
+
+/* What the board counts and within which limits. */
+struct resonator_description {
+    uint8_t counter_kind;
+    uint16_t tones; /* single-tone: 1 */
+    uint64_t reference_millihertz;
+    uint64_t gate_ticks_min;
+    uint64_t gate_ticks_max;
+    uint64_t gate_ticks_step; /* gates are multiples of it; at least 1 */
+    const char *plate;
+    uint64_t oscillator_millihertz; /* channelised only, else 0 */
+    uint64_t oscillator_spacing_millihertz;
+    uint64_t capabilities; /* enum resonator_capability, or-ed */
+};
+
+/* What the caller gives the board to keep for its life. */
+struct resonator_memory {
+    uint8_t *input; /* its size is the host's byte credit */
+    uint16_t input_bytes;
+    struct resonator_chunk *chunks;
+    uint16_t chunk_count;
+};
+
+/* Sums over one channel's stamps in one gate; resonator_sums.h makes them from captured edges. */
+struct resonator_record {
+    uint32_t first_edge;
+    uint32_t first_ticks;
+    uint16_t stamps;
+    uint16_t stride_edges;
+    uint32_t span_ticks;
+    uint64_t s1_ticks;
+    uint64_t s2_ticks;
+    uint64_t q2_ticks2;
+    uint16_t attenuation_db256;
+    uint16_t flags;
+};
+
+/* Which tones of which channel a part carries. */
+struct resonator_block {
+    uint8_t channel;
+    uint16_t first_tone;
+    uint16_t tones;
+    uint8_t part;
+    uint8_t parts;
+};
+
+/* Told what the decoder found in the host's bytes; for tests and traces. Either member may be NULL. */
+struct resonator_watcher {
+    void *context;
+    void (*packet)(void *context, const struct resonator_packet *packet);
+    void (*damage)(void *context, enum resonator_defect defect, uint64_t size_bytes);
+};
+
+/* What went lost on the way out, since boot. */
+struct resonator_output_counts {
+    uint64_t frames_dropped; /* for want of room, or skipped */
+    uint64_t parts_dropped;  /* of frames whose first part had gone out */
+    uint64_t answers_dropped;
+    uint64_t logs_dropped;
+};
+
+/* Read `state`, `gate_ticks`, `started`, `located` and the counts; write nothing. */
+struct resonator_board {
+    enum resonator_state state;
+    uint64_t gate_ticks; /* as configured; 0 while idle */
+    uint32_t started;    /* runs begun: a new value means a new run, whose first gate opens now */
+    uint32_t located;    /* LOCATE requests: a new value means that the board makes itself seen */
+    struct resonator_output_counts output_counts;
+    struct resonator_decoder decoder;
+
+    const struct resonator_identity *identity;
+    const struct resonator_description *description;
+    const char *fault;
+    const struct resonator_watcher *watcher;
+    uint32_t boot_id;
+    uint64_t ticks; /* the latest the caller told */
+    struct resonator_queue queue;
+
+    uint32_t frame_sequence;
+    uint32_t run_dropped; /* of this run, each numbered before every frame in the queue */
+    uint32_t run_skipped; /* of this run, up to the next frame made */
+    uint32_t run_told;    /* what the last STATUS of this run said */
+    bool asked;           /* a sound request came: the board may speak of its own accord */
+    uint16_t open_frame;  /* first chunk of the frame whose parts are being queued, or RESONATOR_NO_CHUNK */
+    bool status_due;
+    uint32_t notice_sequence;
+    bool temperature_known;
+    uint32_t temperature_millikelvin;
+    uint8_t status_bytes;
+    uint8_t status_read_bytes;
+    uint8_t status[64];
+};
+
+/* Makes a board idle with empty queues. `identity` and `description` are kept by reference.
+   False, and the board must not be used: boot_id 0, fewer than RESONATOR_MIN_INPUT_BYTES or more than
+   RESONATOR_MAX_PACKET_BYTES of input, no chunks or more than 65534, gate_ticks_step 0. */
+bool resonator_init(struct resonator_board *board, const struct resonator_identity *identity,
+                    const struct resonator_description *description, uint32_t boot_id,
+                    const struct resonator_memory *memory);
+
+/* A host begins afresh (USB request BEGIN, a new TCP connection): idle, output emptied, a begun packet given up.
+   Stop a transfer that reads from resonator_output first. */
+void resonator_begin(struct resonator_board *board);
+
+/* Takes bytes from the host, received at `ticks`; answers go to the output queue. */
+void resonator_receive(struct resonator_board *board, const uint8_t *bytes, uint32_t size, uint64_t ticks);
+
+/* Queues the frame of the gate that closed at `ticks` (single-tone). False: not running, or no room even after all
+   older frames were dropped; the frame then counts as dropped. Either way its number is used up while running. */
+bool resonator_frame(struct resonator_board *board, uint64_t ticks,
+                     const struct resonator_record records[RESONATOR_CHANNELS]);
+
+/* The same for a channelised counter, part by part in order: `tones` are block->tones wire records of 12 bytes. */
+bool resonator_frame_part(struct resonator_board *board, uint64_t ticks, const struct resonator_block *block,
+                          const uint8_t *tones);
+
+/* The gate closed and its frame could not be made: its number is used up and it counts as dropped. */
+void resonator_frame_skipped(struct resonator_board *board);
+
+/* Asks for a STATUS at the next packet boundary; call it at most once a second. */
+void resonator_status(struct resonator_board *board);
+
+/* The temperature that every later STATUS tells. */
+void resonator_temperature(struct resonator_board *board, uint32_t millikelvin);
+
+/* Queues a line for a person to read. False: nobody asked the board anything yet, or no room beside the frames. */
+bool resonator_log(struct resonator_board *board, uint64_t ticks, enum resonator_log_level level, const char *text);
+
+/* The board cannot count: START is refused with this text (kept by reference) until NULL is given. A run in progress
+   ends: the board goes to configured. */
+void resonator_fault(struct resonator_board *board, const char *text);
+
+/* Bytes to send next, and how many; 0 when there are none. They stay valid until consumed. */
+uint16_t resonator_output(struct resonator_board *board, const uint8_t **bytes);
+
+/* So many of those were sent. */
+void resonator_consumed(struct resonator_board *board, uint16_t size);
+
+/* What the queue holds, as DESCRIPTION says it. */
+uint32_t resonator_queue_bytes(const struct resonator_board *board);
+
+#endif

@@ -1,0 +1,288 @@
+"""The C reference's output: what is queued, what is dropped for it, and what STATUS says, against a plain model."""
+
+import random
+from dataclasses import dataclass, field, replace
+
+import pytest
+from c_reference import CHUNK_BYTES, board_command, run_commands
+
+from firmware_protocol.layouts import BLOCK_STRUCT, MessageType
+from firmware_protocol.messages import (
+    BoardLog,
+    BoardStatus,
+    Configuration,
+    Description,
+    Identity,
+    encode_message,
+)
+from firmware_protocol.packets import PacketDecoder, encode_packet
+
+BOOT_ID = 99
+IDENTITY = Identity("queue", "1", "1", 0, 64, 0)
+DESCRIPTION = Description(0, 4, 1, 10**12, 1, 10**6, "plate", queue_bytes=CHUNK_BYTES * 12)
+CONFIGURE = encode_packet(MessageType.CONFIGURE, 1, encode_message(Configuration(1000)))
+START = encode_packet(MessageType.START, 2)
+
+
+@dataclass
+class Waiting:
+    """A packet in the queue."""
+
+    data: bytes
+    frame: int | None  # number of the frame it belongs to
+    first: bool = False  # of its frame
+    skipped: int = 0
+    begun: bool = False
+
+    def __post_init__(self) -> None:
+        self.chunks = -(-len(self.data) // CHUNK_BYTES)  # given back with its last byte
+
+
+@dataclass
+class Model:
+    """The rules of PROTOCOL.md, in lists."""
+
+    chunks: int
+    queue: list[Waiting] = field(default_factory=list)
+    status: bytes = b""
+    status_due: bool = False
+    ticks: int = 0
+    sequence: int = 0
+    dropped: int = 0
+    skipped: int = 0
+    told: int = 0
+    notices: int = 0
+    temperature: int | None = None
+    building: int | None = None  # the frame whose parts are coming
+    answers_dropped: int = 0
+    parts_dropped: int = 0
+
+    def packet(self, message_type: int, sequence: int, payload: bytes) -> bytes:
+        return encode_packet(message_type, sequence, payload, board_ticks=self.ticks, boot_id=BOOT_ID)
+
+    def next_frame(self) -> Waiting | None:
+        return next((waiting for waiting in self.queue if waiting.first and not waiting.begun), None)
+
+    def make_room(self, new: Waiting) -> bool:
+        while sum(waiting.chunks for waiting in self.queue) + new.chunks > self.chunks:
+            oldest = self.next_frame()
+            if oldest is None:
+                return False
+            self.queue = [waiting for waiting in self.queue if waiting.frame != oldest.frame]
+            self.dropped += 1
+            if oldest.frame == self.building:
+                self.building = None
+        return True
+
+    def answer(self, message_type: int, sequence: int, payload: bytes) -> None:
+        new = Waiting(self.packet(message_type, sequence, payload), None)
+        if self.make_room(new):
+            self.queue.append(new)
+        else:
+            self.answers_dropped += 1
+
+    def frame(self, records: bytes) -> bool:
+        new = Waiting(self.packet(MessageType.FRAME, self.sequence, records), self.sequence, True, self.skipped)
+        self.sequence += 1
+        self.building = None
+        return self._queue_first(new)
+
+    def part(self, part: int, parts: int, body: bytes) -> bool:
+        new = Waiting(self.packet(MessageType.FRAME_PART, self.sequence, body), self.sequence, part == 0, self.skipped)
+        if part == 0:
+            self.building = None
+            queued = self._queue_first(new)
+            self.building = self.sequence if queued else None
+        elif self.building is None:
+            queued = False
+        else:
+            room = self.make_room(new)
+            queued = room and self.building is not None
+            self.parts_dropped += not room and self.building is not None
+            if queued:
+                self.queue.append(new)
+        if part + 1 == parts:
+            self.building = None
+            self.sequence += 1
+        return queued
+
+    def _queue_first(self, new: Waiting) -> bool:
+        if not self.make_room(new):
+            self.dropped += 1
+            return False
+        self.queue.append(new)
+        return True
+
+    def log(self, level: int, text: str) -> bool:
+        new = Waiting(self.packet(MessageType.LOG, self.notices, encode_message(BoardLog(level, text))), None)
+        if sum(waiting.chunks for waiting in self.queue) + new.chunks > self.chunks:
+            return False
+        self.notices += 1
+        self.queue.append(new)
+        return True
+
+    def output(self, limit: int) -> bytes:
+        sent = b""
+        while len(sent) < limit:
+            head = self.queue[0] if self.queue else None
+            following = self.next_frame()
+            due = self.dropped + (self.skipped if following is None else following.skipped)
+            frame_is_next = head is not None and head.first and not head.begun and due != self.told
+            if not self.status and not (head and head.begun) and (self.status_due or frame_is_next):
+                status = BoardStatus(due, self.temperature, 0)
+                self.status = self.packet(MessageType.STATUS, self.notices, encode_message(status))
+                self.notices, self.told, self.status_due = self.notices + 1, due, False
+            left = limit - len(sent)
+            if self.status:
+                sent, self.status = sent + self.status[:left], self.status[left:]
+            elif head is None:
+                break
+            else:
+                head.begun = True
+                sent += head.data[:left]
+                head.data = head.data[left:]
+                if not head.data:
+                    self.queue.pop(0)
+        return sent
+
+
+def test_status_comes_before_the_next_frame_and_the_oldest_go_first() -> None:
+    frames = [f"frame {1000 * (n + 1)} {bytes([n] * 176).hex()}" for n in range(7)]
+    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID)]
+    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
+    commands += [*frames, "skipped", "output 10000"]
+    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
+    found = PacketDecoder(from_board=True).feed(bytes.fromhex(outputs[1]))
+    status = encode_message(BoardStatus(3, None, 0))
+    assert [(packet.type, packet.sequence) for packet in found] == [
+        (0x92, 0),
+        (0x90, 3),
+        (0x90, 4),
+        (0x90, 5),
+        (0x90, 6),
+    ]
+    assert found[0].payload == status  # the frame skipped after number 6 is not counted yet
+
+
+def test_a_frame_that_has_begun_is_finished() -> None:
+    commands = [board_command(IDENTITY, replace(DESCRIPTION, queue_bytes=CHUNK_BYTES * 6), BOOT_ID)]
+    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
+    commands += [f"frame 1 {'00' * 176}", "output 1", f"frame 2 {'01' * 176}", f"frame 3 {'02' * 176}", "output 1000"]
+    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
+    found = PacketDecoder(from_board=True).feed(bytes.fromhex(outputs[1] + outputs[2]))
+    assert [(packet.type, packet.sequence) for packet in found] == [(0x90, 0), (0x92, 0), (0x90, 2)]
+
+
+def test_board_says_nothing_before_it_is_asked() -> None:
+    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID), "log 5 20 6869", "status", "output 1000"]
+    assert run_commands(commands) == ["ok", "queued 0", "output "]
+
+
+def test_consuming_nothing_of_nothing_is_harmless() -> None:
+    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID), "hand", "consumed 0"]
+    commands += [f"receive 0 {CONFIGURE.hex()}", "hand", "consumed 0", "hand"]
+    printed = [line for line in run_commands(commands) if line.startswith("hand")]
+    assert printed == ["hand 0", "hand 32", "hand 32"]
+
+
+def test_frames_of_the_last_run_do_not_follow_a_start() -> None:
+    stop = encode_packet(MessageType.STOP, 3)
+    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID)]
+    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", f"frame 1 {'00' * 176}", "output 140"]
+    commands += [f"frame 2 {'00' * 176}", f"receive 3 {stop.hex()}", f"receive 4 {START.hex()}", "output 1000"]
+    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
+    found = PacketDecoder(from_board=True).feed(bytes.fromhex("".join(outputs)))
+    assert [packet.type for packet in found] == [0x83, 0x84, 0x90, 0x85, 0x84]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"boot_id": 0}, {"credit_bytes": 63}, {"credit_bytes": 8973}, {"queue_bytes": 0}, {"gate_ticks_step": 0}],
+)
+def test_unusable_setup_is_refused(wrong: dict[str, int]) -> None:
+    identity = replace(IDENTITY, credit_bytes=wrong.get("credit_bytes", 64))
+    description = replace(
+        DESCRIPTION,
+        queue_bytes=wrong.get("queue_bytes", CHUNK_BYTES),
+        gate_ticks_step=wrong.get("gate_ticks_step", 1),
+    )
+    assert run_commands([board_command(identity, description, wrong.get("boot_id", 1))]) == ["bad"]
+
+
+def test_output_against_a_model() -> None:
+    commands: list[str] = []
+    expected: list[str] = []
+    seen: set[str] = set()
+    for seed in range(400):
+        rng = random.Random(seed)
+        chunks = rng.choice((4, 7, 12, 30))
+        description = replace(DESCRIPTION, queue_bytes=CHUNK_BYTES * chunks)
+        model = Model(chunks)
+        commands += [board_command(IDENTITY, description, BOOT_ID)]
+        commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "begin"]
+        commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}"]
+        model.answer(MessageType.CONFIGURED, 1, encode_message(Configuration(1000)))
+        model.answer(MessageType.STARTED, 2, b"")
+        expected.append("ok")
+        play(rng, model, commands, expected)
+        commands.append("state")
+        lost = f"{model.dropped + model.skipped} {model.parts_dropped} {model.answers_dropped}"
+        expected.append(f"state running 1000 2 0 {lost}")
+        seen |= {name for name in ("dropped", "skipped", "parts_dropped", "answers_dropped") if getattr(model, name)}
+    printed = [line for line in run_commands(commands) if not line.startswith("packet")]
+    check(expected, printed)
+    assert seen == {"dropped", "skipped", "parts_dropped", "answers_dropped"}
+
+
+def play(rng: random.Random, model: Model, commands: list[str], expected: list[str]) -> None:
+    parts, part = 0, 0
+    for ticks in range(1, 60):
+        draw = rng.random()
+        if part < parts:
+            body = rng.randbytes(12 * rng.randrange(12))
+            commands.append(f"part {ticks} 1 5 {len(body) // 12} {part} {parts} {body.hex() or '-'}")
+            model.ticks = ticks
+            block = BLOCK_STRUCT.pack(1, 0, 5, len(body) // 12, part, parts)
+            expected.append(f"queued {int(model.part(part, parts, block + body))}")
+            part += 1
+        elif draw < 0.3:
+            records = rng.randbytes(176)
+            commands.append(f"frame {ticks} {records.hex()}")
+            model.ticks = ticks
+            expected.append(f"queued {int(model.frame(records))}")
+        elif draw < 0.4:
+            parts, part = rng.randint(1, 6), 0
+        elif draw < 0.5:
+            commands.append("skipped")
+            model.sequence += 1
+            model.skipped += 1
+        elif draw < 0.55:
+            commands.append(f"log {ticks} 20 6869")
+            model.ticks = ticks
+            expected.append(f"queued {int(model.log(20, 'hi'))}")
+        elif draw < 0.6:
+            commands.append("status")
+            model.status_due = True
+        elif draw < 0.65:
+            model.temperature = rng.randrange(400_000)
+            commands.append(f"temperature {model.temperature}")
+        if rng.random() < 0.3:
+            opaque = rng.randbytes(8)
+            commands.append(f"receive {ticks} {encode_packet(MessageType.PING, ticks, opaque).hex()}")
+            model.ticks = ticks
+            model.answer(MessageType.PONG, ticks, opaque)
+        if rng.random() < 0.3:
+            size = rng.choice((1, 30, 68, 200, 1000))
+            commands.append(f"output {size}")
+            expected.append(f"output {model.output(size).hex()}")
+    while part < parts:  # a frame is finished
+        commands.append(f"part 60 1 0 0 {part} {parts} -")
+        model.ticks = 60
+        expected.append(f"queued {int(model.part(part, parts, BLOCK_STRUCT.pack(1, 0, 0, 0, part, parts)))}")
+        part += 1
+
+
+def check(expected: list[str], printed: list[str]) -> None:
+    for line, (ours, theirs) in enumerate(zip(expected, printed, strict=True)):
+        same = theirs.startswith(ours) if ours.startswith("state") else theirs == ours
+        assert same, f"line {line}: {ours}, not {theirs}"

@@ -1,0 +1,93 @@
+"""The vectors that every implementation of the wire must pass, passed by the C reference."""
+
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+from c_reference import C_FOLDER, board_command, build, event_line, hexadecimal, run_commands
+from vector_files import board_of, cases, expected_events, named
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.packets import encode_packet
+
+CHECKS_PROGRAM = """
+#include <stdio.h>
+#include <string.h>
+#include "resonator_packets.h"
+int main(int count, char **words)
+{
+    for (int i = 1; i < count; i++) {
+        const uint8_t *bytes = (const uint8_t *)words[i];
+        uint32_t size = (uint32_t)strlen(words[i]);
+        printf("%u %u\\n", resonator_crc16(0xFFFF, bytes, size), ~resonator_crc32(0xFFFFFFFF, bytes, size));
+    }
+    return 0;
+}
+"""
+
+
+def test_checks(tmp_path: Path) -> None:
+    source = tmp_path / "checks.c"
+    source.write_text(CHECKS_PROGRAM)
+    program = build(tmp_path / "checks", str(source), str(C_FOLDER / "resonator_crc.c"))
+    for case in cases("checks"):
+        text = bytes.fromhex(case["bytes"]).decode()
+        printed = subprocess.run([program, text], capture_output=True, text=True, check=True).stdout.split()
+        assert int(printed[case["check"] == "crc"]) == case["value"]
+
+
+@pytest.mark.parametrize("piece_bytes", [1, 3, 10_000])
+def test_streams(piece_bytes: int) -> None:
+    commands, expected = [], []
+    for case in cases("streams"):
+        stream = bytes.fromhex(case["stream"])
+        commands.append(f"decoder {128 if case['from_board'] else 0} {case['max_packet_bytes']}")
+        commands += [f"receive 0 {stream[at : at + piece_bytes].hex()}" for at in range(0, len(stream), piece_bytes)]
+        commands.append("counts")
+        expected += [event_line(event) for event in expected_events(case)]
+        expected.append("counts " + " ".join(map(str, case["counts"].values())))
+    assert run_commands(commands) == expected
+
+
+@pytest.mark.parametrize("case", cases("board_sessions"), ids=named)
+def test_board_sessions(case: dict[str, Any]) -> None:
+    commands = [board_command(*board_of(case))]
+    for step in case["steps"]:
+        match step["do"]:
+            case "receive":
+                commands.append(f"receive {step['ticks']} {step['bytes']}")
+            case "frame":
+                commands.append(f"frame {step['ticks']} {step['records']}")
+            case "begin":
+                commands.append("begin")
+            case "fault":
+                commands.append(f"fault {hexadecimal(step['text'].encode())}")
+        commands += ["output 100000", "state"]
+    printed = [line.split() for line in run_commands(commands) if line.startswith(("output", "state"))]
+    for step, sent, state in zip(case["steps"], printed[::2], printed[1::2], strict=True):
+        assert "".join(sent[1:]) == step["sends"], step
+        assert state[1] == step["state"], step
+
+
+def test_messages() -> None:
+    """The one message whose fields a board reads is CONFIGURE: the answer tells what it understood."""
+    limits = {"gate_ticks_min": 0, "gate_ticks_max": 2**64 - 1, "gate_ticks_step": 1}
+    case = cases("board_sessions")[0]
+    case["board"]["description"].update(limits)
+    case["board"]["identity"]["credit_bytes"] = 256
+    requests = [case for case in cases("messages") if case["message"] == "CONFIGURE"]
+    commands = []
+    for request in requests:
+        payload = bytes.fromhex(request["payload"])
+        commands += [
+            board_command(*board_of(case)),
+            f"receive 0 {encode_packet(MessageType.CONFIGURE, 1, payload).hex()}",
+            "state",
+        ]
+    states = [line.split() for line in run_commands(commands) if line.startswith("state")]
+    for request, (_, state, gate_ticks, *_) in zip(requests, states, strict=True):
+        if "malformed" in request:
+            assert state == "idle", request
+        else:
+            assert (state, int(gate_ticks)) == ("configured", request["fields"]["gate_ticks"]), request
