@@ -1,14 +1,20 @@
 """Firmware behaviour of an emulated board: bytes and ticks in, bytes out; no I/O, no clock."""
 
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from firmware_protocol.device import DeviceSession, DeviceState
-from firmware_protocol.messages import BoardStatus, CounterKind, Identity
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.layouts import Capability
+from firmware_protocol.messages import BoardStatus, CounterKind, Identity, ResetCause
+from firmware_protocol.packets import PACKET_OVERHEAD_BYTES
+from firmware_protocol.states import BoardState
+from simulators.faults.misbehaviour import Misbehaviour
 from simulators.plate import Contact, CountedFrame, EmulatedPlate
+
+_LENGTH_AT = 20  # in a packet
 
 
 class MadeFrame(NamedTuple):
@@ -22,10 +28,14 @@ class MadeFrame(NamedTuple):
 
 
 class Outgoing(NamedTuple):
-    """Packets that go out together: an answer, or all parts of a frame."""
+    """Packets that go out together: an answer, or all parts of a frame, after a STATUS where it is due."""
 
     packets: tuple[bytes, ...]
-    is_frame: bool
+    sequence: int | None = None  # of a frame; None of all else
+
+    @property
+    def is_frame(self) -> bool:
+        return self.sequence is not None
 
 
 @dataclass(slots=True)
@@ -35,7 +45,7 @@ class _Run:
     gate_ticks: int
     gate_start_ticks: int  # of the gate that is open, as `now_ticks`
     sequence: int = 0
-    frames_dropped: int = 0
+    frames_taken: int = 0  # from the queue, to be sent
     frames_dropped_reported: int = 0
     ahead: deque[CountedFrame] = field(default_factory=deque)  # counted before their time, a block at once
 
@@ -51,7 +61,7 @@ class Board:
     plate
         What the board counts.
     identity
-        Who it says it is.
+        Who it says it is; the cause of its last reset comes from `reboot`.
     boot_id
         Of the first boot.
     queue_limit_bytes
@@ -59,6 +69,8 @@ class Board:
         that finds no room even then is dropped too, the host will ask again.
     drop_rate, seed
         Share of its frames that the board loses, drawn from that seed; it counts and tells them as it does the others.
+    misbehaviour
+        What it does against its word.
     """
 
     def __init__(
@@ -70,26 +82,64 @@ class Board:
         *,
         drop_rate: float = 0.0,
         seed: int = 0,
+        misbehaviour: Misbehaviour | None = None,
     ) -> None:
         self._plate = plate
-        self._identity = identity
+        self._lies = misbehaviour or Misbehaviour()
+        description = replace(plate.description, queue_bytes=queue_limit_bytes, capabilities=int(Capability.LOCATE))
+        self._description = self._lies.description(description)
         self._queue_limit_bytes = queue_limit_bytes
         self._drop_rate = drop_rate
         self._random = np.random.default_rng(seed)
+        self._boot_id = boot_id
+        self.identity = self._lies.identity(identity)
+        self.silent = False  # answers, and sends no frames
         self.first_start_ticks: int | None = None
         self.frames_made = 0
         self.frames_lost = 0  # by drop_rate
+        self.frames_silenced = 0
         self.frames_crowded_out = 0  # of a full queue
-        self.reboot(boot_id, 0)
+        self._boot(0, ResetCause.POWER_ON)
 
-    def reboot(self, boot_id: int, now_ticks: int) -> None:
-        """Start anew: idle, tick count and output empty."""
+    def reboot(self, boot_id: int, now_ticks: int, cause: ResetCause, *, serial_number: str | None = None) -> None:
+        """Start anew: idle, tick count and output empty; with another serial number as another board of its kind."""
+        if serial_number is not None:
+            self.identity = replace(self.identity, serial_number=serial_number)
+        self._boot_id = self._lies.boot_id(boot_id, self._boot_id)
+        self._boot(now_ticks, cause)
+
+    def _boot(self, now_ticks: int, cause: ResetCause) -> None:
         self._boot_ticks = self._now_ticks = now_ticks
-        self._session = DeviceSession(self._identity, self._plate.description, boot_id)
+        self._ticks_to_step = 0
+        self._session = DeviceSession(replace(self.identity, reset_cause=cause), self._description, self._boot_id)
         self._runs_begun = 0
         self._run: _Run | None = None
         self._queue: deque[Outgoing] = deque()
         self._queued_bytes = 0
+
+    def begin(self) -> None:
+        """Become idle with an empty output, as a host's BEGIN asks for."""
+        self._session.begin()
+        self.discard_output()
+
+    def step_ticks(self, ticks: int) -> None:
+        """Let the tick count jump; frames that are counted ahead still have the old one."""
+        self._ticks_to_step += ticks
+        if self.next_frame_ticks is None:
+            self._step()
+
+    def _step(self) -> None:
+        self._boot_ticks -= self._ticks_to_step
+        self._ticks_to_step = 0
+
+    @property
+    def running(self) -> bool:
+        return self._session.state is BoardState.RUNNING
+
+    @property
+    def times_located(self) -> int:
+        """How often the board was asked, since its boot, to make itself seen."""
+        return self._session.located
 
     def receive(self, data: bytes, now_ticks: int) -> None:
         """Take bytes from the host. Call `advance` first: a frame whose gate has closed goes before the answer."""
@@ -98,9 +148,9 @@ class Board:
         configuration = self._session.configuration
         if self._session.started != self._runs_begun and configuration is not None:
             self._runs_begun = self._session.started
-            self._begin_run(configuration.gate_ticks)
-        if answers:
-            self._enqueue(Outgoing((answers,), is_frame=False))
+            self._begin_run(self._lies.gate_ticks(configuration.gate_ticks))
+        for answer in self._lies.answers(_single_packets(answers)):
+            self._enqueue(Outgoing((answer,)))
 
     def advance(self, now_ticks: int) -> list[MadeFrame]:
         """Let time pass; return the frames of all gates that have closed, which now wait for `next_output`."""
@@ -113,7 +163,7 @@ class Board:
     @property
     def next_frame_ticks(self) -> int | None:
         """When the gate that is open closes; None while the board does not count."""
-        if self._run is None or self._session.state is not DeviceState.RUNNING:
+        if self._run is None or not self.running:
             return None
         return self._run.gate_start_ticks + self._run.gate_ticks
 
@@ -121,6 +171,7 @@ class Board:
         """Count the next frames now, where there is time, so that they are ready when their gates close."""
         run = self._run
         if run is not None and self.next_frame_ticks is not None and not run.ahead:
+            self._step()
             board_ticks = run.gate_start_ticks - self._boot_ticks
             scenario_ticks = run.gate_start_ticks - (self.first_start_ticks or 0)
             run.ahead.extend(self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames))
@@ -133,20 +184,27 @@ class Board:
         """Remove and return what goes out next."""
         if not self._queue:
             return None
-        run = self._run
-        if self._queue[0].is_frame and run is not None and run.frames_dropped != run.frames_dropped_reported:
-            run.frames_dropped_reported = run.frames_dropped
-            return Outgoing((self._session.status(BoardStatus(run.frames_dropped), self._board_ticks),), is_frame=False)
         outgoing = self._queue.popleft()
         self._queued_bytes -= _size_bytes(outgoing)
-        return outgoing
+        run, sequence = self._run, outgoing.sequence
+        if sequence is None or run is None:
+            return outgoing
+        dropped = sequence - run.frames_taken  # all before this one that were not sent
+        run.frames_taken += 1
+        if dropped == run.frames_dropped_reported:
+            return outgoing
+        run.frames_dropped_reported = dropped
+        # Together with the frame that it speaks of: none is dropped between the two.
+        status = self._session.status(self._status(dropped), self._board_ticks)
+        return Outgoing((status, *outgoing.packets), sequence)
 
     def discard_output(self) -> None:
         """Empty the queue because its host is gone; frames in it count as dropped."""
-        if self._run is not None:
-            self._run.frames_dropped += self.frames_queued
         self._queue.clear()
         self._queued_bytes = 0
+
+    def _status(self, frames_dropped: int) -> BoardStatus:
+        return BoardStatus(frames_dropped, bytes_discarded=self._session.counts.discarded)
 
     @property
     def _board_ticks(self) -> int:
@@ -172,9 +230,10 @@ class Board:
         self.frames_made += 1
         if self._drop_rate > 0.0 and self._random.random() < self._drop_rate:
             self.frames_lost += 1
-            run.frames_dropped += 1
+        elif self.silent:
+            self.frames_silenced += 1
         else:
-            self._enqueue(Outgoing(tuple(packets), is_frame=True))
+            self._enqueue(Outgoing(tuple(packets), sequence))
         return MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
 
     def _enqueue(self, outgoing: Outgoing) -> None:
@@ -182,20 +241,28 @@ class Board:
         while self._queued_bytes + size_bytes > self._queue_limit_bytes:
             oldest = next((index for index, waiting in enumerate(self._queue) if waiting.is_frame), None)
             if oldest is None:
-                self._count_dropped(outgoing)
+                self.frames_crowded_out += outgoing.is_frame
                 return
             dropped = self._queue[oldest]
             del self._queue[oldest]
             self._queued_bytes -= _size_bytes(dropped)
-            self._count_dropped(dropped)
+            self.frames_crowded_out += 1
         self._queue.append(outgoing)
         self._queued_bytes += size_bytes
-
-    def _count_dropped(self, outgoing: Outgoing) -> None:
-        if outgoing.is_frame and self._run is not None:
-            self.frames_crowded_out += 1
-            self._run.frames_dropped += 1
 
 
 def _size_bytes(outgoing: Outgoing) -> int:
     return sum(map(len, outgoing.packets))
+
+
+def _single_packets(answers: bytes) -> list[bytes]:
+    packets, start = [], 0
+    while start < len(answers):
+        end = (
+            start
+            + PACKET_OVERHEAD_BYTES
+            + int.from_bytes(answers[start + _LENGTH_AT : start + _LENGTH_AT + 2], "little")
+        )
+        packets.append(answers[start:end])
+        start = end
+    return packets

@@ -10,19 +10,22 @@ import sys
 import time
 from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, field
-from enum import Enum
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
 from threadpoolctl import threadpool_limits
 
 from firmware_protocol.layouts import PROTOCOL_MINOR
-from firmware_protocol.messages import Identity
+from firmware_protocol.messages import Identity, ResetCause
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
 from simulators.board import Board
 from simulators.comb_plate import CombPlate
-from simulators.faults import FaultInjector, FaultPlan
+from simulators.faults import FaultPlan
+from simulators.faults.misbehaviour import Misbehaviour
+from simulators.faults.script import Action, Script
 from simulators.links import Link, PtyLink, TcpLink
+from simulators.output import Output
+from simulators.physics import Physics
 from simulators.plate import EmulatedPlate
 from simulators.quartz_plate import QuartzPlate
 from simulators.scenario import Scenario, load_scenario
@@ -31,28 +34,25 @@ from simulators.skin_plate import SkinPlate
 from simulators.truth import TruthOutput, truth_line
 
 SERIAL_NUMBER = "EMU-0001"
+OTHER_SERIAL_NUMBER = "EMU-0002"  # of the board that is plugged in by mistake
 SINGLE_TONE_QUEUE_BYTES = 256 * 1024  # 1.3 s of 204-byte frames at 1 kHz
 CHANNELISED_QUEUE_BYTES = 16 * 1024 * 1024  # 1.1 s of 147 kB frames at 100 Hz
+CREDIT_BYTES = 512  # a dozen requests
 
 _SPEED_MAX = 100.0
 
 
-class _Event(Enum):
-    UNPLUG = "unplug"
-    PLUG_IN = "plug in"
-    REBOOT = "reboot"
-
-
 @dataclass(frozen=True, slots=True)
 class EmulatorOptions:
-    """What to emulate, and where: either a pseudo-terminal or a TCP address."""
+    """What to emulate, and where: a pseudo-terminal, a TCP address or an emulated USB device."""
 
     plate: str
     pty: Path | None = None
     tcp: tuple[str, int] | None = None
+    usb: bool = False
     scenario: str | None = None  # None: the one that suits the plate
     truth: Path | None = None
-    faults: FaultPlan = field(default_factory=FaultPlan)
+    faults: FaultPlan = field(default_factory=FaultPlan)  # beside the scenario's
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
     seed: int | None = None  # None: the scenario's
     speed: float = 1.0
@@ -75,9 +75,12 @@ def run(options: EmulatorOptions) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: emulator.stop())
     sys.stderr.write(f"emulating {options.plate} at {emulator.link.address}; stop with Ctrl-C\n")
+    if emulator.environment:
+        needed = " ".join(f"{name}={value}" for name, value in emulator.environment.items())
+        sys.stderr.write(f"start the daemon with {needed}\n")
     if options.json:
         first = {"link": emulator.link.address, "plate": emulator.plate_name, "serial_number": SERIAL_NUMBER}
-        _write_line(sys.stdout, first)
+        _write_line(sys.stdout, first | ({"environment": emulator.environment} if emulator.environment else {}))
     emulator.run()
     report = emulator.report()
     frames = ", ".join(f"{report[f'frames_{what}']} {what}" for what in ("made", "sent", "dropped", "unsent"))
@@ -91,32 +94,33 @@ class Emulator:
     """One board, one link, one thread; the truth goes to a file, never over the link."""
 
     def __init__(self, options: EmulatorOptions) -> None:
-        if (options.pty is None) == (options.tcp is None):
-            raise ValueError("an emulated board has one link: give either pty or tcp")
+        if (options.pty is not None) + (options.tcp is not None) + options.usb != 1:
+            raise ValueError("an emulated board has one link: give one of pty, tcp and usb")
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
         plate = load_plate(options.plate)
         scenario = load_scenario(options.scenario or default_scenario(plate), plate)
+        faults = scenario.faults.with_more(options.faults)
+        if options.pty is None and any(event.what == "rename" for event in faults.events):
+            raise ValueError("faults: rename: only a pseudo-terminal has a name to change; give pty, or leave it out")
+        scenario.physics = _skewed(scenario.physics, faults.skew_ppm)
         self.plate_name = plate.name
         seed = scenario.seed if options.seed is None else options.seed
-        self._board = _emulated_board(plate, scenario, seed, options.counter)
+        self._board = _emulated_board(plate, scenario, seed, options.counter, Misbehaviour(faults.misbehave))
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
-        self._injector = FaultInjector(options.faults, seed)
-        self._script = _script(options.faults)
-        self._unsent = memoryview(b"")  # of what is being sent; whole once empty
-        self._unsent_is_frame = False
-        self._frames_sent = 0
-        self._bytes_sent = 0
+        self._script = Script(faults, seed)
         self._stopping = False
+        self.environment: dict[str, str] = {}  # what a host must be started with to see the link
         with ExitStack() as stack:
             self._wake_read_fd, self._wake_write_fd = os.pipe()
             stack.callback(os.close, self._wake_read_fd)
             stack.callback(os.close, self._wake_write_fd)
             self._truth = stack.enter_context(closing(TruthOutput(options.truth))) if options.truth else None
-            self.link: Link = PtyLink(options.pty) if options.pty else TcpLink(*(options.tcp or ("", 0)))
+            self.link = self._open_link(options)
             stack.callback(self.link.close)
             self._resources = stack.pop_all()
+        self._output = Output(self._board, self.link, faults, seed)
 
     def run(self) -> None:
         """Emulate until `stop`, then let go of link and files."""
@@ -125,12 +129,13 @@ class Emulator:
             self._origin_ns = time.monotonic_ns()
             readable = False
             while not self._stopping:
-                now_ticks = int((time.monotonic_ns() - self._origin_ns) * self._ticks_per_ns)
-                self._follow_script(now_ticks)
+                self._follow_script(self._now_ticks())
+                data = self.link.read() if readable else b""
+                now_ticks = self._now_ticks()  # when the request came, whatever is to be done before it is answered
                 self._advance(now_ticks)
-                if readable and (data := self.link.read()):
-                    self._board.receive(data, now_ticks)
-                self._send(now_ticks)
+                if data:
+                    self._receive(data, now_ticks)
+                self._output.send(time.monotonic_ns() - self._origin_ns, self._elapsed_s(now_ticks))
                 self._board.count_ahead()
                 readable = self._wait()
 
@@ -142,50 +147,111 @@ class Emulator:
 
     def report(self) -> dict[str, Any]:
         """Return what was sent and what was done to it; every frame made was sent, dropped or is still unsent."""
-        board = self._board
-        unsent = board.frames_queued + (len(self._unsent) > 0 and self._unsent_is_frame)
-        dropped = board.frames_made - self._frames_sent - unsent
+        board, output = self._board, self._output
+        unsent = board.frames_queued + output.frames_unsent
+        dropped = board.frames_made - output.frames_sent - unsent
+        by_cause = {
+            "drop_rate": board.frames_lost,
+            "queue_full": board.frames_crowded_out,
+            "silence": board.frames_silenced,
+        }
         return {
             "frames_made": board.frames_made,
-            "frames_sent": self._frames_sent,
+            "frames_sent": output.frames_sent,
             "frames_dropped": dropped,
-            "dropped_by_cause": {
-                "drop_rate": board.frames_lost,
-                "queue_full": board.frames_crowded_out,
-                "discarded": dropped - board.frames_lost - board.frames_crowded_out,  # host gone, reboot or new run
-            },
+            # Discarded: the host was gone, or the board rebooted or began another run.
+            "dropped_by_cause": by_cause | {"discarded": dropped - sum(by_cause.values())},
             "frames_unsent": unsent,
-            "bytes_sent": self._bytes_sent,
+            "bytes_sent": output.bytes_sent,
             "truth_lines_lost": self._truth.lines_lost if self._truth else 0,
-            "faults": asdict(self._injector.counts),
+            "faults": asdict(output.counts),
         }
 
-    def _elapsed_s(self, now_ticks: int) -> float | None:
-        """Time since the first START, None before it."""
+    def _open_link(self, options: EmulatorOptions) -> Link:
+        if options.pty is not None:
+            self._pty = PtyLink(options.pty)
+            return self._pty
+        if options.tcp is not None:
+            return TcpLink(*options.tcp)
+        from simulators.usb_link import UsbLink
+
+        usb = UsbLink(SERIAL_NUMBER, self._begin)
+        self.environment = usb.environment
+        return usb
+
+    def _begin(self) -> None:
+        self._board.begin()
+        self._output.clear()
+
+    def _now_ticks(self) -> int:
+        return int((time.monotonic_ns() - self._origin_ns) * self._ticks_per_ns)
+
+    def _elapsed_s(self, now_ticks: int) -> float:
+        """Time since the first START, 0 before it."""
         start_ticks = self._board.first_start_ticks
-        return None if start_ticks is None else (now_ticks - start_ticks) / self._tick_rate_hz
+        return 0.0 if start_ticks is None else (now_ticks - start_ticks) / self._tick_rate_hz
 
     @property
-    def _next_event_ticks(self) -> int | None:
-        start_ticks = self._board.first_start_ticks
-        if not self._script or start_ticks is None:
+    def _next_step_ticks(self) -> int | None:
+        start_ticks, next_s = self._board.first_start_ticks, self._script.next_s
+        if next_s is None or start_ticks is None:
             return None
-        return start_ticks + math.ceil(self._script[0][0] * self._tick_rate_hz)
+        return start_ticks + math.ceil(next_s * self._tick_rate_hz)
 
     def _follow_script(self, now_ticks: int) -> None:
-        # One event at a time, so that everyone notices an unplugged link before it is back.
-        if (due_ticks := self._next_event_ticks) is not None and due_ticks <= now_ticks:
-            _, event = self._script.pop(0)
-            match event:
-                case _Event.UNPLUG:
-                    self._injector.counts.unplugs += 1
-                    self.link.hang_up()
-                case _Event.PLUG_IN:
-                    self.link.plug_in()
-                case _Event.REBOOT:
-                    self._injector.counts.reboots += 1
-                    self._unsent = memoryview(b"")
-                    self._board.reboot(_draw_boot_id(), now_ticks)
+        # One step at a time, so that everyone notices an unplugged link before it is back.
+        if (due_ticks := self._next_step_ticks) is None or due_ticks > now_ticks:
+            return
+        step = self._script.take()
+        counts = self._output.counts
+        match step.action:
+            case Action.UNPLUG:
+                counts.unplugs += 1
+                self.link.hang_up()
+            case Action.PLUG_IN:
+                self.link.plug_in()
+            case Action.RENAME:
+                counts.renames += 1
+                self._pty.rename(step.to)
+            case Action.FREEZE:
+                counts.freezes += 1
+                self._output.held = True
+            case Action.THAW:
+                self._output.held = False
+            case Action.SILENCE:
+                counts.silences += 1
+                self._board.silent = True
+            case Action.SPEAK:
+                self._board.silent = False
+            case Action.REBOOT:
+                counts.reboots += 1
+                self._output.clear()
+                self._reboot(ResetCause.SOFTWARE)
+            case Action.BROWN_OUT:
+                counts.brown_outs += 1
+                self._output.cut_next_frame(lambda: self._reboot(ResetCause.BROWN_OUT))
+            case Action.STEP_TICKS:
+                counts.tick_steps += 1
+                self._board.step_ticks(step.ticks)
+            case Action.TAKE_AWAY:
+                self.link.hang_up()
+            case Action.PLUG_IN_OTHER:
+                counts.wrong_boards += 1
+                self._reboot(ResetCause.POWER_ON, OTHER_SERIAL_NUMBER)
+                self.link.plug_in()
+            case Action.PLUG_IN_OWN:
+                self._reboot(ResetCause.POWER_ON, SERIAL_NUMBER)
+                self.link.plug_in()
+
+    def _reboot(self, cause: ResetCause, serial_number: str | None = None) -> None:
+        self._board.reboot(_draw_boot_id(), self._now_ticks(), cause, serial_number=serial_number)
+
+    def _receive(self, data: bytes, now_ticks: int) -> None:
+        self._output.asked = True
+        located = self._board.times_located
+        self._board.receive(data, now_ticks)
+        if self._board.times_located > located:
+            sys.stderr.write(f"board {self._board.identity.serial_number} blinks\n")
 
     def _advance(self, now_ticks: int) -> None:
         frames = self._board.advance(now_ticks)
@@ -195,38 +261,19 @@ class Emulator:
                 end_ns = self._origin_ns + round(frame.end_ticks / self._ticks_per_ns)
                 self._truth.write(truth_line(frame, end_ns + utc_less_monotonic_ns))
 
-    def _send(self, now_ticks: int) -> None:
-        while self.link.write_fd is not None:
-            if not self._unsent:
-                if (outgoing := self._board.next_output()) is None:
-                    return
-                self._unsent = memoryview(self._injector.damage(outgoing, self._elapsed_s(now_ticks) or 0.0))
-                self._unsent_is_frame = outgoing.is_frame
-            written = self.link.write(self._unsent)
-            self._bytes_sent += written
-            self._unsent = self._unsent[written:]
-            if not self._unsent:
-                self._injector.sent()
-                self._frames_sent += self._unsent_is_frame
-            elif self.link.write_fd is not None:
-                return  # the host does not take more now
-        self._lose_output()
-
-    def _lose_output(self) -> None:
-        """Nobody will ever read what was meant for a host that is gone."""
-        self._unsent = memoryview(b"")
-        self._board.discard_output()
-
     def _wait(self) -> bool:
-        """Wait for the next gate to close, for the link or for `stop`; tell whether the link has something to read."""
+        """Wait for what is due next, for the link or for `stop`; tell whether the link has something to read."""
         write_fd = self.link.write_fd
-        writers = [write_fd] if write_fd is not None and self._unsent else []
-        due_ticks = [due for due in (self._board.next_frame_ticks, self._next_event_ticks) if due is not None]
+        writers = [write_fd] if write_fd is not None and self._output.waits_for_room else []
+        readers = [] if self._output.held else self.link.read_fds
+        due_ticks = [due for due in (self._board.next_frame_ticks, self._next_step_ticks) if due is not None]
+        due_ns = [due / self._ticks_per_ns for due in due_ticks]
+        if write_fd is not None and (output_ns := self._output.next_ns) is not None:
+            due_ns.append(output_ns)
         wait_s = None
-        if due_ticks:
-            due_ns = self._origin_ns + min(due_ticks) / self._ticks_per_ns
-            wait_s = max(0.0, (due_ns - time.monotonic_ns()) * 1e-9)
-        readable, _, _ = select.select([self._wake_read_fd, *self.link.read_fds], writers, [], wait_s)
+        if due_ns:
+            wait_s = max(0.0, (self._origin_ns + min(due_ns) - time.monotonic_ns()) * 1e-9)
+        readable, _, _ = select.select([self._wake_read_fd, *readers], writers, [], wait_s)
         return any(fd != self._wake_read_fd for fd in readable)
 
 
@@ -235,7 +282,9 @@ def _draw_boot_id() -> int:
     return secrets.randbelow(0xFFFFFFFF) + 1
 
 
-def _emulated_board(plate: Plate, scenario: Scenario, seed: int, counter: Literal["sums", "stamps"]) -> Board:
+def _emulated_board(
+    plate: Plate, scenario: Scenario, seed: int, counter: Literal["sums", "stamps"], misbehaviour: Misbehaviour
+) -> Board:
     single_tone = plate.counter.kind == "single-tone"
     emulated: EmulatedPlate
     if counter == "stamps" and not single_tone:
@@ -251,23 +300,18 @@ def _emulated_board(plate: Plate, scenario: Scenario, seed: int, counter: Litera
         emulated = SkinPlate(plate, scenario, seed, reference_error=scenario.physics.reference_error)
     return Board(
         emulated,
-        Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR),
+        Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR, CREDIT_BYTES),
         _draw_boot_id(),
         SINGLE_TONE_QUEUE_BYTES if single_tone else CHANNELISED_QUEUE_BYTES,
         drop_rate=scenario.physics.drop_rate,
         seed=seed,
+        misbehaviour=misbehaviour,
     )
 
 
-def _script(plan: FaultPlan) -> list[tuple[float, _Event]]:
-    """Return what happens when, in order; seconds since the first START."""
-    events = []
-    if plan.unplug_at_s is not None:
-        events.append((plan.unplug_at_s, _Event.UNPLUG))
-        events.append((plan.unplug_at_s + plan.unplug_for_s, _Event.PLUG_IN))
-    if plan.reboot_at_s is not None:
-        events.append((plan.reboot_at_s, _Event.REBOOT))
-    return sorted(events, key=lambda event: event[0])
+def _skewed(physics: Physics, skew_ppm: float) -> Physics:
+    error = (1.0 + physics.reference_error) * (1.0 + skew_ppm * 1e-6) - 1.0
+    return physics.model_copy(update={"reference_error": error}) if skew_ppm else physics
 
 
 def _write_line(stream: TextIO, value: dict[str, Any]) -> None:

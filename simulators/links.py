@@ -111,6 +111,14 @@ class PtyLink:
             self._master_fd = None
             raise
 
+    def rename(self, name: str) -> None:
+        """Take another name, in the same directory; a host notices as of a cable that was pulled."""
+        plugged = self._master_fd is not None
+        self.hang_up()
+        self._path = self._path.with_name(name)
+        if plugged:
+            self.plug_in()
+
     def close(self) -> None:
         self.hang_up()
 
@@ -144,21 +152,25 @@ class TcpLink:
         return None if self._client is None else self._client.fileno()
 
     def read(self) -> bytes:
-        """As of `Link`; also notices that a client came or went, one of both at a time."""
+        """As of `Link`; also notices that a client came or went. A second one is turned away."""
         if self._client is None:
             self._client = self._accept()
             return b""
-        if (stranger := self._accept()) is not None:
-            stranger.close()
         try:
             if data := self._client.recv(_READ_BYTES):
+                self._turn_away()
                 return data
         except BlockingIOError:
+            self._turn_away()
             return b""
         except OSError:
             pass  # the connection was reset, which ends it as well
-        self._drop_client()
+        self._drop_client()  # who left may be back already: that one is taken next time
         return b""
+
+    def _turn_away(self) -> None:
+        if (stranger := self._accept()) is not None:
+            stranger.close()
 
     def write(self, data: bytes | memoryview) -> int:
         if self._client is None:

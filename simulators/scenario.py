@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from resonator_daemon.plate import Plate
+from simulators.faults import FaultPlan
 from simulators.physics import Physics
 from simulators.plate import Contact
 from simulators.scenario_file import ScenarioFile, TimedKelvin, Touch, read_scenario
@@ -45,9 +46,11 @@ class Scenario:
         physics: Physics = _EMPTY.plate,
         environment_kelvin: Sequence[TimedKelvin] = _EMPTY.environment_kelvin,
         seed: int = _EMPTY.seed,
+        faults: FaultPlan = _EMPTY.faults,
     ) -> None:
         self.physics = physics
         self.seed = seed
+        self.faults = faults
         self.positions_m = np.array([_start_m(touch, plate) for touch in touches]).reshape(-1, 2)
         self.whole_plate = np.array([touch.whole_plate for touch in touches], dtype=np.bool_)
         self.site_ids = tuple(
@@ -135,6 +138,7 @@ def load_scenario(name_or_path: str, plate: Plate) -> Scenario:
         physics=file.plate,
         environment_kelvin=file.environment_kelvin,
         seed=file.seed,
+        faults=file.faults,
     )
 
 

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Fie
 from pydantic_core import ErrorDetails
 
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
+from simulators.faults import FaultEvent, FaultPlan
 from simulators.physics import Physics
 
 _SHIPPED = Path(__file__).with_name("scenarios")
@@ -88,6 +89,7 @@ class ScenarioFile(_Table):
         0, description="Of all that is random, where the command line gives none."
     )
     plate: Physics = Field(Physics(), description="Imperfections of plate, oscillators and counter.")
+    faults: FaultPlan = Field(FaultPlan(), description="What goes wrong at the board and on its link.")
     touches: tuple[Touch, ...] = Field((), description="The presses; they may overlap.")
 
 
@@ -180,7 +182,13 @@ def _sentence(error: ErrorDetails) -> str:
     path = error["loc"]
     where = ".".join(f"[{key}]" if isinstance(key, int) else key for key in path).replace(".[", "[")
     if error["type"] == "extra_forbidden":
-        tables: dict[str, type[BaseModel]] = {"shear": Shear, "touches": Touch, "plate": Physics}
+        tables: dict[str, type[BaseModel]] = {
+            "shear": Shear,
+            "touches": Touch,
+            "plate": Physics,
+            "faults": FaultPlan,
+            "events": FaultEvent,
+        }
         above = (tables[key] for key in reversed(path[:-1]) if isinstance(key, str) and key in tables)
         return f"{where}: unknown key; {_nearest(str(path[-1]), tuple(next(above, ScenarioFile).model_fields))}"
     value = "" if error["type"] == "missing" else f"got {error['input']!r}; "

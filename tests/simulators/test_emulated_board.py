@@ -12,18 +12,27 @@ from firmware_protocol.host import (
     HostEvent,
     HostSession,
     HostState,
+    Located,
     Pong,
     Rebooted,
     Started,
 )
-from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_STRUCT, MessageType
-from firmware_protocol.messages import BoardStatus, Configuration, CounterKind, Description, Identity, encode_message
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_STRUCT, Capability, MessageType
+from firmware_protocol.messages import (
+    BoardStatus,
+    Configuration,
+    CounterKind,
+    Description,
+    Identity,
+    ResetCause,
+    encode_message,
+)
 from firmware_protocol.packets import encode_packet
 from simulators.board import Board, MadeFrame, Outgoing
 from simulators.plate import Contact, CountedFrame
 
 GATE_TICKS = 1000
-IDENTITY = Identity("test", "0042", "1.0", 0)
+IDENTITY = Identity("test", "0042", "1.0", 0, credit_bytes=256)
 FRAME_BYTES = 204
 
 
@@ -141,13 +150,13 @@ def test_a_full_queue_drops_its_oldest_frames_and_says_so_before_the_next_that_g
     bench.advance(10 * GATE_TICKS)
     assert bench.board.frames_queued == 3
     events = bench.exchange()
-    assert events[0] == BoardStatus(7)
+    assert events[0] == BoardStatus(7, bytes_discarded=0)
     assert [frame.sequence for frame in frames_in(events)] == [7, 8, 9]
     assert len(events) == 4
     bench.advance(2 * GATE_TICKS)
     assert [type(event) for event in bench.exchange()] == [Frame, Frame]
     bench.advance(5 * GATE_TICKS)
-    assert bench.exchange()[0] == BoardStatus(9)
+    assert bench.exchange()[0] == BoardStatus(9, bytes_discarded=0)
 
 
 def test_a_board_that_loses_frames_counts_and_tells_them_and_knows_what_was_true() -> None:
@@ -156,11 +165,17 @@ def test_a_board_that_loses_frames_counts_and_tells_them_and_knows_what_was_true
     made = bench.advance(400 * GATE_TICKS)
     assert [frame.sequence for frame in made] == list(range(400))
     events = bench.exchange()
-    status = events[0]
-    assert isinstance(status, BoardStatus)
     sent = [frame.sequence for frame in frames_in(events)]
-    assert len(sent) + status.frames_dropped == 400
-    assert bench.board.frames_lost == status.frames_dropped == pytest.approx(120, abs=28)  # 3 sigma
+    told = sent_and_told = 0
+    for event in events:  # each STATUS counts what is missing before the next frame, and no more
+        if isinstance(event, BoardStatus):
+            assert event.frames_dropped > told
+            told = event.frames_dropped
+        elif isinstance(event, Frame):
+            assert event.sequence == sent_and_told + told
+            sent_and_told += 1
+    assert sent_and_told == len(sent) == 400 - bench.board.frames_lost
+    assert bench.board.frames_lost == pytest.approx(120, abs=28)  # 3 sigma
     assert bench.board.frames_crowded_out == 0
     gaps = [second - first for first, second in pairwise(sent)]
     assert max(gaps) > 2  # one by one, not every third
@@ -177,7 +192,12 @@ def test_frames_that_a_full_queue_and_a_forgetful_board_lose_count_apart() -> No
     assert bench.board.frames_queued == 3
     assert bench.board.frames_lost + bench.board.frames_crowded_out == 97
     assert bench.board.frames_lost == pytest.approx(50, abs=15)
-    assert bench.exchange()[0] == BoardStatus(97)
+    events = bench.exchange()
+    first, told = frames_in(events)[0], events[0]
+    assert isinstance(told, BoardStatus)
+    assert told.frames_dropped == first.sequence  # all before it, and not what was lost between it and the next
+    last = frames_in(events)[-1]
+    assert [event for event in events if isinstance(event, BoardStatus)][-1].frames_dropped == last.sequence - 2
 
 
 def test_an_answer_takes_the_room_of_the_oldest_frame() -> None:
@@ -207,7 +227,7 @@ def test_a_reboot_is_a_board_that_knows_nothing() -> None:
     bench.advance(100)
     bench.start()
     bench.advance(5 * GATE_TICKS)
-    bench.board.reboot(78, bench.now)
+    bench.board.reboot(78, bench.now, ResetCause.WATCHDOG)
     assert bench.board.frames_queued == 0
     assert bench.advance(5 * GATE_TICKS) == []
     bench.host.ping(b"12345678")
@@ -230,7 +250,72 @@ def test_stop_ends_the_run_and_what_was_counted_still_goes_out() -> None:
     bench.host.stop()
     bench.board.receive(bench.host.data_to_send(), bench.now)
     assert bench.advance(5 * GATE_TICKS) == []
-    assert len(frames_in(bench.exchange())) == 2
+    assert [outgoing.sequence for outgoing in iter(bench.board.next_output, None)] == [0, 1, None]
+
+
+def test_a_board_says_what_it_can_do_and_why_it_began() -> None:
+    bench = Bench(queue_limit_bytes=12_345)
+    described = bench.exchange()[0]
+    assert isinstance(described, Described)
+    assert described.identity.credit_bytes == 256
+    assert described.identity.reset_cause == ResetCause.POWER_ON
+    assert described.description.queue_bytes == 12_345
+    assert described.description.capabilities == Capability.LOCATE
+    bench.host.locate()
+    (located,) = bench.exchange()
+    assert isinstance(located, Located)
+    assert bench.board.times_located == 1
+    bench.board.reboot(78, bench.now, ResetCause.BROWN_OUT, serial_number="0043")
+    bench.host.ping(b"12345678")
+    again = [event for event in bench.exchange() if isinstance(event, Described)]
+    assert [(one.identity.serial_number, one.identity.reset_cause) for one in again] == [("0043", ResetCause.BROWN_OUT)]
+
+
+def test_a_silent_board_counts_on_answers_and_tells_afterwards_what_it_withheld() -> None:
+    bench = Bench()
+    bench.start()
+    bench.advance(2 * GATE_TICKS)
+    bench.board.silent = True
+    assert len(bench.advance(3 * GATE_TICKS)) == 3
+    bench.host.ping(b"12345678")
+    assert [type(event) for event in bench.exchange()] == [Frame, Frame, Pong]
+    bench.board.silent = False
+    bench.advance(GATE_TICKS)
+    events = bench.exchange()
+    assert events[0] == BoardStatus(3, bytes_discarded=0)
+    assert [frame.sequence for frame in frames_in(events)] == [5]
+    assert bench.board.frames_silenced == 3
+
+
+@pytest.mark.parametrize("ticks", [2**32 + 7, -50_000])
+def test_a_jump_of_the_tick_count_is_one_of_frames_records_and_pongs_alike(ticks: int) -> None:
+    bench = Bench()
+    bench.advance(100_000)
+    bench.start()
+    bench.advance(3 * GATE_TICKS)  # of a block of four
+    bench.board.step_ticks(ticks)
+    bench.advance(2 * GATE_TICKS)
+    frames = frames_in(bench.exchange())
+    assert [frame.sequence for frame in frames] == list(range(5))
+    steps = np.diff([frame.board_ticks for frame in frames]).tolist()
+    assert steps == [GATE_TICKS] * 3 + [GATE_TICKS + ticks]
+    assert [asked[0] for asked in bench.plate.asked] == [100_000, 100_000 + 4 * GATE_TICKS + ticks]
+    bench.host.ping(b"12345678")
+    assert bench.exchange() == [Pong(b"12345678", bench.now + ticks)]
+    bench.board.reboot(78, bench.now, ResetCause.SOFTWARE)
+    bench.board.step_ticks(5)  # while nothing is counted: at once
+    bench.host.ping(b"12345678")
+    assert bench.exchange()[:2] == [Rebooted(78), Pong(b"12345678", 5)]
+
+
+def test_a_board_that_is_told_to_begin_is_idle_and_its_output_empty() -> None:
+    bench = Bench()
+    bench.start()
+    bench.advance(3 * GATE_TICKS)
+    bench.board.begin()
+    assert bench.board.next_output() is None
+    assert bench.advance(3 * GATE_TICKS) == []
+    assert not bench.board.running
 
 
 def test_a_new_run_numbers_from_0_and_carries_no_frame_of_the_old_one() -> None:
@@ -269,7 +354,7 @@ def test_output_for_a_host_that_is_gone_counts_as_dropped() -> None:
     bench.board.discard_output()
     bench.advance(GATE_TICKS)
     events = bench.exchange()
-    assert events[0] == BoardStatus(3)
+    assert events[0] == BoardStatus(3, bytes_discarded=0)
     assert [frame.sequence for frame in frames_in(events)] == [3]
 
 
@@ -277,11 +362,10 @@ def test_a_channelised_frame_goes_out_whole_in_parts() -> None:
     bench = Bench(FakePlate(CounterKind.CHANNELISED, tones=3072, block_frames=1), queue_limit_bytes=400_000)
     bench.start()
     bench.advance(4 * GATE_TICKS)
-    status, *frames = iter(bench.board.next_output, None)
-    assert isinstance(status, Outgoing)
-    assert not status.is_frame
-    assert [len(frame.packets) for frame in frames] == [20, 20]
-    parts = [event for frame in frames for packet in frame.packets for event in bench.host.receive(packet)]
+    frames: list[Outgoing] = list(iter(bench.board.next_output, None))
+    assert [len(frame.packets) for frame in frames] == [1 + 20, 20]
+    status, *parts = [event for frame in frames for packet in frame.packets for event in bench.host.receive(packet)]
+    assert status == BoardStatus(2, bytes_discarded=0)
     assert all(isinstance(part, FramePart) for part in parts)
     tones = np.zeros((2, 4, 3072), dtype=int)
     for part in parts:

@@ -2,89 +2,26 @@
 
 import json
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 import pytest
 from emulation import emulated
+from wire_host import WAIT_S, Host, opened, truths, wait_for
 
-from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Rebooted
-from firmware_protocol.messages import Configuration
+from firmware_protocol.host import FramePart
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
+from simulators.links import PtyLink
 from simulators.stamps import stamped_sums
-
-WAIT_S = 20.0  # after which a test fails; none waits that long
-_SILENCE_S = 0.1  # after which a host asks
-
-
-class Host:
-    """Reads an emulated board until told otherwise."""
-
-    def __init__(self, fd: int, gate_ticks: int) -> None:
-        self._fd = fd
-        self._gate_ticks = gate_ticks
-        self.session = HostSession()
-        self.events: list[HostEvent] = []
-        self.gone = False
-
-    def read_until(self, done: Callable[[], bool]) -> None:
-        deadline_s = time.monotonic() + WAIT_S
-        while not done():
-            if request := self.session.data_to_send():
-                os.write(self._fd, request)
-            readable, _, _ = select.select([self._fd], [], [], _SILENCE_S)
-            assert time.monotonic() < deadline_s, f"did not happen within {WAIT_S} s"
-            if not readable:
-                self.session.ask_again()
-                self.session.ping(b"anybody?")
-                continue
-            try:
-                data = os.read(self._fd, 1 << 20)
-            except OSError:  # EIO of a terminal that was pulled, or a reset connection
-                data = b""
-            if not data:
-                self.gone = True
-                return
-            for event in self.session.receive(data):
-                if isinstance(event, Described):
-                    self.session.configure(Configuration(self._gate_ticks))
-                self.events.append(event)
-
-    @property
-    def frames(self) -> list[Frame]:
-        return [event for event in self.events if isinstance(event, Frame)]
-
-
-@contextmanager
-def opened(path: Path, gate_ticks: int = 1_000_000) -> Iterator[Host]:
-    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
-    try:
-        yield Host(fd, gate_ticks)
-    finally:
-        os.close(fd)
-
-
-def wait_for(done: Callable[[], bool]) -> None:
-    """Look again and again: a file system tells nobody."""
-    deadline_s = time.monotonic() + WAIT_S
-    while not done():
-        assert time.monotonic() < deadline_s
-        time.sleep(0.02)
-
-
-def truths(path: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in path.read_text().splitlines(keepends=True) if line.endswith("\n")]
 
 
 def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_path: Path) -> None:
@@ -117,7 +54,7 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
     assert truth[0]["plate_kelvin"] == 298.15
     assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert report["frames_dropped"] == 0
-    assert report["dropped_by_cause"] == {"drop_rate": 0, "queue_full": 0, "discarded": 0}
+    assert report["dropped_by_cause"] == {"drop_rate": 0, "queue_full": 0, "silence": 0, "discarded": 0}
     assert report["truth_lines_lost"] == 0
     assert report["bytes_sent"] >= host.session.bytes.received >= 300 * 204
     assert not path.is_symlink()
@@ -221,56 +158,6 @@ def test_a_counter_that_makes_every_stamp_sends_frames_like_the_other(tmp_path: 
     assert emulator._board._plate._sums is stamped_sums
 
 
-def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = FaultPlan(unplug_at_s=0.2, unplug_for_s=0.3)
-    with emulated(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
-        with opened(path) as host:
-            host.read_until(lambda: False)
-            assert host.gone
-            assert host.frames[-1].sequence <= 200
-        wait_for(path.exists)
-        with opened(path) as host:
-            host.read_until(lambda: len(host.frames) >= 50)
-            assert not any(isinstance(event, Rebooted) for event in host.events)
-            assert host.frames[0].sequence == 0  # of a run of its own
-            assert host.frames[0].board_ticks > 500_000_000  # of the same boot
-    report = emulator.report()
-    assert report["faults"]["unplugs"] == 1
-    assert report["dropped_by_cause"]["discarded"] == report["frames_dropped"] >= 250
-    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
-
-
-def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = FaultPlan(reboot_at_s=0.1)
-    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 50)
-        first = next(event for event in host.events if isinstance(event, Described))
-        host.read_until(lambda: sum(isinstance(event, Described) for event in host.events) == 2)
-        count = len(host.frames)
-        host.read_until(lambda: len(host.frames) >= count + 20)
-    assert emulator.report()["faults"]["reboots"] == 1
-    (reboot,) = [event for event in host.events if isinstance(event, Rebooted)]
-    assert reboot.boot_id != first.boot_id
-    assert host.frames[count].sequence == 0
-
-
-def test_damage_on_the_wire_is_what_the_report_says(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = FaultPlan(bit_error_rate=1e-4, garbage_rate_hz=50.0)
-    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults, seed=11)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 400)
-    last = host.frames[-1].sequence
-    received = {frame.sequence for frame in host.frames}
-    counts = emulator.report()["faults"]
-    assert set(range(last + 1)) - received == {hit for hit in counts["frame_sequences_hit"] if hit <= last}
-    assert counts["frames_hit"] == len(counts["frame_sequences_hit"]) > 20
-    assert counts["garbage_bursts"] > 5
-
-
 def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: Path) -> None:
     path = tmp_path / "board"
     program = (
@@ -292,6 +179,51 @@ def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: 
     assert report["faults"]["bits_flipped"] == 0
     assert not path.is_symlink()
     assert "quartz16" in errors
+
+
+def test_on_usb_it_says_with_what_to_start_a_host() -> None:
+    program = (
+        "from simulators.emulator import EmulatorOptions, run; run(EmulatorOptions('quartz16', usb=True, json=True))"
+    )
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        first = json.loads(process.stdout.readline())
+        process.send_signal(signal.SIGTERM)
+        _, errors = process.communicate(timeout=WAIT_S)
+    assert process.returncode == 0, errors
+    assert first["link"] == f"usb:1209:0001?serial={SERIAL_NUMBER}"
+    assert first["environment"].keys() == {"LD_PRELOAD", "UMOCKDEV_DIR"}
+    assert f"UMOCKDEV_DIR={first['environment']['UMOCKDEV_DIR']}" in errors
+
+
+def test_a_host_on_usb_that_begins_anew_finds_an_idle_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class FakeUsbLink(PtyLink):
+        """Takes the byte 0xFF as BEGIN."""
+
+        environment: ClassVar[dict[str, str]] = {}
+
+        def __init__(self, serial_number: str, on_begin: Callable[[], None]) -> None:
+            super().__init__(tmp_path / serial_number)
+            self._on_begin = on_begin
+
+        def read(self) -> bytes:
+            data = super().read()
+            if b"\xff" not in data:
+                return data
+            self._on_begin()
+            return b""
+
+    monkeypatch.setattr("simulators.usb_link.UsbLink", FakeUsbLink)
+    path = tmp_path / SERIAL_NUMBER
+    options = EmulatorOptions("quartz16", usb=True, scenario="still", faults=FaultPlan(delay_ms=200.0))
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 20)
+        os.write(host.fd, b"\xff")
+        wait_for(lambda: not emulator._board.running and not emulator.report()["frames_unsent"])
+        report = emulator.report()
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"]
+    assert report["dropped_by_cause"]["discarded"] > 100  # of those that were on their way
 
 
 def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
@@ -333,7 +265,7 @@ def test_a_run_that_ends_while_it_is_being_stopped_does_not_pull_the_pipe_away(
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "board"
     fds = len(os.listdir("/proc/self/fd"))
-    with pytest.raises(ValueError, match="either pty or tcp"):
+    with pytest.raises(ValueError, match="give one of pty, tcp and usb"):
         Emulator(EmulatorOptions("quartz16"))
     with pytest.raises(ValueError, match="speed must be above 0"):
         Emulator(EmulatorOptions("quartz16", pty=path, speed=0.0))

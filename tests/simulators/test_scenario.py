@@ -8,6 +8,7 @@ import pytest
 
 from resonator_daemon.plate import load_plate
 from simulators import scenario_file
+from simulators.faults import FaultEvent, FaultPlan
 from simulators.physics import Physics
 from simulators.scenario import Scenario, load_scenario
 from simulators.scenario_file import Touch, default_scenario, shipped_scenarios
@@ -253,6 +254,26 @@ def test_every_mistake_in_a_file_is_named(tmp_path: Path) -> None:
         "mine.toml: touches[1].shear.directon_deg: unknown key; did you mean direction_deg?",
         "mine.toml: touches[1].shear.peak_ratio: got 2; input should be less than or equal to 1",
         "mine.toml: touches[1].start_s: field required",
+    ]
+
+
+def test_faults_of_a_file_are_read_and_its_mistakes_named(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text("[faults]\nclump_ms = 16\n[[faults.events]]\nat_s = 2\nwhat = 'freeze'\n")
+    faults = load_scenario(str(path), SKIN).faults
+    assert faults == FaultPlan(clump_ms=16.0, events=(FaultEvent(at_s=2.0, what="freeze"),))
+    assert load_scenario("still", QUARTZ).faults == FaultPlan()
+    lines = findings(
+        tmp_path,
+        "[faults]\nbit_eror_rate = 1\nclump_ms = -1\nmisbehave = ['cheats']\n"
+        "[[faults.events]]\nat_s = 1\nwhat = 'rename'\n[[faults.events]]\nat_s = 1\nwhat = 'freeze'\nfor_sec = 1\n",
+    )
+    assert sorted(line.removeprefix("mine.toml: faults.")[:60] for line in lines) == [
+        "bit_eror_rate: unknown key; did you mean bit_error_rate?",
+        "clump_ms: got -1; input should be greater than or equal to 0",
+        "events[0]: got {'at_s': 1, 'what': 'rename'}; a rename needs",
+        "events[1].for_sec: unknown key; did you mean for_s?",
+        "misbehave[0]: got 'cheats'; input should be 'channels0', 'ch",
     ]
 
 

@@ -4,12 +4,14 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
 from resonator_daemon.plate import load_plate
 from simulators import scenario_file
+from simulators.faults import FaultPlan
+from simulators.faults.plan import Happening, Lie
 from simulators.physics import Physics
 from simulators.scenario import load_scenario
 from simulators.scenario_file import shipped_scenarios
@@ -46,6 +48,12 @@ def complaints(schema: dict[str, Any], value: Any, where: str = "") -> Iterator[
                     "exclusiveMaximum": value < limit,
                 }
                 if not right[keyword]:
+                    yield f"{where}: {keyword}"
+            case "enum":
+                if value not in limit:
+                    yield f"{where}: enum"
+            case "minLength" | "pattern":
+                if (len(value) < limit) if keyword == "minLength" else not re.search(limit, value):
                     yield f"{where}: {keyword}"
             case "minItems" | "maxItems":
                 if (len(value) < limit) if keyword == "minItems" else (len(value) > limit):
@@ -86,7 +94,7 @@ def test_shipped_scenarios_keep_to_the_schema(path: Path) -> None:
 
 def test_every_table_and_key_is_described() -> None:
     tables = [SCHEMA, *SCHEMA["$defs"].values()]
-    assert len(tables) == 4
+    assert len(tables) == 6
     for table in tables:
         assert table["description"]
         for name, key in table["properties"].items():
@@ -106,8 +114,14 @@ def test_the_page_on_the_emulator_knows_every_key_default_and_scenario(tmp_path:
     page = (Path(__file__).parents[2] / "docs/emulator.md").read_text()
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in page.splitlines() if line.startswith("| `")]
     assert {row[0].strip("`") for row in rows} >= set(shipped_scenarios())
-    for table in SCHEMA, SCHEMA["$defs"]["Touch"], SCHEMA["$defs"]["Shear"]:
-        assert all(re.search(rf"\b{key}\b", page) for key in table["properties"])
+    for table in ("Touch", "Shear", "FaultPlan", "FaultEvent"):
+        assert all(re.search(rf"\b{key}\b", page) for key in SCHEMA["$defs"][table]["properties"]), table
+    assert all(re.search(rf"\b{key}\b", page) for key in SCHEMA["properties"])
+    faults = {row[0].strip("`"): row[1] for row in rows if len(row) > 2}
+    for key, field in FaultPlan.model_fields.items():
+        if isinstance(field.default, float | int):
+            assert float(faults[key]) == field.default, key
+    assert all(f"`{word}`" in page for word in (*get_args(Happening), *get_args(Lie)))
     physics = {row[0].split("`")[1]: (row[0].endswith("○"), row[1]) for row in rows}
     ideal = Physics(ideal=True)
     for key, default in Physics():
@@ -122,6 +136,7 @@ def test_the_page_on_the_emulator_knows_every_key_default_and_scenario(tmp_path:
     assert load_scenario(str(example), load_plate("quartz16")).seed == 3
 
 
+EVENT = "[[faults.events]]\nat_s = 1\n"
 TOUCH = "[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 1\n"
 
 
@@ -147,6 +162,20 @@ TOUCH = "[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 1\n"
         ("period_s = 0\n", False),
         ("seed = 1.5\n", False),
         ("[plate]\ndrop_rate = 1.0\n", False),
+        ("[faults]\nbit_error_rate = 1e-5\nsplit_bytes = 1\nmisbehave = ['limits', 'channels0']\n", True),
+        (f"{EVENT}what = 'freeze'\nfor_s = 0.5\n", True),
+        (f"{EVENT}what = 'rename'\nto = 'board.1'\n", True),
+        (f"{EVENT}what = 'tick_step'\nticks = -5\n", True),
+        (f"{EVENT}what = 'rename'\nto = 'a/b'\n", False),
+        (f"{EVENT}what = 'rename'\nto = ''\n", False),
+        (f"{EVENT}what = 'tick_step'\nticks = 0.5\n", False),
+        (f"{EVENT}what = 'sleep'\n", False),
+        (f"{EVENT}what = 'freeze'\nfor = 1\n", False),
+        (EVENT, False),
+        ("[faults]\nburst_bits = 17\n", False),
+        ("[faults]\nbit_error_rate = 1.5\n", False),
+        ("[faults]\nmisbehave = ['cheats']\n", False),
+        ("[faults]\nunplug_at_s = 3\n", False),
         ("[plate]\nideal = 1\n", False),
         ("touches = 3\n", False),
     ],

@@ -1,0 +1,127 @@
+"""When bytes arrive, and in which pieces: the line between the board's output and the link."""
+
+import heapq
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from simulators.faults.account import FaultCounts
+from simulators.faults.plan import FaultPlan
+
+_ALLOWANCE_S = 0.01  # of a slow reader's bytes that may come at once
+
+
+class Lot(NamedTuple):
+    """What goes out at once, and what was done to it."""
+
+    data: bytes
+    is_frame: bool
+    harm: FaultCounts | None = None
+
+
+class Line:
+    """Holds lots until they are due; times are those of the host's clock, in ns.
+
+    A frame or an answer that comes late is passed by others. Everything else keeps its order.
+    """
+
+    def __init__(self, plan: FaultPlan, seed: int) -> None:
+        self._random = np.random.default_rng((seed, 2))
+        self._delay_ns = round(plan.delay_ms * 1e6)
+        self._clump_ns = round(plan.clump_ms * 1e6)
+        self._late = {
+            False: (plan.answer_delay_rate, round(plan.answer_delay_ms * 1e6)),
+            True: (plan.frame_delay_rate, round(plan.frame_delay_ms * 1e6)),
+        }
+        self._straight = not (self._delay_ns or self._clump_ns or any(rate for rate, _ in self._late.values()))
+        self._due: deque[Lot] = deque()
+        self._held: list[tuple[int, int, Lot]] = []  # a heap by time and number
+        self._number = 0
+
+    def put(self, lot: Lot, now_ns: int, frame_sequence: int | None = None) -> None:
+        """Take a lot; `frame_sequence` of one single-tone frame, for the account."""
+        if self._straight:
+            self._due.append(lot)
+            return
+        due_ns = now_ns + self._delay_ns
+        rate, late_ns = self._late[lot.is_frame]
+        if rate > 0.0 and self._random.random() < rate:
+            due_ns += late_ns
+            lot = lot._replace(harm=_counted_late(lot, frame_sequence))
+        if self._clump_ns:
+            due_ns = -(-due_ns // self._clump_ns) * self._clump_ns
+        self._number += 1
+        heapq.heappush(self._held, (due_ns, self._number, lot))
+
+    def has_due(self, now_ns: int) -> bool:
+        return bool(self._due) or bool(self._held and self._held[0][0] <= now_ns)
+
+    def take(self, now_ns: int) -> Lot | None:
+        """Remove and return what goes out next, None where nothing is due."""
+        if self._due:
+            return self._due.popleft()
+        if self._held and self._held[0][0] <= now_ns:
+            return heapq.heappop(self._held)[2]
+        return None
+
+    @property
+    def next_due_ns(self) -> int | None:
+        return self._held[0][0] if self._held else None
+
+    @property
+    def frames(self) -> int:
+        """Frames that are held."""
+        return sum(lot.is_frame for lot in self._due) + sum(lot.is_frame for _, _, lot in self._held)
+
+    def clear(self) -> None:
+        self._due.clear()
+        self._held.clear()
+
+
+class Splitter:
+    """Says how many bytes the next write may have: pieces of random length, and no more than a slow reader takes."""
+
+    def __init__(self, plan: FaultPlan, seed: int) -> None:
+        self._random = np.random.default_rng((seed, 3))
+        self._split_bytes = plan.split_bytes
+        self._bytes_per_ns = math.inf if plan.slow_reader_bytes_per_s is None else plan.slow_reader_bytes_per_s * 1e-9
+        self._most_bytes = max(1.0, self._bytes_per_ns * _ALLOWANCE_S * 1e9)
+        self._allowed_bytes = self._most_bytes
+        self._counted_ns = 0
+        self.unlimited = self._split_bytes is None and math.isinf(self._bytes_per_ns)
+
+    def piece_bytes(self, wanted_bytes: int, now_ns: int) -> int:
+        """Return how many of the wanted bytes may be written now; 0: none before `next_ns`."""
+        if not math.isinf(self._bytes_per_ns):
+            grown = self._allowed_bytes + (now_ns - self._counted_ns) * self._bytes_per_ns
+            self._allowed_bytes = min(self._most_bytes, grown)
+            self._counted_ns = now_ns
+            wanted_bytes = min(wanted_bytes, int(self._allowed_bytes))
+        if self._split_bytes is not None and wanted_bytes:
+            wanted_bytes = min(wanted_bytes, int(self._random.integers(1, self._split_bytes + 1)))
+        return wanted_bytes
+
+    def wrote(self, size_bytes: int) -> None:
+        self._allowed_bytes -= size_bytes
+
+    @property
+    def next_ns(self) -> int | None:
+        """When a slow reader takes more again; None while it does, and where it will never."""
+        if self._allowed_bytes >= 1.0 or not self._bytes_per_ns:
+            return None
+        return self._counted_ns + math.ceil((1.0 - self._allowed_bytes) / self._bytes_per_ns)
+
+
+def _counted_late(lot: Lot, frame_sequence: int | None) -> FaultCounts:
+    harm = FaultCounts()
+    if lot.harm is not None:
+        harm.add(lot.harm)
+    if lot.is_frame:
+        harm.frames_delayed += 1
+    else:
+        harm.answers_delayed += 1
+    if frame_sequence is not None:
+        harm.frame_sequences_delayed.append(frame_sequence)
+    return harm

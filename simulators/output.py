@@ -1,0 +1,121 @@
+"""The way from a board's output to its link: damage, then timing, then as many bytes as the host takes."""
+
+from collections.abc import Callable
+
+from firmware_protocol.layouts import MessageType
+from simulators.board import Board, Outgoing
+from simulators.faults import FaultPlan
+from simulators.faults.account import FaultCounts
+from simulators.faults.byte_faults import ByteFaults
+from simulators.faults.timing import Line, Lot, Splitter
+from simulators.links import Link
+
+_TYPE_AT = 3  # in a packet
+
+
+class Output:
+    """Takes from a board what its link can carry, and no sooner, so that a full queue is the board's own.
+
+    Times are those of the host's clock, in ns.
+    """
+
+    def __init__(self, board: Board, link: Link, plan: FaultPlan, seed: int) -> None:
+        self._board = board
+        self._link = link
+        self._faults = ByteFaults(plan, seed)
+        self._line = Line(plan, seed)
+        self._splitter = Splitter(plan, seed)
+        self._lot: Lot | None = None  # is being written
+        self._unsent = memoryview(b"")  # of it
+        self._after_cut: Callable[[], None] | None = None
+        self.asked = True  # a host that has come after another gets nothing before it asks (PROTOCOL.md, section 8)
+        self.held = False  # the board is frozen: what it has sent already still arrives
+        self.counts = FaultCounts()
+        self.frames_sent = 0
+        self.bytes_sent = 0
+
+    @property
+    def frames_unsent(self) -> int:
+        """Frames that left the board and not the link."""
+        return self._line.frames + (self._lot is not None and self._lot.is_frame)
+
+    @property
+    def waits_for_room(self) -> bool:
+        """Whether the next bytes go out as soon as the link can be written."""
+        return self._lot is not None and self._splitter.next_ns is None
+
+    @property
+    def next_ns(self) -> int | None:
+        """When something is due, or a slow reader takes more again; None where only others can move it."""
+        return self._line.next_due_ns if self._lot is None else self._splitter.next_ns
+
+    def cut_next_frame(self, then: Callable[[], None]) -> None:
+        """Let only the first half of the next frame go out, and do `then` what ends the board; at once without host."""
+        self._after_cut = then
+
+    def send(self, now_ns: int, elapsed_s: float) -> None:
+        """Write what can be written now, `elapsed_s` after the first START."""
+        while self._link.write_fd is not None:
+            if not self.asked:
+                self._board.discard_output()
+                return
+            if self._lot is None:
+                if not self.held:
+                    self._fill_line(now_ns, elapsed_s)
+                self._lot = self._line.take(now_ns)
+                if self._lot is None:
+                    return
+                self._unsent = memoryview(self._lot.data)
+            if not self._write(now_ns) and self._link.write_fd is not None:
+                return  # the host does not take more now
+        self.lose()
+
+    def lose(self) -> None:
+        """Forget what nobody will ever read: the host is gone."""
+        self.asked = False
+        self.clear()
+        self._board.discard_output()
+        self._end_board()
+
+    def clear(self) -> None:
+        """Forget what has left the board's queue and not the link."""
+        self._lot, self._unsent = None, memoryview(b"")
+        self._line.clear()
+
+    def _fill_line(self, now_ns: int, elapsed_s: float) -> None:
+        """Take from the board until something is due."""
+        while not self._line.has_due(now_ns) and (outgoing := self._board.next_output()) is not None:
+            sequence = _single_tone_sequence(outgoing)
+            if self._after_cut is not None and outgoing.is_frame:
+                whole = b"".join(outgoing.packets)
+                harm = FaultCounts(frame_sequences_cut=[] if sequence is None else [sequence])
+                self._line.put(Lot(whole[: len(whole) // 2], is_frame=False, harm=harm), now_ns)
+                self._end_board()
+                continue
+            data, harm_done = self._faults.damage(outgoing, elapsed_s)
+            self._line.put(Lot(data, outgoing.is_frame, harm_done), now_ns, sequence)
+
+    def _end_board(self) -> None:
+        if self._after_cut is not None:
+            then, self._after_cut = self._after_cut, None
+            then()
+
+    def _write(self, now_ns: int) -> bool:
+        """Write a piece; tell whether more may be tried at once."""
+        size_bytes = len(self._unsent)
+        if not self._splitter.unlimited:
+            size_bytes = self._splitter.piece_bytes(size_bytes, now_ns)
+        written = self._link.write(self._unsent[:size_bytes]) if size_bytes else 0
+        self._splitter.wrote(written)
+        self.bytes_sent += written
+        self._unsent = self._unsent[written:]
+        if not self._unsent and self._lot is not None:
+            self.frames_sent += self._lot.is_frame
+            if self._lot.harm is not None:
+                self.counts.add(self._lot.harm)
+            self._lot = None
+        return 0 < written == size_bytes
+
+
+def _single_tone_sequence(outgoing: Outgoing) -> int | None:
+    return outgoing.sequence if outgoing.packets[-1][_TYPE_AT] == MessageType.FRAME else None

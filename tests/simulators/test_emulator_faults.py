@@ -1,0 +1,300 @@
+"""Faults of the whole emulator in real time, read by the host's end of the protocol."""
+
+import os
+import select
+import socket
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulation import emulated
+from wire_host import WAIT_S, Host, opened, truths, wait_for
+
+from firmware_protocol.host import Described, Frame, HostState, Located, Pong, Rebooted
+from firmware_protocol.messages import BoardStatus, ResetCause
+from simulators.emulator import OTHER_SERIAL_NUMBER, SERIAL_NUMBER, Emulator, EmulatorOptions
+from simulators.faults import FaultPlan, parse_faults
+
+
+def quartz(path: Path, faults: str, **options: object) -> EmulatorOptions:
+    return EmulatorOptions("quartz16", pty=path, scenario="still", faults=parse_faults(faults), **options)
+
+
+def add_up(emulator: Emulator) -> dict[str, int]:
+    report = emulator.report()
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+    assert sum(report["dropped_by_cause"].values()) == report["frames_dropped"]
+    assert min(report["dropped_by_cause"].values()) >= 0
+    return report["faults"]
+
+
+def sequences(host: Host) -> list[int]:
+    return [frame.sequence for frame in host.frames]
+
+
+def described(host: Host) -> list[Described]:
+    return [event for event in host.events if isinstance(event, Described)]
+
+
+def test_an_unplugged_board_returns_under_its_name_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = parse_faults("unplug_at_s=0.2,unplug_for_s=0.3")
+    with emulated(EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)) as emulator:
+        with opened(path) as host:
+            host.read_until(lambda: False)
+            assert host.gone
+            assert host.frames[-1].sequence <= 200
+        wait_for(path.exists)
+        with opened(path) as host:
+            host.read_until(lambda: len(host.frames) >= 50)
+            assert not any(isinstance(event, Rebooted) for event in host.events)
+            assert host.frames[0].sequence == 0  # of a run of its own
+            assert host.frames[0].board_ticks > 500_000_000  # of the same boot
+    report = emulator.report()
+    assert report["faults"]["unplugs"] == 1
+    assert report["dropped_by_cause"]["discarded"] == report["frames_dropped"] >= 250
+    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
+
+
+def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = parse_faults("reboot_at_s=0.1")
+    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 50)
+        first = next(event for event in host.events if isinstance(event, Described))
+        host.read_until(lambda: sum(isinstance(event, Described) for event in host.events) == 2)
+        count = len(host.frames)
+        host.read_until(lambda: len(host.frames) >= count + 20)
+    assert emulator.report()["faults"]["reboots"] == 1
+    (reboot,) = [event for event in host.events if isinstance(event, Rebooted)]
+    assert reboot.boot_id != first.boot_id
+    assert host.frames[count].sequence == 0
+
+
+def test_damage_on_the_wire_is_what_the_report_says(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = parse_faults("bit_error_rate=1e-4,garbage_rate_hz=50")
+    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults, seed=11)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 400)
+    last = host.frames[-1].sequence
+    received = {frame.sequence for frame in host.frames}
+    counts = emulator.report()["faults"]
+    assert set(range(last + 1)) - received == {hit for hit in counts["frame_sequences_hit"] if hit <= last}
+    assert counts["frames_hit"] == len(counts["frame_sequences_hit"]) > 20
+    assert counts["garbage_bursts"] > 5
+
+
+def test_all_that_happens_to_bytes_at_once_is_what_the_report_says(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    faults = (
+        "bit_error_rate=2e-5,burst_rate_hz=10,garbage_rate_hz=20,duplicate_rate=0.05,lost_chunk_rate_hz=5,"
+        "reorder_rate=0.02,split_bytes=50,clump_ms=16,delay_ms=3,frame_delay_rate=0.02,frame_delay_ms=8,"
+        "answer_delay_rate=0.5,answer_delay_ms=20"
+    )
+    with emulated(quartz(path, faults, seed=3)) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 600)
+    counts = add_up(emulator)
+    received = sequences(host)
+    # Before, the answer to START may be late; beyond, frames may come later still.
+    judged = range(60, max(received) - 40)
+    hit, twice = Counter(counts["frame_sequences_hit"]), Counter(counts["frame_sequences_duplicated"])
+    expected = Counter(judged) - hit + twice
+    assert all(Counter(received)[number] == expected[number] for number in judged)
+    passed = {second for first, second in pairwise(received) if second < first}
+    assert passed
+    assert passed <= set(counts["frame_sequences_delayed"])
+    for count in ("bursts", "garbage_bursts", "packets_duplicated", "chunks_lost", "chunks_reordered", "bits_flipped"):
+        assert counts[count] > 0, count
+
+
+def pongs_late(host: Host) -> list[Pong]:
+    start_ticks = host.frames[0].board_ticks
+    return [event for event in host.events if isinstance(event, Pong) and event.board_ticks - start_ticks > 10**9]
+
+
+def test_a_frozen_board_leaves_its_port_open_and_its_gates_go_on(tmp_path: Path) -> None:
+    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
+    options = quartz(path, "freeze_at_s=0.1,freeze_for_s=3", truth=truth_path, speed=10.0)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(
+            lambda: len(host.frames) > 100 and host.frames[-1].sequence > 3100 and len(pongs_late(host)) > 0
+        )
+    numbers = np.array(sequences(host))
+    gap = int(np.diff(numbers).argmax())
+    # What it was asked meanwhile, it read when it had thawed.
+    assert min(pong.board_ticks for pong in pongs_late(host)) >= host.frames[0].board_ticks + 3_098_000_000
+    assert numbers[gap + 1] - numbers[gap] > 1000  # the queue holds 1285, and 3000 were made
+    told = received = 0
+    for event in host.events:
+        if isinstance(event, BoardStatus):
+            told = event.frames_dropped
+        elif isinstance(event, Frame):
+            assert event.sequence == told + received
+            received += 1
+    assert [line["sequence"] for line in truths(truth_path)[:3000]] == list(range(3000))
+    assert add_up(emulator)["freezes"] == 1
+    assert emulator.report()["dropped_by_cause"]["queue_full"] >= told
+
+
+def test_what_is_delayed_arrives_while_nothing_else_happens(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "delay_ms=50,slow_reader_bytes_per_s=1000")), opened(path) as host:
+        os.write(host.fd, host.session.data_to_send())
+        answer = b""
+        while not host.session.receive(answer) and host.session.state is HostState.IDENTIFYING:
+            assert select.select([host.fd], [], [], WAIT_S)[0]
+            answer = os.read(host.fd, 1000)
+
+
+def test_a_silent_board_answers_and_sends_no_frames(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "silence_at_s=0.1,silence_for_s=0.4")) as emulator, opened(path) as host:
+        host.read_until(lambda: bool(host.frames) and host.frames[-1].sequence > 520)
+    numbers = sequences(host)
+    before = max(number for number in numbers if number < 300)
+    after = min(number for number in numbers if number > 300)
+    assert any(isinstance(event, Pong) for event in host.events)  # of the pings of a host that hears nothing
+    assert add_up(emulator)["silences"] == 1
+    assert emulator.report()["dropped_by_cause"]["silence"] == after - before - 1
+
+
+def test_a_brown_out_cuts_a_frame_and_the_board_says_why_it_began_anew(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "brown_out_at_s=0.1")) as emulator, opened(path) as host:
+        host.read_until(lambda: len(described(host)) == 2)
+        before = len(host.frames)
+        host.read_until(lambda: len(host.frames) >= before + 20)
+    first, second = described(host)
+    assert (first.identity.reset_cause, second.identity.reset_cause) == (ResetCause.POWER_ON, ResetCause.BROWN_OUT)
+    assert first.boot_id != second.boot_id
+    counts = add_up(emulator)
+    assert counts["brown_outs"] == 1
+    assert counts["frame_sequences_cut"] == [before]
+    assert sequences(host)[: before + 20] == [*range(before), *range(20)]
+    assert host.session.bytes.discarded == 102
+
+
+def test_a_tick_count_that_jumps_does_so_once_and_without_a_boot(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "tick_step_at_s=0.1,tick_step_ticks=5000000000")) as emulator, opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 200)
+    steps = Counter(np.diff([frame.board_ticks for frame in host.frames]).tolist())
+    assert set(steps) == {1_000_000, 5_001_000_000}
+    assert steps[5_001_000_000] == add_up(emulator)["tick_steps"] == 1
+    assert not any(isinstance(event, Rebooted) for event in host.events)
+
+
+def test_a_skewed_reference_is_so_much_faster(tmp_path: Path) -> None:
+    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
+    with emulated(quartz(path, "skew_ppm=50000", truth=truth_path)), opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 200)
+    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
+    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
+
+
+def test_another_board_is_there_for_a_while_and_the_own_one_returns_newly_booted(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    boards = []
+    with emulated(quartz(path, "wrong_board_at_s=0.05,wrong_board_for_s=0.3")) as emulator:
+        for frames in (10, 1, 10):
+            wait_for(path.exists)
+            with opened(path) as host:
+                host.read_until(lambda host=host, frames=frames: len(host.frames) >= frames)
+                boards.append(described(host)[0])
+                if len(boards) < 3:
+                    host.read_until(lambda: False)
+                    assert host.gone
+    assert [board.identity.serial_number for board in boards] == [SERIAL_NUMBER, OTHER_SERIAL_NUMBER, SERIAL_NUMBER]
+    assert len({board.boot_id for board in boards}) == 3
+    assert add_up(emulator)["wrong_boards"] == 1
+
+
+def test_a_port_takes_another_name_and_is_gone_from_the_old_one(tmp_path: Path) -> None:
+    old, new = tmp_path / "board", tmp_path / "board.1"
+    with emulated(quartz(old, "rename_at_s=0.05,rename_to=board.1")) as emulator:
+        with opened(old) as host:
+            host.read_until(lambda: False)
+            assert host.gone
+        wait_for(new.exists)
+        assert not old.is_symlink()
+        assert str(new) in emulator.link.address
+        with opened(new) as host:
+            host.read_until(lambda: len(host.frames) >= 10)
+    assert add_up(emulator)["renames"] == 1
+    assert os.listdir(tmp_path) == []
+
+
+def test_random_hang_ups_come_again_and_again_and_leave_nothing_behind(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    fds = len(os.listdir("/proc/self/fd"))
+    options = quartz(path, "unplug_rate_hz=20,unplug_for_s=0.02")
+    with emulated(options) as emulator:
+        gone = 0
+        while gone < 10:
+            wait_for(path.exists)
+            try:
+                with opened(path) as host:
+                    host.read_until(lambda: False)
+                    gone += host.gone
+            except OSError:  # pulled again before it was open, or while a request went out
+                continue
+    assert add_up(emulator)["unplugs"] >= 10
+    assert os.listdir(tmp_path) == []
+    assert len(os.listdir("/proc/self/fd")) == fds
+
+
+def test_a_lying_board_lies_over_the_link(tmp_path: Path) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "misbehave=channels5+other_product")), opened(path) as host:
+        host.read_until(lambda: bool(described(host)) or host.session.state is HostState.REFUSED)
+    assert (described(host) == []) == (host.session.state is HostState.REFUSED)
+    assert [event.description.channels for event in described(host)] in ([], [5])
+
+
+def test_a_board_that_is_to_be_seen_blinks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "board"
+    with emulated(quartz(path, "")), opened(path) as host:
+        host.read_until(lambda: len(host.frames) >= 5)
+        host.session.locate()
+        host.read_until(lambda: any(isinstance(event, Located) for event in host.events))
+    assert capsys.readouterr().err == "board EMU-0001 blinks\n"
+
+
+def test_the_scenario_s_faults_hold_beside_those_of_the_command_line(tmp_path: Path) -> None:
+    path, scenario = tmp_path / "board", tmp_path / "mine.toml"
+    scenario.write_text(
+        "[faults]\nduplicate_rate = 1.0\nbit_error_rate = 1.0\n[[faults.events]]\nat_s = 0.1\nwhat = 'reboot'\n"
+    )
+    faults = FaultPlan(bit_error_rate=0.0)
+    options = EmulatorOptions("quartz16", pty=path, scenario=str(scenario), faults=faults)
+    with emulated(options) as emulator, opened(path) as host:
+        host.read_until(lambda: len(described(host)) >= 2)
+    counts = add_up(emulator)
+    assert counts["reboots"] == 1
+    assert counts["bits_flipped"] == 0
+    assert sequences(host)[:4] == [0, 0, 1, 1]
+
+
+def test_a_name_is_changed_of_a_terminal_alone(tmp_path: Path) -> None:
+    faults = parse_faults("rename_at_s=1,rename_to=b")
+    with pytest.raises(ValueError, match="rename: only a pseudo-terminal"):
+        Emulator(EmulatorOptions("quartz16", tcp=("127.0.0.1", 0), faults=faults))
+
+
+def test_a_new_tcp_host_gets_nothing_before_it_asks() -> None:
+    with emulated(EmulatorOptions("quartz16", tcp=("127.0.0.1", 0), scenario="still")) as emulator:
+        host, _, port = emulator.link.address.removeprefix("tcp://").partition(":")
+        address = (host, int(port))
+        with socket.create_connection(address) as connection:
+            first = Host(connection.fileno(), 1_000_000)
+            first.read_until(lambda: len(first.frames) > 50)  # the board counts, and will not stop
+        with socket.create_connection(address) as connection:
+            readable, _, _ = select.select([connection], [], [], 0.3)
+            assert not readable
+            second = Host(connection.fileno(), 1_000_000)
+            second.read_until(lambda: len(second.frames) > 50)
+    assert second.frames[0].sequence == 0

@@ -1,0 +1,180 @@
+"""Damaged bytes: as many as asked for, where they are said to be, and counted exactly."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from simulators.board import Outgoing
+from simulators.faults import FaultPlan
+from simulators.faults.account import FaultCounts
+from simulators.faults.byte_faults import ByteFaults
+
+FRAME_BYTES = 204
+
+
+class Wire:
+    """Damages frames one after the other and adds up what was done."""
+
+    def __init__(self, seed: int = 1, **faults: float) -> None:
+        self._faults = ByteFaults(FaultPlan.model_validate(faults), seed)
+        self.counts = FaultCounts()
+        self.sent_bytes = 0
+
+    def send(self, outgoing: Outgoing, elapsed_s: float = 0.0) -> bytes:
+        data, harm = self._faults.damage(outgoing, elapsed_s)
+        self.counts.add(harm or FaultCounts())
+        self.sent_bytes += len(data)
+        return data
+
+
+def frame(sequence: int) -> Outgoing:
+    return Outgoing((encode_packet(MessageType.FRAME, sequence, bytes(176)),), sequence)
+
+
+def parts(sequence: int) -> Outgoing:
+    return Outgoing(tuple(encode_packet(MessageType.FRAME_PART, sequence, bytes(8000)) for _ in range(20)), sequence)
+
+
+def flipped_bits(before: bytes, after: bytes) -> list[int]:
+    difference = np.frombuffer(before, np.uint8) ^ np.frombuffer(after, np.uint8)
+    return np.flatnonzero(np.unpackbits(difference, bitorder="little")).tolist()
+
+
+def test_without_faults_nothing_is_touched() -> None:
+    wire = Wire()
+    for sequence in range(100):
+        assert wire.send(frame(sequence), 1e6) == frame(sequence).packets[0]
+    assert wire.counts == FaultCounts()
+
+
+def test_bits_flip_independently_at_the_rate_asked_for_and_are_counted() -> None:
+    wire = Wire(bit_error_rate=1e-3)
+    positions: list[int] = []
+    hit = []
+    for sequence in range(3000):
+        whole = frame(sequence).packets[0]
+        flipped = flipped_bits(whole, wire.send(frame(sequence)))
+        positions += [sequence * 8 * FRAME_BYTES + bit for bit in flipped]
+        hit += [sequence] if flipped else []
+    assert wire.counts.bits_flipped == len(positions)
+    assert wire.counts.frame_sequences_hit == hit
+    assert wire.counts.frames_hit == wire.counts.packets_hit == len(hit)
+    assert wire.counts.parts_hit == 0
+    # 4.9 million bits: 4896 flips expected, standard deviation 70; gaps exponential; no place in a byte preferred.
+    assert len(positions) == pytest.approx(4896, abs=280)
+    gaps = np.diff(positions)
+    assert gaps.mean() == pytest.approx(1000, rel=0.06)
+    assert gaps.std() == pytest.approx(1000, rel=0.08)
+    assert (gaps < 693).mean() == pytest.approx(0.5, abs=0.03)
+    assert np.bincount(np.array(positions) % 8).min() > 500
+
+
+def test_at_a_rate_of_1_every_bit_flips() -> None:
+    wire = Wire(bit_error_rate=1.0)
+    for sequence in range(3):
+        whole = frame(sequence).packets[0]
+        assert wire.send(frame(sequence)) == bytes(255 - byte for byte in whole)
+    assert wire.counts.bits_flipped == 3 * 8 * FRAME_BYTES
+
+
+def test_parts_are_counted_one_by_one() -> None:
+    wire = Wire(bit_error_rate=3e-6, seed=2)
+    hit = 0
+    for sequence in range(40):
+        whole = parts(sequence)
+        damaged = wire.send(whole)
+        size = len(whole.packets[0])
+        hit += sum(damaged[k * size : (k + 1) * size] != packet for k, packet in enumerate(whole.packets))
+    assert wire.counts.parts_hit == wire.counts.packets_hit == hit > 50
+    assert wire.counts.frames_hit == 0
+    assert wire.counts.bits_flipped >= hit
+
+
+@pytest.mark.parametrize("length", [1, 2, 5, 16])
+def test_a_burst_is_as_long_as_asked_for_and_hits_one_frame(length: int) -> None:
+    wire = Wire(burst_rate_hz=100.0, burst_bits=length)
+    inner, places = Counter[int](), set()
+    for sequence in range(4000):
+        flipped = flipped_bits(frame(sequence).packets[0], wire.send(frame(sequence), sequence * 1e-3))
+        if flipped:
+            assert sequence == wire.counts.frame_sequences_hit[-1]
+            assert flipped[-1] - flipped[0] == length - 1
+            inner[len(flipped)] += 1
+            places.add(flipped[0] // 8)
+    assert wire.counts.bursts == wire.counts.frames_hit == inner.total() == pytest.approx(400, abs=80)
+    assert wire.counts.bits_flipped == sum(count * times for count, times in inner.items())
+    assert len(inner) > 5 if length == 16 else len(inner) <= length
+    assert max(places) - min(places) > 190
+
+
+def test_lost_bytes_are_counted_and_may_reach_over_packets() -> None:
+    wire = Wire(lost_chunk_rate_hz=20.0, lost_chunk_bytes=1000)
+    decoder = PacketDecoder(from_board=True)
+    received = []
+    for sequence in range(3000):
+        data = wire.send(frame(sequence), sequence * 1e-3)
+        received += [found.sequence for found in decoder.feed(data) if isinstance(found, Packet)]
+    counts = wire.counts
+    assert wire.sent_bytes == 3000 * FRAME_BYTES - counts.bytes_lost
+    assert sorted(received + counts.frame_sequences_hit) == list(range(3000))
+    assert counts.chunks_lost == pytest.approx(60, abs=25)
+    assert counts.bytes_lost / counts.chunks_lost == pytest.approx(500, rel=0.3)
+    assert counts.frames_hit > 2 * counts.chunks_lost
+    assert counts.bits_flipped == 0
+
+
+def test_pieces_in_the_wrong_order_hold_all_bytes_and_hit_their_frame() -> None:
+    wire = Wire(reorder_rate=0.1)
+    content = np.random.default_rng(3)
+    hit, cuts = [], set()
+    for sequence in range(2000):
+        packet = encode_packet(MessageType.FRAME, sequence, content.bytes(176))
+        data = wire.send(Outgoing((packet,), sequence))
+        assert sorted(data) == sorted(packet)
+        if data != packet:
+            hit.append(sequence)
+            cuts.add((packet * 2).index(data))
+    assert wire.counts.frame_sequences_hit == hit
+    assert wire.counts.chunks_reordered == len(hit) == pytest.approx(200, abs=50)
+    assert len(cuts) > 80
+
+
+def test_duplicates_are_whole_and_listed() -> None:
+    wire = Wire(duplicate_rate=0.05, bit_error_rate=1e-4, reorder_rate=0.05)
+    decoder = PacketDecoder(from_board=True)
+    received = Counter[int]()
+    for sequence in range(3000):
+        data = wire.send(frame(sequence))
+        received.update(found.sequence for found in decoder.feed(data) if isinstance(found, Packet))
+    counts = wire.counts
+    expected = Counter(range(3000)) - Counter(counts.frame_sequences_hit) + Counter(counts.frame_sequences_duplicated)
+    assert received == expected
+    assert counts.packets_duplicated == len(counts.frame_sequences_duplicated) > 60
+    assert wire.sent_bytes == 3000 * FRAME_BYTES + counts.bytes_duplicated
+
+
+def test_damaged_frames_are_those_that_a_decoder_misses() -> None:
+    wire = Wire(bit_error_rate=2e-4, garbage_rate_hz=100.0, burst_rate_hz=30.0, seed=3)
+    decoder = PacketDecoder(from_board=True)
+    received = []
+    for sequence in range(2000):
+        data = wire.send(frame(sequence), sequence * 1e-3)
+        received += [found.sequence for found in decoder.feed(data) if isinstance(found, Packet)]
+    counts = wire.counts
+    assert sorted(received + counts.frame_sequences_hit) == list(range(2000))
+    assert wire.sent_bytes == 2000 * FRAME_BYTES + counts.garbage_bytes
+    assert counts.garbage_bursts == pytest.approx(200, abs=45)
+    harmed_bytes = FRAME_BYTES * counts.frames_hit + counts.garbage_bytes
+    assert decoder.counts.discarded + decoder.waiting_bytes == harmed_bytes
+
+
+def test_the_same_seed_does_the_same() -> None:
+    faults = {"bit_error_rate": 1e-4, "garbage_rate_hz": 50.0, "duplicate_rate": 0.1, "lost_chunk_rate_hz": 10.0}
+    streams = [
+        b"".join(wire.send(frame(sequence), sequence * 1e-3) for sequence in range(200))
+        for wire in (Wire(7, **faults), Wire(7, **faults), Wire(8, **faults))
+    ]
+    assert streams[0] == streams[1] != streams[2]

@@ -1,0 +1,157 @@
+"""Boards that do not keep their word, as a host meets them."""
+
+from typing import get_args
+
+import pytest
+
+from firmware_protocol.host import Described, Frame, HostEvent, HostSession, HostState, Rebooted, Started
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, MessageType
+from firmware_protocol.messages import (
+    Configuration,
+    CounterKind,
+    Description,
+    Identity,
+    ResetCause,
+    decode_message,
+    encode_message,
+)
+from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from simulators.board import Board
+from simulators.faults.misbehaviour import Misbehaviour
+from simulators.faults.plan import Lie
+from simulators.plate import CountedFrame
+
+GATE_TICKS = 1000
+
+
+class Plate:
+    """Counts nothing, in frames that are well made."""
+
+    description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**9, 10, 10**6, "fake")
+    block_frames = 1
+
+    def start(self) -> None: ...
+
+    def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
+        return [CountedFrame([bytes(SINGLE_TONE_STRUCT.size)] * 4, []) for _ in range(frames)]
+
+
+def liar(*lies: Lie) -> Board:
+    return Board(Plate(), Identity("honest", "1", "1", 0), 77, 10**6, misbehaviour=Misbehaviour(lies))
+
+
+def talk(board: Board, host: HostSession, now_ticks: int = 0) -> list[HostEvent]:
+    events: list[HostEvent] = []
+    while True:
+        if request := host.data_to_send():
+            board.receive(request, now_ticks)
+        outgoing = board.next_output()
+        if outgoing is None and not request:
+            return events
+        for packet in outgoing.packets if outgoing else ():
+            events += host.receive(packet)
+
+
+def answer(board: Board, kind: MessageType, payload: bytes = b"") -> Packet:
+    board.receive(encode_packet(kind, 1, payload), 0)
+    outgoing = board.next_output()
+    assert outgoing is not None
+    (packet,) = PacketDecoder(from_board=True).feed(b"".join(outgoing.packets))
+    assert isinstance(packet, Packet)
+    return packet
+
+
+def described(board: Board) -> tuple[Identity, Description]:
+    return (
+        decode_message(Identity, answer(board, MessageType.IDENTIFY).payload),
+        decode_message(Description, answer(board, MessageType.DESCRIBE).payload),
+    )
+
+
+def configured(board: Board) -> int:
+    packet = answer(board, MessageType.CONFIGURE, encode_message(Configuration(GATE_TICKS)))
+    assert packet.type == MessageType.CONFIGURED
+    return decode_message(Configuration, packet.payload).gate_ticks
+
+
+def test_an_honest_board_says_what_it_is() -> None:
+    identity, description = described(liar())
+    assert identity.product == "honest"
+    assert (description.channels, description.plate, description.reference_millihertz) == (4, "fake", 10**9)
+    assert configured(liar()) == GATE_TICKS
+
+
+@pytest.mark.parametrize("lie", get_args(Lie))
+def test_each_lie_changes_what_it_says_and_nothing_else(lie: Lie) -> None:
+    honest_identity, honest = described(liar())
+    board = liar(lie)
+    described(board)  # one lies from the second time on
+    identity, description = described(board)
+    differences = {
+        name
+        for told, truth in ((identity, honest_identity), (description, honest))
+        for name in told.__dataclass_fields__
+        if getattr(told, name) != getattr(truth, name)
+    }
+    assert differences == {
+        "channels0": {"channels"},
+        "channels5": {"channels"},
+        "other_product": {"product"},
+        "other_plate": {"plate"},
+        "reference_changes": {"reference_millihertz"},
+    }.get(lie, set())
+
+
+def test_described_channels_are_as_many_as_asked_for() -> None:
+    assert described(liar("channels0"))[1].channels == 0
+    assert described(liar("channels5"))[1].channels == 5
+
+
+def test_a_reference_changes_from_the_second_description_on() -> None:
+    board = liar("reference_changes")
+    assert [described(board)[1].reference_millihertz for _ in range(3)] == [10**9, 1_001_000_000, 1_001_000_000]
+
+
+@pytest.mark.parametrize(("lies", "told", "counted"), [(("other_gate",), 2, 2), (("hidden_gate",), 1, 0.5)])
+def test_gates_that_were_not_asked_for(lies: tuple[Lie, ...], told: float, counted: float) -> None:
+    assert configured(liar(*lies)) == told * GATE_TICKS
+    board, host = liar(*lies), HostSession()
+    talk(board, host)
+    if told == 1:
+        host.configure(Configuration(GATE_TICKS))
+        assert any(isinstance(event, Started) for event in talk(board, host))
+        made = board.advance(3 * GATE_TICKS)
+        frames = [event for event in talk(board, host) if isinstance(event, Frame)]
+        assert [frame.board_ticks for frame in frames] == [500, 1000, 1500, 2000, 2500, 3000]
+        assert len(made) == 6
+    else:
+        answer(board, MessageType.CONFIGURE, encode_message(Configuration(GATE_TICKS)))
+        answer(board, MessageType.START)
+        assert [frame.board_ticks for frame in board.advance(4 * GATE_TICKS)] == [2000, 4000]
+        assert counted == told
+
+
+def test_limits_that_are_not_kept() -> None:
+    board, host = liar("limits"), HostSession()
+    talk(board, host)
+    host.configure(Configuration(GATE_TICKS))
+    talk(board, host)
+    assert host.state is HostState.REFUSED
+
+
+def test_a_boot_id_that_is_used_again_hides_the_boot() -> None:
+    for lies, hidden in (((), False), (("same_boot_id",), True)):
+        board, host = liar(*lies), HostSession()
+        talk(board, host)
+        board.reboot(78, 500, ResetCause.SOFTWARE)
+        host.ping(b"12345678")
+        events = talk(board, host, 500)
+        assert any(isinstance(event, Rebooted) for event in events) != hidden
+        assert any(isinstance(event, Described) for event in events) != hidden
+
+
+def test_lies_go_together() -> None:
+    board = liar("channels5", "other_plate", "other_gate")
+    _, description = described(board)
+    assert (description.channels, description.plate) == (5, "another-plate")
+    assert configured(board) == 2 * GATE_TICKS

@@ -1,0 +1,200 @@
+"""From a board's queue to its link, with a link that does as it is told; time passes by hand."""
+
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, MessageType
+from firmware_protocol.messages import Configuration, CounterKind, Description, Identity, ResetCause, encode_message
+from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
+from simulators.board import Board
+from simulators.faults import FaultPlan
+from simulators.output import Output
+from simulators.plate import CountedFrame
+
+GATE_TICKS = MS = 1_000_000  # ticks are ns here
+FRAME_BYTES = 204
+
+
+class Plate:
+    """Counts nothing, in frames that are well made."""
+
+    description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 10, 10**9, "fake")
+    block_frames = 1
+
+    def start(self) -> None: ...
+
+    def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
+        return [CountedFrame([bytes(SINGLE_TONE_STRUCT.size)] * 4, []) for _ in range(frames)]
+
+
+class FakeLink:
+    """Takes `room` bytes and then no more, until there is room again."""
+
+    address = "fake"
+    read_fds: tuple[int, ...] = ()
+
+    def __init__(self) -> None:
+        self.write_fd: int | None = 0
+        self.room = 10**9
+        self.writes: list[bytes] = []
+
+    def read(self) -> bytes:
+        return b""
+
+    def write(self, data: bytes | memoryview) -> int:
+        taken = bytes(data[: self.room])
+        self.room -= len(taken)
+        self.writes += [taken] if taken else []
+        return len(taken)
+
+    def hang_up(self) -> None:
+        self.write_fd = None
+
+    def plug_in(self) -> None:
+        self.write_fd = 0
+
+    def close(self) -> None: ...
+
+    def packets(self) -> list[Packet]:
+        found = PacketDecoder(from_board=True).feed(b"".join(self.writes))
+        return [packet for packet in found if isinstance(packet, Packet)]
+
+    def frames(self) -> list[int]:
+        return [packet.sequence for packet in self.packets() if packet.type == MessageType.FRAME]
+
+
+class Bench:
+    """A running board on a fake link."""
+
+    def __init__(self, queue_frames: int = 1000, **faults: object) -> None:
+        self.board = Board(Plate(), Identity("test", "1", "1", 0), 77, queue_frames * FRAME_BYTES)
+        self.link = FakeLink()
+        self.output = Output(self.board, self.link, FaultPlan.model_validate(faults), 1)
+        self.now_ns = 0
+        self.request(MessageType.CONFIGURE, encode_message(Configuration(GATE_TICKS)))
+        self.request(MessageType.START)
+        self.output.send(10**9, 0.0)  # whatever holds the answers
+        self.link.writes.clear()
+
+    def request(self, kind: MessageType, payload: bytes = b"") -> None:
+        self.board.receive(encode_packet(kind, 1, payload), self.now_ns)
+
+    def pass_ms(self, milliseconds: int) -> None:
+        for _ in range(milliseconds):
+            self.now_ns += MS
+            self.board.advance(self.now_ns)
+            self.output.send(10**9 + self.now_ns, self.now_ns * 1e-9)
+
+
+def test_frames_go_out_whole_and_are_counted() -> None:
+    bench = Bench()
+    bench.pass_ms(5)
+    assert bench.link.frames() == [0, 1, 2, 3, 4]
+    assert [len(data) for data in bench.link.writes] == [FRAME_BYTES] * 5
+    assert (bench.output.frames_sent, bench.output.frames_unsent) == (5, 0)
+    assert not bench.output.waits_for_room
+    assert bench.output.next_ns is None
+
+
+def test_a_host_that_does_not_read_costs_the_oldest_frames_but_never_one_that_has_begun() -> None:
+    bench = Bench(queue_frames=3)
+    bench.link.room = 100
+    bench.pass_ms(10)
+    assert bench.output.waits_for_room
+    assert bench.output.frames_unsent == 1
+    bench.link.room = 10**9
+    bench.pass_ms(1)
+    status, frames = bench.link.packets()[1], bench.link.frames()
+    assert frames == [0, 8, 9, 10]
+    assert status.type == MessageType.STATUS
+    assert bench.board.frames_crowded_out == 7
+
+
+def test_a_slow_reader_gets_its_bytes_per_second_and_the_newest_frames() -> None:
+    bench = Bench(queue_frames=20, slow_reader_bytes_per_s=50_000.0)
+    bench.pass_ms(2000)
+    assert sum(map(len, bench.link.writes)) <= 50_000 * 2 + 500
+    assert len(bench.link.frames()) > 350
+    assert bench.link.frames()[-1] >= 2000 - 90
+    assert bench.board.frames_made == 2000
+    dropped = bench.board.frames_crowded_out
+    unsent = bench.output.frames_unsent + bench.board.frames_queued
+    assert bench.output.frames_sent + unsent + dropped == 2000
+    assert bench.output.next_ns is not None
+    assert not bench.output.waits_for_room  # a link that could be written would wake the emulator at once
+
+
+def test_pieces_and_clumps_carry_the_same_bytes() -> None:
+    plain, split, clumped = Bench(), Bench(split_bytes=5), Bench(clump_ms=16.0, split_bytes=1)
+    for bench in (plain, split, clumped):
+        bench.pass_ms(64)
+    assert b"".join(plain.link.writes) == b"".join(split.link.writes)
+    assert {len(data) for data in split.link.writes} == {1, 2, 3, 4, 5}
+    assert {len(data) for data in clumped.link.writes} == {1}
+    assert clumped.link.frames() == list(range(len(clumped.link.frames())))
+    assert 64 - 16 <= len(clumped.link.frames()) <= 64
+
+
+def test_held_output_waits_and_what_was_on_its_way_arrives() -> None:
+    bench = Bench(delay_ms=5.0)
+    bench.pass_ms(10)
+    bench.output.held = True
+    bench.pass_ms(20)
+    assert bench.link.frames() == list(range(10))
+    bench.output.held = False
+    bench.pass_ms(6)
+    assert bench.link.frames()[:30] == list(range(30))
+
+
+def test_damage_counts_once_it_has_gone_out() -> None:
+    bench = Bench(bit_error_rate=1.0)
+    bench.link.room = 100
+    bench.pass_ms(2)
+    assert bench.output.counts.frames_hit == 0
+    bench.link.room = 200
+    bench.pass_ms(1)
+    assert bench.output.counts.frame_sequences_hit == [0]
+    bench.link.hang_up()
+    bench.pass_ms(1)
+    bench.link.plug_in()
+    bench.output.asked = True
+    bench.link.room = 10**9
+    bench.pass_ms(1)
+    assert bench.output.counts.frame_sequences_hit == [0, 4]
+    assert bench.output.frames_sent == 2
+
+
+def test_a_brown_out_ends_the_board_in_the_middle_of_a_frame() -> None:
+    bench = Bench()
+    bench.pass_ms(3)
+    bench.output.cut_next_frame(lambda: bench.board.reboot(78, bench.now_ns, ResetCause.BROWN_OUT))
+    bench.pass_ms(3)
+    assert bench.link.frames() == [0, 1, 2]
+    assert len(b"".join(bench.link.writes)) == 3 * FRAME_BYTES + FRAME_BYTES // 2
+    assert bench.output.counts.frame_sequences_cut == [3]
+    assert bench.output.frames_sent == 3
+    bench.link.writes.clear()
+    bench.request(MessageType.PING, b"12345678")
+    bench.pass_ms(1)
+    assert [packet.boot_id for packet in bench.link.packets()] == [78]
+
+
+def test_a_brown_out_of_a_board_without_host_waits_for_nobody() -> None:
+    bench = Bench()
+    ended = []
+    bench.output.cut_next_frame(lambda: ended.append(bench.board.frames_made))
+    bench.link.hang_up()
+    bench.pass_ms(1)
+    bench.pass_ms(1)
+    assert ended == [1]
+    assert bench.output.counts.frame_sequences_cut == []
+
+
+def test_what_nobody_will_read_is_lost_with_all_that_was_held() -> None:
+    bench = Bench(delay_ms=100.0)
+    bench.pass_ms(10)
+    assert bench.output.frames_unsent == 10
+    bench.link.hang_up()
+    bench.pass_ms(1)
+    assert (bench.output.frames_unsent, bench.board.frames_queued) == (0, 0)
+    bench.link.plug_in()
+    bench.output.asked = True
+    bench.pass_ms(102)
+    assert bench.link.frames() == [11, 12]
