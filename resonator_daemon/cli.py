@@ -98,6 +98,7 @@ def _emulate(options: argparse.Namespace) -> None:
                 plate=options.plate,
                 pty=options.pty,
                 tcp=options.tcp,
+                usb=options.usb,
                 scenario=options.scenario,
                 truth=options.truth,
                 faults=parse_faults(options.faults),
@@ -109,6 +110,26 @@ def _emulate(options: argparse.Namespace) -> None:
         )
     except (ValueError, OSError) as error:
         raise OperatorError(str(error)) from error
+
+
+def _ports(options: argparse.Namespace) -> None:
+    from resonator_daemon.ports import list_places
+
+    list_places(as_json=options.json)
+
+
+def _identify(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.identify import identify
+
+    if options.link is None and options.config is None:
+        options.refuse("name a LINK (see: resonatord ports) or --config FILE")
+    return identify(options.link, options.config, blink=options.blink, as_json=options.json)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from resonator_daemon.record import record
+
+    record(options.config, options.output, options.seconds, as_json=options.json)
 
 
 class _PrintScenarioSchema(argparse.Action):
@@ -192,6 +213,15 @@ def _host_and_port(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
+def _link(text: str) -> object:
+    from resonator_daemon.config import parse_link
+
+    try:
+        return parse_link(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
 def _positive(text: str) -> float:
     try:
         value = float(text)
@@ -251,13 +281,16 @@ def _parser() -> argparse.ArgumentParser:
     emulate = add(
         "emulate",
         _emulate,
-        "stand in for a plate and its board, on a pseudo-terminal or TCP",
+        "stand in for a plate and its board, on a pseudo-terminal, TCP or USB",
         "resonatord emulate --plate quartz16 --pty /tmp/board --truth truth.jsonl",
     )
     emulate.add_argument("--plate", required=True, metavar="NAME|FILE", help="a shipped plate or a plate file")
     link = emulate.add_mutually_exclusive_group(required=True)
     link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
     link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
+    link.add_argument(
+        "--usb", action="store_true", help="an emulated USB device, for programs started with what is said of it"
+    )
     emulate.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
     emulate.add_argument(
         "--scenario-schema", action=_PrintScenarioSchema, nargs=0, help="print the JSON Schema of scenario files"
@@ -273,6 +306,30 @@ def _parser() -> argparse.ArgumentParser:
     emulate.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
     emulate.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times real time (default: 1)")
     emulate.add_argument("--json", action="store_true", help="say link and accounts as JSON lines on stdout")
+
+    ports = add(
+        "ports", _ports, "list what a board may be connected to, and how a configuration names it", "resonatord ports"
+    )
+    ports.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+
+    identify = add(
+        "identify",
+        _identify,
+        "ask the board on a link who it is and what it can do; one that counts goes on counting",
+        "resonatord identify serial:/dev/ttyACM0?baud=4000000",
+    )
+    identify.add_argument(
+        "link",
+        nargs="?",
+        type=_link,
+        metavar="LINK",
+        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports (default: the "
+        "configuration's)",
+    )
+    identify.add_argument("--config", type=Path, metavar="FILE", help="also say whether the board can serve it")
+    identify.add_argument("--blink", action="store_true", help="have the board make itself seen, where it can")
+    identify.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+    identify.set_defaults(refuse=identify.error)
 
     watch = add("watch", _watch, "show live what plates publish", "resonatord watch --url mqtt://127.0.0.1:1883")
     watch.add_argument("--url", default="mqtt://127.0.0.1:1883", help="the broker (default: mqtt://127.0.0.1:1883)")
@@ -299,6 +356,19 @@ def _parser() -> argparse.ArgumentParser:
     )
     tare.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
     tare.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
+
+    record = add(
+        "record",
+        _record,
+        'write what happens on a board\'s link to a file that `link = "replay:FILE"` plays again',
+        "resonatord record --config left-index.toml --output run.mcap --seconds 60",
+    )
+    record.add_argument("--config", type=Path, required=True, metavar="FILE", help="names the plate and the link")
+    record.add_argument("--output", type=Path, required=True, metavar="FILE", help="the file to make, as run.mcap")
+    record.add_argument(
+        "--seconds", type=_positive, metavar="N", help="from the first frame on (default: until interrupted)"
+    )
+    record.add_argument("--json", action="store_true", help="print one JSON object at the end")
 
     plan = verbs.add_parser("plan", help="help with the design of a plate")
     plan_verbs = plan.add_subparsers(title="verbs", required=True, metavar="VERB")
@@ -351,7 +421,10 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _faults_help() -> str:
-    return "what goes wrong, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3,reboot_at_s=20,garbage_rate_hz=2"
+    return (
+        "what goes wrong beside the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; "
+        "docs/emulator.md lists all"
+    )
 
 
 if __name__ == "__main__":

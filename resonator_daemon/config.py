@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import SplitResult, parse_qsl, unquote, urlsplit
+from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
 
 from pydantic import (
     AfterValidator,
@@ -33,7 +34,7 @@ _MQTT_PORT = 1883
 _EXAMPLE = """\
 name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number
 plate = "quartz16"                       # a shipped plate or a path, relative to this file
-link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port
+link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port, usb:1209:0001?serial=0042
 [mqtt]
 url = "mqtt://127.0.0.1:1883"            # mqtt://user:password@host:port
 prefix = "resonator"
@@ -54,6 +55,9 @@ class SerialLink:
     path: str
     baud: int
 
+    def __str__(self) -> str:
+        return f"serial:{self.path}?baud={self.baud}"
+
 
 @dataclass(frozen=True)
 class TcpLink:
@@ -62,11 +66,43 @@ class TcpLink:
     host: str
     port: int
 
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"tcp://{host}:{self.port}"
 
-def parse_link(text: object) -> SerialLink | TcpLink:
-    """Parse `serial:PATH?baud=N` or `tcp://host:port`; ValueError says what is allowed."""
+
+@dataclass(frozen=True)
+class UsbLink:
+    """A board on a USB bus; without a serial number the only one of its vendor and product."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str | None = None
+    reset: bool = False  # whether the device may be reset as the last step, when it stays silent
+
+    def __str__(self) -> str:
+        options = {"serial": self.serial_number, "reset": "yes" if self.reset else None}
+        query = "&".join(f"{key}={quote(value, safe='')}" for key, value in options.items() if value is not None)
+        return f"usb:{self.vendor_id:04x}:{self.product_id:04x}" + (f"?{query}" if query else "")
+
+
+@dataclass(frozen=True)
+class ReplayLink:
+    """A recording of a link, in place of one."""
+
+    path: str
+
+    def __str__(self) -> str:
+        return f"replay:{self.path}"
+
+
+LinkTarget = SerialLink | TcpLink | UsbLink | ReplayLink
+
+
+def parse_link(text: object) -> LinkTarget:
+    """Parse `serial:PATH?baud=N`, `tcp://host:port`, `usb:VID:PID?serial=S`, `replay:FILE`; ValueError says why not."""
     if not isinstance(text, str):
-        raise ValueError("must be a string: serial:PATH?baud=N or tcp://host:port")
+        raise ValueError("must be a string: serial:PATH?baud=N, tcp://host:port, usb:VID:PID?serial=S or replay:FILE")
     scheme, _, rest = text.partition(":")
     match scheme:
         case "serial":
@@ -76,23 +112,50 @@ def parse_link(text: object) -> SerialLink | TcpLink:
             if not url.hostname or url.port is None or url.netloc.count("@") or url.path or url.query or url.fragment:
                 raise ValueError("must be tcp://host:port, nothing more")
             return TcpLink(url.hostname, url.port)
-        case "usb" | "replay":
-            raise ValueError(
-                f"{scheme}: links are not available in this version; use serial:PATH?baud=N or tcp://host:port"
-            )
+        case "usb":
+            return _usb_link(rest)
+        case "replay":
+            if not rest or "\0" in rest:
+                raise ValueError("must be replay:FILE, a file that `resonatord record` has written")
+            return ReplayLink(rest)
         case _:
-            raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, ['serial', 'tcp'])}")
+            raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, ['serial', 'tcp', 'usb', 'replay'])}")
 
 
 def _serial_link(rest: str) -> SerialLink:
     path, _, query = rest.partition("?")
-    options = dict(parse_qsl(query, keep_blank_values=True))
-    if unknown := [key for key in options if key != "baud"]:
-        raise ValueError(f"no option is called {unknown[0]!r}; {nearest(unknown[0], ['baud'])}")
-    baud = options.get("baud", "")
+    baud = _options(query, ["baud"]).get("baud", "")
     if not path or "\0" in path or not (baud.isascii() and baud.isdecimal() and 0 < int(baud[:12]) <= 1e9):
         raise ValueError("must be serial:PATH?baud=N with N from 1 to 1e9, as serial:/dev/ttyACM0?baud=4000000")
     return SerialLink(path, int(baud))
+
+
+def _usb_link(rest: str) -> UsbLink:
+    ids, question, query = rest.partition("?")
+    found = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", ids)
+    if found is None or (question and not query):
+        raise ValueError(
+            "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them, "
+            "as usb:1209:0001?serial=0042"
+        )
+    options = _options(query, ["serial", "reset"])
+    serial_number = options.get("serial")
+    if serial_number is not None and (not serial_number.isprintable() or not 0 < len(serial_number) <= 126):
+        raise ValueError("serial must be 1 to 126 printable characters, as in the device's string descriptor")
+    if (reset := options.get("reset", "no")) not in ("yes", "no"):
+        raise ValueError(f"reset must be yes or no, got {reset!r}")
+    return UsbLink(int(found[1], 16), int(found[2], 16), serial_number, reset == "yes")
+
+
+def _options(query: str, allowed: list[str]) -> dict[str, str]:
+    """Return the options of a link, each named once."""
+    pairs = parse_qsl(query, keep_blank_values=True)
+    for position, (key, _) in enumerate(pairs):
+        if key not in allowed:
+            raise ValueError(f"no option is called {key!r}; {nearest(key, allowed)}")
+        if key in (other for other, _ in pairs[:position]):
+            raise ValueError(f"{key} is given twice")
+    return dict(pairs)
 
 
 def _split(url: str) -> SplitResult:
@@ -204,14 +267,14 @@ class Config(Table):
 
     name: Annotated[str, Field(max_length=100), AfterValidator(topic_level)] | None = None  # default: serial number
     plate: Annotated[Plate, PlainValidator(_plate)]
-    link: Annotated[SerialLink | TcpLink, PlainValidator(parse_link)]
+    link: Annotated[LinkTarget, PlainValidator(parse_link)]
     mqtt: Mqtt = Mqtt()
     measurement: Annotated[Measurement, Field(validate_default=True)] = Measurement()
     decoding: Decoding = Decoding()
 
     @field_validator("link")
     @classmethod
-    def _frames_fit_the_link(cls, link: SerialLink | TcpLink, info: ValidationInfo) -> SerialLink | TcpLink:
+    def _frames_fit_the_link(cls, link: LinkTarget, info: ValidationInfo) -> LinkTarget:
         plate = info.data.get("plate")
         if plate and isinstance(link, SerialLink):
             _check_load(plate, link.baud)
@@ -267,7 +330,7 @@ def example_config() -> str:
 
 
 def frame_bytes(plate: Plate) -> int:
-    """Return the size of one frame on the wire, packets' overhead included (PROTOCOL.md, sections 4 and 5)."""
+    """Return the size of one frame on the wire, packets' overhead included (PROTOCOL.md, sections 6 and 7)."""
     if plate.counter.kind == "single-tone":
         return PACKET_OVERHEAD_BYTES + CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
     tones = len(plate.tones.f0_hz)

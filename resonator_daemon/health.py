@@ -1,12 +1,13 @@
 """How the daemon itself fares: rates, losses, processor and memory."""
 
 import time
+from dataclasses import asdict
 from typing import TypedDict
 
 import psutil
 
-from resonator_daemon.acquisition.frames import LinkAccount
-from resonator_daemon.publishing.payloads import MessageAccount
+from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.publishing.payloads import BootInfo, MessageAccount
 
 
 class Vitals(TypedDict):
@@ -21,7 +22,12 @@ class Vitals(TypedDict):
     packets_ignored: dict[str, int]
     bytes_in: int
     bytes_by_fate: dict[str, int]
+    connections: int
+    host_overruns: int
+    boots: tuple[BootInfo, ...]
     clock_drift_ppm: float
+    clock_outliers: int
+    clock_restarts: int
     cpu_percent: float
     rss_mb: float
     messages: MessageAccount
@@ -67,7 +73,20 @@ class HealthMonitor:
                 "discarded": link.bytes_discarded,
                 "waiting": link.bytes_waiting,
             },
+            connections=link.connections,
+            host_overruns=link.host_overruns,
+            boots=tuple(
+                BootInfo(
+                    board_boot_id=f"{boot.boot_id:08x}",
+                    connections=boot.connections,
+                    frames=boot.frames,
+                    lost=asdict(boot.lost),
+                )
+                for boot in link.boots
+            ),
             clock_drift_ppm=clock_drift_ppm,
+            clock_outliers=link.clock_outliers,
+            clock_restarts=link.clock_restarts,
             cpu_percent=self._process.cpu_percent(),
             rss_mb=self._process.memory_info().rss / 2**20,
             messages=messages,

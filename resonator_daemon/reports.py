@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.acquisition.clock import Instant
-from resonator_daemon.acquisition.frames import BoardOnline
+from resonator_daemon.acquisition.frames import BoardOnline, Outage
 from resonator_daemon.config import Config
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
@@ -35,6 +35,7 @@ from resonator_daemon.publishing.payloads import (
     Grid,
     Info,
     Lost,
+    OutageInfo,
     Patch,
     Signals,
     SiteForce,
@@ -133,8 +134,23 @@ class Reporter:
         """Return the header of a message made now."""
         return self._header(topic, Instant(time.time_ns(), 0))
 
-    def state(self, topic: Topic[Any], condition: Condition, reason: str, since_utc_ns: int) -> State:
-        return State(**self.header(topic), state=condition, reason=reason, since_t_ns=since_utc_ns)
+    def state(
+        self,
+        topic: Topic[Any],
+        condition: Condition,
+        reason: str,
+        since_utc_ns: int,
+        outage: Outage | None = None,
+    ) -> State:
+        told = None
+        if outage is not None:
+            told = OutageInfo(
+                start_t_ns=outage.start_utc_ns,
+                end_t_ns=outage.end_utc_ns,
+                frames_lost=outage.frames_lost,
+                reason=outage.reason,
+            )
+        return State(**self.header(topic), state=condition, reason=reason, since_t_ns=since_utc_ns, last_outage=told)
 
     def info(self, board: BoardOnline, link: str) -> Info:
         plate, measurement = self._plate, self._config.measurement
@@ -158,9 +174,9 @@ class Reporter:
             calibration=self._calibration(),
         )
 
-    def forces(self, reading: ForceReading, gate_end: Instant) -> Forces:
+    def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
         return Forces(
-            **self._measured(FORCES, reading, gate_end),
+            **self._measured(FORCES, reading, gate_middle),
             window_s=reading.window_s,
             status=Status(reading.status),
             reason=reading.reason,
@@ -169,46 +185,46 @@ class Reporter:
             compensation=Compensation(**asdict(reading.compensation)),
         )
 
-    def contacts(self, reading: ForceReading, gate_end: Instant) -> Contacts:
+    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
         return Contacts(
-            **self._measured(CONTACTS, reading, gate_end),
+            **self._measured(CONTACTS, reading, gate_middle),
             status=Status(reading.status),
             reason=reading.reason,
-            contacts=tuple(Contact(**self._contact(contact, reading, gate_end)) for contact in reading.contacts),
+            contacts=tuple(Contact(**self._contact(contact, reading, gate_middle)) for contact in reading.contacts),
         )
 
-    def event(self, event: measured.ContactEvent, reading: ForceReading, gate_end: Instant) -> ContactEvent:
-        contact = self._contact(event.contact, reading, gate_end)
+    def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
+        contact = self._contact(event.contact, reading, gate_middle)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
         return ContactEvent(
-            **self._measured(CONTACT_EVENT, reading, gate_end),
+            **self._measured(CONTACT_EVENT, reading, gate_middle),
             event=event.event,
             reason=event.reason,
             contact=EventContact(**contact),
         )
 
-    def signals(self, reading: SkinReading, gate_end: Instant) -> Signals:
+    def signals(self, reading: SkinReading, gate_middle: Instant) -> Signals:
         p_n, eps_xz, eps_yz = (_median(std) for std in reading.noise_std)
         return Signals(
-            **self._measured(SIGNALS, reading, gate_end), signals=reading.signals, noise_std=(p_n, eps_xz, eps_yz)
+            **self._measured(SIGNALS, reading, gate_middle), signals=reading.signals, noise_std=(p_n, eps_xz, eps_yz)
         )
 
-    def decoded(self, reading: SkinReading, gate_end: Instant, frame: DecodedFrame) -> Decoded:
+    def decoded(self, reading: SkinReading, gate_middle: Instant, frame: DecodedFrame) -> Decoded:
         grid = self._plate.grid
         x, y = self._plate.site_positions_m[0]
         return Decoded(
-            **self._measured(DECODED, reading, gate_end),
+            **self._measured(DECODED, reading, gate_middle),
             traction_pascal=frame.traction_pascal,
             traction_std_pascal=frame.traction_std_pascal,
             displacement_m=frame.displacement_m,
             grid=Grid(origin_m=(float(x), float(y)), pitch_m=grid.pitch_m) if grid else None,
         )
 
-    def summary(self, reading: SkinReading, gate_end: Instant, surface: SurfaceReading) -> DecodedSummary:
+    def summary(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> DecodedSummary:
         frame = surface.decoded
         return DecodedSummary(
-            **self._measured(DECODED_SUMMARY, reading, gate_end),
+            **self._measured(DECODED_SUMMARY, reading, gate_middle),
             decoder=surface.decoder,
             chi2=float(frame.chi2),
             border_contact=bool(frame.border_contact),
@@ -217,19 +233,21 @@ class Reporter:
             patches=tuple(_patch(contact) for contact in surface.contacts),
         )
 
-    def skin_contacts(self, reading: SkinReading, gate_end: Instant, surface: SurfaceReading) -> Contacts:
+    def skin_contacts(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> Contacts:
         return Contacts(
-            **self._measured(CONTACTS, reading, gate_end),
+            **self._measured(CONTACTS, reading, gate_middle),
             status=Status(str(surface.decoded.status)),
-            contacts=tuple(Contact(**self._skin_contact(contact, reading, gate_end)) for contact in surface.contacts),
+            contacts=tuple(
+                Contact(**self._skin_contact(contact, reading, gate_middle)) for contact in surface.contacts
+            ),
         )
 
-    def skin_event(self, event: SkinEvent, reading: SkinReading, gate_end: Instant) -> ContactEvent:
-        contact, slip = self._skin_contact(event.contact, reading, gate_end), _slip(event.contact)
+    def skin_event(self, event: SkinEvent, reading: SkinReading, gate_middle: Instant) -> ContactEvent:
+        contact, slip = self._skin_contact(event.contact, reading, gate_middle), _slip(event.contact)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
         return ContactEvent(
-            **self._measured(CONTACT_EVENT, reading, gate_end),
+            **self._measured(CONTACT_EVENT, reading, gate_middle),
             event=event.event,
             contact=EventContact(
                 **contact,
@@ -263,9 +281,14 @@ class Reporter:
             lost=self._lost(),
         )
 
-    def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_end: Instant) -> _Measured:
-        middle = gate_end._replace(utc_ns=gate_end.utc_ns - round(reading.window_s * _NS / 2))
+    def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> _Measured:
+        middle = gate_middle._replace(utc_ns=self._window_middle_ns(reading, gate_middle))
         return _Measured(**self._header(topic, middle), board_ticks=reading.board_ticks)
+
+    def _window_middle_ns(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> int:
+        """Return the UTC of the middle of a window from that of its last gate."""
+        gate_s = 1 / self._plate.counter.frame_rate_hz
+        return gate_middle.utc_ns - round((reading.window_s - gate_s) * _NS / 2)
 
     def _site_force(self, force: MeasuredForce) -> SiteForce:
         return SiteForce(
@@ -283,11 +306,11 @@ class Reporter:
         expired = self._plate.calibration.expired(datetime.now(UTC).date())
         return Status.UNCALIBRATED if expired and status in ("ok", "possibly_more") else Status(status)
 
-    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_end: Instant) -> _ContactFields:
+    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> _ContactFields:
         if contact.id not in self._since_utc_ns:
             # Once and for all: told anew from the board's nominal rate, it would wander by milliseconds an hour.
             age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
-            self._since_utc_ns[contact.id] = gate_end.utc_ns - round((age_s + reading.window_s / 2) * _NS)
+            self._since_utc_ns[contact.id] = self._window_middle_ns(reading, gate_middle) - round(age_s * _NS)
         touch = contact.touch
         x_std, y_std = np.sqrt(np.diag(touch.position_covariance_m2)).tolist()
         correlation = float(touch.position_covariance_m2[0, 1]) / (x_std * y_std) if x_std * y_std > 0 else 0.0
@@ -309,8 +332,8 @@ class Reporter:
             at_least_newton=touch.at_least_newton,
         )
 
-    def _skin_contact(self, contact: SkinContact, reading: SkinReading, gate_end: Instant) -> _ContactFields:
-        patch, middle_ns = contact.patch, gate_end.utc_ns - round(reading.window_s * _NS / 2)
+    def _skin_contact(self, contact: SkinContact, reading: SkinReading, gate_middle: Instant) -> _ContactFields:
+        patch, middle_ns = contact.patch, self._window_middle_ns(reading, gate_middle)
         nearest = int(np.hypot(*(self._plate.site_positions_m - patch.centroid_m).T).argmin())
         since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
         return _ContactFields(

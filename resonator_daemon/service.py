@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
+from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.fit import oscillator_hz
@@ -22,13 +23,13 @@ from resonator_daemon.acquisition.frames import (
     BoardSays,
     ChannelisedFrame,
     Gap,
-    LinkAccount,
     LinkChange,
+    Outage,
     ReaderFailed,
     SingleToneFrame,
 )
 from resonator_daemon.chains import Chain, make_chain
-from resonator_daemon.config import Config, SerialLink, topic_level
+from resonator_daemon.config import Config, topic_level
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
@@ -101,6 +102,8 @@ class Service:
         self._monitor = HealthMonitor()
         self._sensor = SensorState(self._set_sensor, _what_is_read(config.plate))
         self._states: dict[Topic[State], State] = {}
+        self._link: LinkChange | None = None
+        self._outage: Outage | None = None
         self._chain: Chain | None = None
         self._stage = self._make_stage()
         self._board_boot_id: int | None = None
@@ -188,6 +191,7 @@ class Service:
             damaged=loss.damaged,
             board_overflow=loss.board_overflow,
             host_overrun=loss.host_overrun,
+            ring_overflow=loss.ring_overflow,
             publish_dropped=self._publisher.dropped if self._publisher is not None else 0,
         )
 
@@ -209,9 +213,14 @@ class Service:
                     "gap of %d frames before frame %d", arrival.loss.total, arrival.first_index + arrival.loss.total
                 )
             case LinkChange():
-                self._set_state(STATE_LINK, Condition(arrival.state), arrival.reason, arrival.since_utc_ns)
+                self._link = arrival
+                self._say_link(arrival)
                 if arrival.state != "online":
                     self._sensor.no_frames(f"link {arrival.state}: {arrival.reason}")
+            case Outage():
+                self._outage = arrival
+                if self._link is not None:
+                    self._say_link(self._link)
             case BoardOnline():
                 self._adopt(arrival)
             case BoardRefused():
@@ -230,11 +239,11 @@ class Service:
                 serial_number = board.identity.serial_number
                 self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
                 return
-        if self._board_boot_id != board.boot_id:
+        if self._chain is None or not board.continues:
             self._board_boot_id = board.boot_id
             self._begin_measuring(board)
         self._reporter.board_boot_id = f"{board.boot_id:08x}"
-        self._publish(INFO, self._reporter.info(board, _link_text(self._config)))
+        self._publish(INFO, self._reporter.info(board, str(self._config.link)))
 
     def _begin_measuring(self, board: BoardOnline) -> None:
         if self._chain is None:
@@ -275,7 +284,7 @@ class Service:
     def _measure_single_tone(self, frame: SingleToneFrame) -> None:
         if isinstance(self._chain, SingleToneChain):
             reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
-            self._publish_forces(reading, frame.gate_end)
+            self._publish_forces(reading, frame.gate_middle)
 
     def _measure_channelised(self, frame: ChannelisedFrame) -> None:
         if isinstance(self._chain, SkinChain):
@@ -284,28 +293,28 @@ class Service:
             reading = self._chain.push(
                 frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
             )
-            self._publish_forces(reading, frame.gate_end)
+            self._publish_forces(reading, frame.gate_middle)
 
-    def _publish_forces(self, reading: ForceReading | None, gate_end: Instant) -> None:
+    def _publish_forces(self, reading: ForceReading | None, gate_middle: Instant) -> None:
         if reading is None:
             return
-        self._last_forces = (reading, gate_end)
-        self._tell(reading.events, reading, gate_end)
+        self._last_forces = (reading, gate_middle)
+        self._tell(reading.events, reading, gate_middle)
         if reading.at_step:
-            self._sensor.update(reading.status, reading.reason, reading.compensation.common_mode, gate_end.utc_ns)
-            self._publish(FORCES, self._reporter.forces(reading, gate_end))
-            self._publish(CONTACTS, self._reporter.contacts(reading, gate_end))
+            self._sensor.update(reading.status, reading.reason, reading.compensation.common_mode, gate_middle.utc_ns)
+            self._publish(FORCES, self._reporter.forces(reading, gate_middle))
+            self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
 
-    def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_end: Instant) -> None:
+    def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
         for event in events:
-            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_end))
+            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_middle))
 
     def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
         reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
-        self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_end.utc_ns)
-        self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_end))
+        self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
+        self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
         if self._stage is not None and reading.status == "ok":
-            self._stage.offer((reading, frame.gate_end), reading.signals, reading.noise_std)
+            self._stage.offer((reading, frame.gate_middle), reading.signals, reading.noise_std)
 
     def _make_stage(self) -> DecodingStage[tuple[SkinReading, Instant]] | None:
         skin, wanted = self._config.plate.skin, self._config.decoding
@@ -336,8 +345,18 @@ class Service:
         self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
         self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
 
-    def _set_state(self, topic: Topic[State], condition: Condition, reason: str, since_utc_ns: int) -> None:
-        state = self._reporter.state(topic, condition, reason, since_utc_ns)
+    def _say_link(self, link: LinkChange) -> None:
+        self._set_state(STATE_LINK, Condition(link.state), link.reason, link.since_utc_ns, self._outage)
+
+    def _set_state(
+        self,
+        topic: Topic[State],
+        condition: Condition,
+        reason: str,
+        since_utc_ns: int,
+        outage: Outage | None = None,
+    ) -> None:
+        state = self._reporter.state(topic, condition, reason, since_utc_ns, outage)
         self._states[topic] = state
         self._publish(topic, state)
 
@@ -371,8 +390,3 @@ def _what_is_read(plate: Plate) -> str:
     if plate.counter.kind == "single-tone":
         read += ": one captured tone per corner gives no field to decode"
     return read if plate.response else f"{read}; hysteresis and creep of the sites are not taken out: not calibrated"
-
-
-def _link_text(config: Config) -> str:
-    link = config.link
-    return f"serial:{link.path}?baud={link.baud}" if isinstance(link, SerialLink) else f"tcp://{link.host}:{link.port}"

@@ -1,17 +1,10 @@
-"""What all tests share: a cache of their own, and brokers, Mosquitto in a child process and amqtt in this one."""
+"""What all tests share: a cache of their own, and brokers."""
 
-import os
-import shutil
-import signal
-import socket
-import subprocess
 from collections.abc import AsyncIterator, Iterator
-from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
-
-from resonator_daemon.publishing.embedded_broker import embedded_broker
+from brokers import Amqtt, Mosquitto
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -21,79 +14,6 @@ def _no_cache_at_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("CACHE_DIRECTORY", raising=False)
         yield
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
-
-
-class Mosquitto:
-    """A Mosquitto that forgets everything when killed, and comes back on the same port."""
-
-    def __init__(self, directory: Path, *settings: str) -> None:
-        self._command = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin") or "mosquitto"
-        self._config = directory / "mosquitto.conf"
-        self._process: subprocess.Popen[str] | None = None
-        port = free_port()
-        self.url = f"mqtt://127.0.0.1:{port}"
-        settings = settings or ("allow_anonymous true",)
-        always = (
-            "set_tcp_nodelay true",
-            "user root",
-            "log_dest stderr",
-            "log_type error",
-            "log_type information",
-            "connection_messages false",
-        )
-        self._config.write_text("\n".join((f"listener {port} 127.0.0.1", *always, *settings)) + "\n")
-
-    async def start(self) -> None:
-        self._launch()
-
-    def _launch(self) -> None:
-        arguments = [self._command, "-c", str(self._config)]
-        self._process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True)
-        assert self._process.stderr is not None
-        said = []
-        for line in self._process.stderr:
-            said.append(line)
-            if "running" in line:
-                return
-        pytest.fail(f"mosquitto did not start: {said}")
-
-    async def kill(self) -> None:
-        if self._process is not None:
-            self._process.kill()
-            self._process.communicate()
-            self._process = None
-
-    def freeze(self) -> None:
-        self._signal(signal.SIGSTOP)
-
-    def thaw(self) -> None:
-        self._signal(signal.SIGCONT)
-
-    def _signal(self, number: int) -> None:
-        assert self._process is not None
-        self._process.send_signal(number)
-
-
-class Amqtt:
-    """The embedded broker, restartable like Mosquitto."""
-
-    def __init__(self) -> None:
-        self._port = free_port()
-        self._running = AsyncExitStack()
-        self.url = f"mqtt://127.0.0.1:{self._port}"
-
-    async def start(self) -> None:
-        await self._running.enter_async_context(embedded_broker(self._port))
-
-    async def kill(self) -> None:
-        await self._running.aclose()
 
 
 @pytest.fixture

@@ -11,9 +11,16 @@ from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Lost, Message
 from resonator_daemon.reports import Reporter
 
-GATE_END = Instant(1_789_000_000_000_000_123, 42_000)
+GATE_END_NS = 1_789_000_000_000_000_123
+
+
+def gate_middle(gate_ns: int, *, later_ns: int = 0) -> Instant:
+    """Return the middle of a gate that ended at GATE_END_NS, or later."""
+    return Instant(GATE_END_NS + later_ns - gate_ns // 2, 42_000)
+
+
 NAN = math.nan
-LOST = {"link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "publish_dropped": 5}
+LOST = {"link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "ring_overflow": 6, "publish_dropped": 5}
 
 
 class Losses:

@@ -8,13 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Mosquitto
+from brokers import Mosquitto
 from observer import observe
 
 from resonator_daemon.config import load_config
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
-VERBS = ("demo", "run", "emulate", "watch", "check", "calibrate", "plan", "config")
+VERBS = (
+    *("demo", "run", "emulate", "watch", "check", "calibrate", "tare", "plan", "config"),
+    *("ports", "identify", "record"),
+)
 
 
 def resonatord(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
@@ -119,7 +122,7 @@ def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it() 
     assert run.returncode == 0
     schema = json.loads(run.stdout)
     assert schema["$schema"].startswith("https://json-schema.org/")
-    assert set(schema["properties"]) == {"touches", "period_s", "environment_kelvin", "plate", "seed"}
+    assert set(schema["properties"]) == {"touches", "period_s", "environment_kelvin", "plate", "seed", "faults"}
 
 
 def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import Mosquitto
+from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
 

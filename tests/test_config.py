@@ -7,7 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from resonator_daemon.config import Config, SerialLink, TcpLink, example_config, frame_bytes, load_config
+from resonator_daemon.config import (
+    Config,
+    LinkTarget,
+    ReplayLink,
+    SerialLink,
+    TcpLink,
+    UsbLink,
+    example_config,
+    frame_bytes,
+    load_config,
+    parse_link,
+)
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.plate import Plate, load_plate
 
@@ -203,13 +214,22 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
 @pytest.mark.parametrize(
     ("link", "expected"),
     [
+        ('"replay:"', "must be replay:FILE, a file that `resonatord record` has written"),
         (
-            '"usb:1209:0001?serial=0042"',
-            "usb: links are not available in this version; use serial:PATH?baud=N or tcp://host:port",
+            '"seriel:/dev/x?baud=4000000"',
+            "no link is called 'seriel'; allowed: serial, tcp, usb, replay; did you mean serial?",
         ),
-        ('"replay:run.raw"', "replay: links are not available in this version; use serial:PATH"),
-        ('"seriel:/dev/x?baud=4000000"', "no link is called 'seriel'; allowed: serial, tcp; did you mean serial?"),
-        ('"/dev/ttyACM0"', "no link is called '/dev/ttyACM0'; allowed: serial, tcp"),
+        ('"/dev/ttyACM0"', "no link is called '/dev/ttyACM0'; allowed: serial, tcp, usb, replay"),
+        ('"serial:/dev/x?baud=9600&baud=4000000"', "baud is given twice"),
+        ('"usb:1209"', "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them"),
+        ('"usb:1209:1"', "must be usb:VID:PID?serial=S"),
+        ('"usb:1209:000g?serial=0042"', "must be usb:VID:PID?serial=S"),
+        ('"usb://1209:0001"', "must be usb:VID:PID?serial=S"),
+        ('"usb:1209:0001?"', "must be usb:VID:PID?serial=S"),
+        ('"usb:1209:0001?serail=0042"', "no option is called 'serail'; allowed: serial, reset; did you mean serial?"),
+        ('"usb:1209:0001?serial="', "serial must be 1 to 126 printable characters"),
+        ('"usb:1209:0001?serial=%00"', "serial must be 1 to 126 printable characters"),
+        ('"usb:1209:0001?serial=1&reset=maybe"', "reset must be yes or no, got 'maybe'"),
         ('"serial:/dev/x"', "must be serial:PATH?baud=N with N from 1 to 1e9"),
         ('"serial:?baud=4000000"', "must be serial:PATH?baud=N"),
         ('"serial:/dev/x?baud=fast"', "must be serial:PATH?baud=N"),
@@ -221,13 +241,35 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
         ('"tcp:host:5000"', "must be tcp://host:port, nothing more"),
         ('"tcp://host:70000"', "host and port (1 to 65535) cannot be read"),
         ('"tcp://ho st:7000"', "host and port (1 to 65535) cannot be read"),
-        ("5", "must be a string: serial:PATH?baud=N or tcp://host:port"),
+        ("5", "must be a string: serial:PATH?baud=N, tcp://host:port, usb:VID:PID?serial=S or replay:FILE"),
     ],
 )
 def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> None:
     (message,) = refusals(tmp_path, f'plate = "quartz16"\nlink = {link}\n')
     got = link.replace('"', "'")
     assert message.startswith(f"2: link: got {got}; {expected}")
+
+
+@pytest.mark.parametrize(
+    ("text", "link"),
+    [
+        ("serial:/dev/ttyACM0?baud=115200", SerialLink("/dev/ttyACM0", 115200)),
+        ("tcp://plate.example:5000", TcpLink("plate.example", 5000)),
+        ("tcp://[::1]:5000", TcpLink("::1", 5000)),
+        ("usb:1209:0001", UsbLink(0x1209, 1, None, reset=False)),
+        ("usb:1209:00ff?serial=0042", UsbLink(0x1209, 0xFF, "0042", reset=False)),
+        ("usb:1209:0001?serial=A%20%26%20B&reset=yes", UsbLink(0x1209, 1, "A & B", reset=True)),
+        ("usb:1209:0001?reset=yes", UsbLink(0x1209, 1, None, reset=True)),
+        ("replay:/var/tmp/a run.mcap?", ReplayLink("/var/tmp/a run.mcap?")),
+    ],
+)
+def test_a_link_reads_as_it_is_written(text: str, link: LinkTarget) -> None:
+    assert parse_link(text) == link
+    assert str(link) == text
+
+
+def test_ids_are_hexadecimal_in_either_case() -> None:
+    assert parse_link("usb:ABCD:EF01?reset=no") == UsbLink(0xABCD, 0xEF01, None, reset=False)
 
 
 def test_an_empty_file_lacks_plate_and_link(tmp_path: Path) -> None:
@@ -261,7 +303,7 @@ def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
         "1: name: got 'a b'",
         f"2: plate: got 'mine.toml'; {mine}:12: sites[0].id: got 0; must be greater than or equal to 1",
         f"2: plate: got 'mine.toml'; {mine}:16: sites[0].tones[0].f0_hz[2]: got -9000000.0; must be greater than 0",
-        "3: link: got 'usb:1'; usb: links are not available in this version",
+        "3: link: got 'usb:1'; must be usb:VID:PID?serial=S",
         "5: measurement.window_mz: unknown key",
         "7: measurement.step_ms: got 4; must be at most window_ms = 3",
         "9: decoding.method: got 'of'; allowed: open-plane, fourier, off; did you mean off?",

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from resonator_daemon import health
-from resonator_daemon.acquisition.frames import LinkAccount
+from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.health import HealthMonitor, Vitals
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Health, Lost, MessageAccount

@@ -7,10 +7,9 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from report_makers import GATE_END, LOST, NAN, Losses, configured, literal, reporter_of
+from report_makers import LOST, NAN, Losses, configured, gate_middle, literal, reporter_of
 
 from firmware_protocol.messages import Configuration, Description, Identity
-from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.measurement.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.measurement.matching import SiteForce
@@ -43,6 +42,8 @@ frame_rate_hz = 1000
     FORCE_SITE.format(id=number, position=position, f0=f0)
     for number, position, f0 in ((70, [6, 4], 9.996e6), (30, [12.5, 4], 9.992e6), (12, [3, 8], 9.988e6))
 )
+
+GATE_MIDDLE = gate_middle(1_000_000)
 
 
 @pytest.fixture
@@ -88,7 +89,9 @@ def contact(
 
 
 def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
-    message = reporter.forces(reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok", hidden_newton=6.17),)), GATE_END)
+    message = reporter.forces(
+        reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok", hidden_newton=6.17),)), GATE_MIDDLE
+    )
     assert literal(message) == {
         "seq": 0,
         "daemon_boot_id": "9f3c",
@@ -125,13 +128,13 @@ def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
 
 def test_sites_go_by_their_ids_in_the_order_given(reporter: Reporter) -> None:
     sites = tuple(SiteForce(index, float(index), 0.0, 0.0, "ok") for index in (2, 0, 1))
-    said = literal(reporter.forces(reading(sites=sites), GATE_END))["sites"]
+    said = literal(reporter.forces(reading(sites=sites), GATE_MIDDLE))["sites"]
     assert [(site["site"], site["force_newton"]) for site in said] == [(12, 2.0), (70, 0.0), (30, 1.0)]
 
 
 def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
     force = SiteForce(0, NAN, NAN, NAN, "overload", at_least_newton=10.0)
-    said = literal(reporter.forces(reading("overload", sites=(force,)), GATE_END))
+    said = literal(reporter.forces(reading("overload", sites=(force,)), GATE_MIDDLE))
     assert said["status"] == "overload"
     assert said["sites"] == [
         {
@@ -148,9 +151,9 @@ def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
 
 @pytest.mark.parametrize("status", get_args(SensorStatus))
 def test_every_status_of_a_reading_has_its_word(reporter: Reporter, status: SensorStatus) -> None:
-    assert literal(reporter.forces(reading(status), GATE_END))["status"] == status
+    assert literal(reporter.forces(reading(status), GATE_MIDDLE))["status"] == status
     unknown = contact(1, NAN, status)
-    said = literal(reporter.contacts(reading(status, contacts=(unknown,)), GATE_END))
+    said = literal(reporter.contacts(reading(status, contacts=(unknown,)), GATE_MIDDLE))
     assert said["status"] == said["contacts"][0]["status"] == status
 
 
@@ -163,16 +166,16 @@ def test_measured_messages_are_dated_at_the_middle_of_the_window(
 ) -> None:
     measured = reading(window_s=window_s)
     for message in (
-        reporter.forces(measured, GATE_END),
-        reporter.contacts(measured, GATE_END),
-        reporter.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_END),
+        reporter.forces(measured, GATE_MIDDLE),
+        reporter.contacts(measured, GATE_MIDDLE),
+        reporter.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_MIDDLE),
     ):
         assert message.t_ns == middle
         assert message.t_unc_ns == 42_000
 
 
 def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
-    said = literal(reporter.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_END))
+    said = literal(reporter.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_MIDDLE))
     first, second = said["contacts"]
     assert first == {
         "id": 12,
@@ -196,7 +199,7 @@ def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
 
 def test_a_contact_that_sets_on_now_is_as_old_as_its_message(reporter: Reporter) -> None:
     now = reading(contacts=(contact(since_ticks=2_000_000_000),))
-    message = reporter.contacts(now, GATE_END)
+    message = reporter.contacts(now, GATE_MIDDLE)
     assert message.contacts[0].since_t_ns == message.t_ns
 
 
@@ -204,7 +207,7 @@ def test_a_contact_keeps_its_date(reporter: Reporter) -> None:
     since = set()
     for readings_later in range(1000):  # of 5 ms at 250 MHz
         later = reading(contacts=(contact(),), board_ticks=2_000_000_000 + readings_later * 1_250_000)
-        at = Instant(GATE_END.utc_ns + readings_later * 5_000_000, 42_000)
+        at = gate_middle(1_000_000, later_ns=readings_later * 5_000_000)
         since.add(reporter.contacts(later, at).contacts[0].since_t_ns)
     assert max(since) - min(since) <= 1  # a rounding
 
@@ -213,7 +216,7 @@ def test_a_contact_keeps_its_date(reporter: Reporter) -> None:
 def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, word: Any) -> None:
     gone = contact(0, NAN, "no_signal", number=3)
     present = reading(contacts=(contact(),))
-    said = literal(reporter.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_END))
+    said = literal(reporter.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_MIDDLE))
     assert (said["event"], said["reason"]) == (word, "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
     assert said["contact"] == {
@@ -240,14 +243,14 @@ def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, wor
 
 def test_each_topic_counts_its_own_messages(reporter: Reporter) -> None:
     made = [
-        reporter.forces(reading(), GATE_END),
-        reporter.contacts(reading(), GATE_END),
-        reporter.forces(reading(), GATE_END),
+        reporter.forces(reading(), GATE_MIDDLE),
+        reporter.contacts(reading(), GATE_MIDDLE),
+        reporter.forces(reading(), GATE_MIDDLE),
         reporter.state(STATE_LINK, Condition.ONLINE, "", 1),
         reporter.state(STATE_SENSOR, Condition.ONLINE, "", 1),
         reporter.state(STATE_LINK, Condition.LOST, "", 1),
-        reporter.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_END),
-        reporter.forces(reading(), GATE_END),
+        reporter.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_MIDDLE),
+        reporter.forces(reading(), GATE_MIDDLE),
     ]
     assert [message.seq for message in made] == [0, 0, 1, 0, 0, 1, 0, 2]
     assert [reporter.header(HEALTH)["seq"] for _ in range(2)] == [0, 1]
@@ -260,7 +263,7 @@ def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> N
     assert first["board_boot_id"] is None
     losses.now = Lost(damaged=8)
     reporter.board_boot_id = "51ab"
-    second = literal(reporter.forces(reading(), GATE_END))
+    second = literal(reporter.forces(reading(), GATE_MIDDLE))
     assert (first["lost"], second["lost"]["damaged"]) == (LOST, 8)
     assert second["board_boot_id"] == "51ab"
 
@@ -277,7 +280,11 @@ def test_a_state_says_since_when_and_is_dated_when_it_is_made(reporter: Reporter
 
 
 BOARD = BoardOnline(
-    Identity("quartz board", "0042", "1.2.3", 0), Description(0, 4, 1, 10**12, 1, 1, "three"), 1, Configuration(1)
+    Identity("quartz board", "0042", "1.2.3", 0),
+    Description(0, 4, 1, 10**12, 1, 1, "three"),
+    1,
+    Configuration(1),
+    continues=False,
 )
 
 
@@ -286,8 +293,8 @@ def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str
     plate = FORCE_PLATE + f'[calibration]\nid = "c1"\ndate = 2019-01-01\nexpiry = {expiry}\n'
     reporter = reporter_of(configured(tmp_path, plate))
     measured = reading(sites=(SiteForce(1, 1.2, 0.1, 0.1, "ok"),), contacts=(contact(),))
-    assert literal(reporter.forces(measured, GATE_END))["sites"][0]["status"] == status
-    assert literal(reporter.contacts(measured, GATE_END))["contacts"][0]["status"] == status
+    assert literal(reporter.forces(measured, GATE_MIDDLE))["sites"][0]["status"] == status
+    assert literal(reporter.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
     said = literal(reporter.info(BOARD, "serial:/dev/ttyACM0?baud=4000000"))["calibration"]
     assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
 

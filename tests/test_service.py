@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import Amqtt, Mosquitto
+from brokers import Amqtt, Mosquitto
 from observer import observe
 from service_bench import Bench, events
 

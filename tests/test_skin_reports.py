@@ -8,9 +8,8 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from report_makers import GATE_END, LOST, NAN, configured, literal, reporter_of
+from report_makers import LOST, NAN, configured, gate_middle, literal, reporter_of
 
-from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.patches import Patch as FoundPatch
@@ -41,6 +40,8 @@ position_mm = [1, 0.5]
     for signal, f0, k in (("p_n", 1e6, -1e-11), ("eps_xz", 2e6, 2e-6), ("eps_yz", 3e6, 3e-6))
 )
 
+GATE_MIDDLE = gate_middle(10_000_000)
+
 
 @pytest.fixture
 def skin_reporter(tmp_path: Path) -> Reporter:
@@ -69,7 +70,7 @@ def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> Dec
 def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
     signals = np.random.default_rng(5).normal(size=(3, 1024))
     signals[1, 7] = NAN
-    payload = encode(skin_reporter.signals(channelised(signals), GATE_END))
+    payload = encode(skin_reporter.signals(channelised(signals), GATE_MIDDLE))
     message = decode(payloads.Signals, payload)
     np.testing.assert_array_equal(message.signals, signals.astype(np.float32))
     raw = cbor2.loads(payload)
@@ -82,7 +83,7 @@ def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
 def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displacement: bool) -> None:
     frame = decoded((3, 32, 32), displacement=displacement)
     measured = channelised(np.zeros((3, 1024)), window_s=0.004)
-    message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_END, frame)))
+    message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_MIDDLE, frame)))
     values = np.arange(3 * 32 * 32, dtype=np.float32).reshape(3, 32, 32)
     np.testing.assert_array_equal(message.traction_pascal, values)
     np.testing.assert_array_equal(message.traction_std_pascal, values + 0.5)
@@ -98,7 +99,7 @@ def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displace
 
 def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
     reporter = reporter_of(configured(tmp_path, SCATTERED_SKIN))
-    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_END, decoded((3, 1), displacement=False))
+    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_MIDDLE, decoded((3, 1), displacement=False))
     assert message.grid is None
     assert message.traction_pascal.shape == (3, 1)
 
@@ -194,7 +195,7 @@ UNDECODED = {"chi2": NAN, "border_contact": False}
 
 def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
     frame = decoded((3, 32, 32), displacement=False, reason="2 signals lost")
-    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_END, surface(frame, contacts=(skin_contact(),))))
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(skin_contact(),))))
     assert said == {
         "seq": 0,
         "daemon_boot_id": "9f3c",
@@ -223,7 +224,7 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
 def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: PartialSlip | None, why: str) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     contact = skin_contact(slip=slip, radius_of_curvature_m=NAN)
-    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_END, surface(frame, contacts=(contact,))))
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
     unknown = dict.fromkeys((*OF_SLIP, "radius_of_curvature_m"))
     assert said["patches"] == [PATCH_LITERAL | unknown | {"slip_reason": why}]
 
@@ -231,24 +232,24 @@ def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: Par
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])
 def test_a_frame_that_was_not_decoded_says_so(skin_reporter: Reporter, status: str) -> None:
     frame = decoded((3, 32, 32), displacement=True, status=status, reason="why", **UNDECODED)
-    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_END, surface(frame, "fourier")))
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, "fourier")))
     expected = {"decoder": "fourier", "status": status, "reason": "why", "chi2": None, "border_contact": False}
     assert said | expected == said
     assert said["patches"] == []
-    contacts = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_END, surface(frame)))
+    contacts = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
     assert (contacts["status"], contacts["contacts"]) == (status, [])
 
 
 def test_the_word_for_physics_that_was_given_up_is_of_the_wire(skin_reporter: Reporter) -> None:
     frame = decoded((3, 32, 32), displacement=False, status=np.str_("constraint_dropped"), reason=np.str_("why"))
-    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_END, surface(frame)))
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
     assert (said["status"], said["reason"]) == ("constraint_dropped", "why")
 
 
 def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: Reporter) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     reading_of_skin = surface(frame, contacts=(skin_contact(), skin_contact(id=4)))
-    said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_END, reading_of_skin))
+    said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, reading_of_skin))
     assert said["t_ns"] == "1788999999995000123"
     assert said["status"] == "ok"
     assert said["contacts"] == [CONTACT_LITERAL, CONTACT_LITERAL | {"id": 4}]
@@ -256,7 +257,7 @@ def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: Reporter) -
 
 @pytest.mark.parametrize("word", ["onset", "incipient_slip", "gross_slip", "release"])
 def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: Reporter, word: Any) -> None:
-    said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_END))
+    said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_MIDDLE))
     assert said["event"] == word
     of_slip = {"slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6}
     assert said["contact"] == CONTACT_LITERAL | of_slip
@@ -266,7 +267,7 @@ def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:
     contact = skin_contact(slip=partial_slip(friction_coefficient_std=0.2))
     said = literal(
         skin_reporter.summary(
-            MEASURED_OF_SKIN, GATE_END, surface(decoded((3, 32, 32), displacement=False), contacts=(contact,))
+            MEASURED_OF_SKIN, GATE_MIDDLE, surface(decoded((3, 32, 32), displacement=False), contacts=(contact,))
         )
     )
     unknown = {"friction_coefficient": None, "friction_coefficient_std": None}
@@ -275,7 +276,7 @@ def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:
 
 def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: Reporter) -> None:
     frame = surface(decoded((3, 32, 32), displacement=False), contacts=(skin_contact(),))
-    later = [Instant(GATE_END.utc_ns + number * 10_000_000, 42_000) for number in range(4)]
+    later = [gate_middle(10_000_000, later_ns=number * 10_000_000) for number in range(4)]
     onset = skin_reporter.skin_event(SkinEvent("onset", skin_contact()), MEASURED_OF_SKIN, later[0])
     held = skin_reporter.skin_contacts(MEASURED_OF_SKIN, later[1], frame)
     release = skin_reporter.skin_event(SkinEvent("release", skin_contact()), MEASURED_OF_SKIN, later[2])
@@ -289,7 +290,7 @@ def test_signals_come_with_the_median_noise_of_each_channel(skin_reporter: Repor
     noise = np.tile([[1e-3], [2e-3], [NAN]], 1024)
     noise[0, :511], noise[1, :600] = 9.0, np.inf  # less than half; not known, which does not count
     measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise)
-    raw = cbor2.loads(encode(skin_reporter.signals(measured, GATE_END)))
+    raw = cbor2.loads(encode(skin_reporter.signals(measured, GATE_MIDDLE)))
     assert raw["noise_std"][:2] == [1e-3, 2e-3]
     assert math.isnan(raw["noise_std"][2])
 
@@ -297,12 +298,12 @@ def test_signals_come_with_the_median_noise_of_each_channel(skin_reporter: Repor
 def test_messages_of_a_skin_count_apart(skin_reporter: Reporter) -> None:
     measured, frame = channelised(np.zeros((3, 1024))), decoded((3, 32, 32), displacement=False)
     made = [
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.decoded(measured, GATE_END, frame),
-        skin_reporter.summary(measured, GATE_END, surface(frame)),
-        skin_reporter.skin_contacts(measured, GATE_END, surface(frame)),
-        skin_reporter.signals(measured, GATE_END),
-        skin_reporter.summary(measured, GATE_END, surface(frame)),
+        skin_reporter.signals(measured, GATE_MIDDLE),
+        skin_reporter.signals(measured, GATE_MIDDLE),
+        skin_reporter.decoded(measured, GATE_MIDDLE, frame),
+        skin_reporter.summary(measured, GATE_MIDDLE, surface(frame)),
+        skin_reporter.skin_contacts(measured, GATE_MIDDLE, surface(frame)),
+        skin_reporter.signals(measured, GATE_MIDDLE),
+        skin_reporter.summary(measured, GATE_MIDDLE, surface(frame)),
     ]
     assert [message.seq for message in made] == [0, 1, 0, 0, 0, 2, 1]

@@ -6,7 +6,7 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from conftest import Amqtt, Mosquitto
+from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
 

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
 
-from conftest import Mosquitto, free_port
+from brokers import Mosquitto, free_port
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler, Respond

@@ -1,36 +1,51 @@
 """One board on one link: identify, configure, run, reconnect, in a thread that nothing behind it can slow."""
 
-import logging
 import random
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
-from resonator_daemon.acquisition.connection import BoardRefusedError, Connection
-from resonator_daemon.acquisition.fit import gate_ticks
-from resonator_daemon.acquisition.frames import (
-    Arrival,
-    FrameLoss,
-    LinkAccount,
-    LinkChange,
-    ReaderFailed,
-)
+from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
+from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.frames import Arrival, ReaderFailed
+from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError
-from resonator_daemon.acquisition.numbering import FrameNumbering
+from resonator_daemon.acquisition.link_course import LinkCourse
+from resonator_daemon.acquisition.port_identity import PortIdentity, find_port, port_identity
+from resonator_daemon.acquisition.port_opening import open_link
+from resonator_daemon.acquisition.port_watch import PortWatch
+from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.acquisition.replay import Pace, replay
 from resonator_daemon.acquisition.ring import Ring
-from resonator_daemon.acquisition.serial_link import open_serial
-from resonator_daemon.acquisition.tcp_link import open_tcp
-from resonator_daemon.config import SerialLink, TcpLink, frame_bytes
+from resonator_daemon.acquisition.wire_events import (
+    Closed,
+    Goodbye,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Tended,
+    WireEvent,
+)
+from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink
 from resonator_daemon.plate import Plate
-
-log = logging.getLogger(__name__)
 
 RING_BYTES = 64 << 20
 
-_POLL_S = 0.02  # how often timers are looked at while nothing arrives
+_POLL_S = 0.02  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
+_JITTER = (0.75, 1.25)  # so that several daemons do not knock together
 _REFUSED_S = 5.0
+_RESET_EVERY = 3  # openings in a row without a frame
+
+
+def _to_nobody(_: WireEvent) -> None:
+    """Take an event that is not recorded."""
 
 
 class BoardReader:
@@ -47,39 +62,41 @@ class BoardReader:
     step_frames
         How many frames are of use together; `wake` waits for them.
     ring_bytes
-        Bound of what is kept while nobody takes it.
+        Bound of the memory of frames that nobody takes.
+    tap
+        Is handed everything that happens on the link, as a recorder wants it; must not wait.
     """
 
     def __init__(
         self,
-        target: SerialLink | TcpLink,
+        target: LinkTarget,
         plate: Plate,
         wake: Callable[[], None],
         *,
         step_frames: int = 1,
         ring_bytes: int = RING_BYTES,
+        tap: Callable[[WireEvent], None] = _to_nobody,
     ) -> None:
         self._target = target
         self._plate = plate
         self._ring = Ring(ring_bytes, wake, step_frames)
-        self._numbering = FrameNumbering(
-            frame_bytes(plate), gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz)
-        )
-        self._stop = threading.Event()
+        self._course = LinkCourse(plate, self._ring, tap)
+        self._stopping = False
+        self._watch = PortWatch(target)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
-        self._lock = threading.Lock()  # held while a chunk is taken apart, so that accounts are whole
-        self._account = LinkAccount()
-        self._connection: Connection | None = None
-        self._state = LinkChange("starting", "the link is being opened", time.time_ns())
+        self._port: PortIdentity | None = None
 
     def start(self) -> None:
-        self._ring.put(self._state)
+        if not isinstance(self._target, ReplayLink):  # there it was said when it was recorded
+            self._course.apply(Said(read_host_time(), "starting", "the link is being opened"))
         self._thread.start()
 
     def stop(self) -> None:
         """End the thread and give the port back; returns when both are done."""
-        self._stop.set()
+        self._stopping = True
+        self._watch.wake()
         self._thread.join()
+        self._watch.close()
 
     def take(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
@@ -87,79 +104,109 @@ class BoardReader:
 
     def account(self) -> LinkAccount:
         """Return where every byte and frame went, as of now."""
-        with self._lock:
-            account = replace(self._account)
-            if self._connection is not None:
-                self._connection.add_to(account)
-        account.lost = account.lost + self._ring.loss
-        return account
+        return self._course.account()
 
     @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
-        return self._account.lost + self._ring.loss
+        return self._course.lost
 
     @property
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
-        connection = self._connection
+        connection = self._course.connection
         clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
         return clock.rate_ppm if clock else float("nan")
 
     def _run(self) -> None:
         try:
-            self._keep_reading()
+            if isinstance(self._target, ReplayLink):
+                self._replay(self._target)
+            else:
+                self._keep_reading()
         except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
             self._ring.put(ReaderFailed(error))
 
     def _keep_reading(self) -> None:
         backoff_s = _BACKOFF_FIRST_S
-        while not self._stop.is_set():
+        fruitless = 0
+        while not self._stopping:
             wait_s = 0.0
             try:
-                link = open_serial(self._target) if isinstance(self._target, SerialLink) else open_tcp(self._target)
+                link = self._open()
             except LinkUnavailableError as error:
-                self._say("waiting", str(error))
+                self._course.apply(Said(read_host_time(), "waiting", str(error)))
             else:
                 try:
-                    if self._serve(link):
+                    counted = self._serve(link)
+                    fruitless = 0 if counted else fruitless + 1
+                    if counted:
                         backoff_s = _BACKOFF_FIRST_S
-                except BoardRefusedError as error:
-                    self._say("refused", str(error))
-                    self._ring.put(error.refused)
+                    elif fruitless % _RESET_EVERY == 0:
+                        link.reset()
+                except BoardRefusedError:
                     wait_s = _REFUSED_S
                 finally:
                     link.close()
-            self._stop.wait(wait_s or backoff_s * random.uniform(0.75, 1.25))
-            backoff_s = min(2 * backoff_s, _BACKOFF_CAP_S)
+            if not self._stopping and self._watch.wait(wait_s or backoff_s * random.uniform(*_JITTER)):
+                backoff_s = _BACKOFF_FIRST_S
+            else:
+                backoff_s = min(2 * backoff_s, _BACKOFF_CAP_S)
+
+    def _open(self) -> Link:
+        """Open the link; an adapter that has come back under another name is opened there."""
+        target = self._target
+        if isinstance(target, SerialLink) and self._port and (moved_to := find_port(self._port, target.path)):
+            target = replace(target, path=moved_to)
+        link = open_link(target)
+        if isinstance(target, SerialLink):
+            self._port = port_identity(target.path)
+        return link
 
     def _serve(self, link: Link) -> bool:
         """Talk to the board until the link is lost; return whether it ever counted."""
-        connection = Connection(link, self._plate, self._numbering, self._ring, self._account, self._say)
-        with self._lock:
-            self._connection = connection
-            self._account.connections += 1
+        course = self._course
+        now = read_host_time()
+        course.apply(Opened(now))
+        overruns = 0
         try:
-            while not self._stop.is_set():
-                connection.tend()
-                data = link.read(_POLL_S)
-                with self._lock:
-                    connection.receive(data)
-            connection.say_goodbye()
+            while not self._stopping:
+                self._send(link, now)
+                due_s = (course.due_ns() - time.monotonic_ns()) * 1e-9
+                data = link.read(min(max(0.0, due_s), _POLL_S))
+                if link.overruns != overruns:
+                    overruns = link.overruns
+                    course.apply(Overrun(read_host_time()))
+                if data:
+                    course.apply(Received(read_host_time(), data))
+                now = read_host_time()
+                course.apply(Tended(now, idle=not data))
+            self._say_goodbye(link)
         except LinkLostError as error:
-            if self._state.state != "stalled":
-                self._say("lost" if connection.was_online else "waiting", str(error))
+            course.apply(Lost(read_host_time(), str(error)))
+        except BoardRefusedError as error:
+            course.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
+            with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
+                self._say_goodbye(link)
+            raise
         finally:
-            with self._lock:
-                connection.close()
-                self._connection = None
-        return connection.was_online
+            was_online = course.was_online
+            course.apply(Closed(read_host_time()))
+        return was_online
 
-    def _say(self, state: str, reason: str) -> None:
-        if (state, reason) == (self._state.state, self._state.reason):
-            return
-        if state != self._state.state:
-            log.log(logging.INFO if state in ("starting", "online") else logging.WARNING, "link %s: %s", state, reason)
-        since = self._state.since_utc_ns if state == self._state.state else time.time_ns()
-        self._state = LinkChange(state, reason, since)
-        self._ring.put(self._state)
+    def _say_goodbye(self, link: Link) -> None:
+        now = read_host_time()
+        self._course.apply(Goodbye(now))
+        self._send(link, now)
+
+    def _send(self, link: Link, now: HostTime) -> None:
+        if data := self._course.data_to_send():
+            self._course.apply(Sent(now, data))
+            link.write(data)
+
+    def _replay(self, target: ReplayLink) -> None:
+        try:
+            with open_recording(target.path, self._plate) as recording:
+                replay(recording, self._course, Pace(self._watch.wait, lambda: self._stopping))
+        except LinkUnavailableError as error:
+            self._course.apply(Said(read_host_time(), "waiting", str(error)))

@@ -1,17 +1,27 @@
-"""Board ticks to UTC: which instant of the host's clock a tick count was, and how well that is known.
+"""Board ticks to the host's clocks: which instant a tick count was, and how well that is known.
 
-A ping exchange brackets one tick count between two readings of the host's monotonic clock. A line through the exchanges
-with short round trips gives rate and offset; arrival times of frames are never used. See docs/time.md.
+A ping exchange brackets one tick count between two readings of the host's monotonic clock. The lines from ticks to host
+time that all exchanges allow give the instant and the bound of its error; arrival times of frames are never used.
+See docs/time.md.
 """
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from typing import NamedTuple
 
-_REMEMBERED = 64
+from resonator_daemon.acquisition.pacing import PingPacing
+from resonator_daemon.acquisition.tick_bounds import RATE_WANDER_PER_S, TickBounds
+
 _RATE_KNOWN_PPM = 10.0
-_RATE_TOLERANCE_PPM = 100.0  # what a crystal may be off before anything was measured
+_CRYSTAL_RATES = (-200e-6, 200e-6)
+_TOLERANCE_PPM = 1000.0  # a crystal, and the 500 ppm by which NTP may slew the host's clock
+_LIKELY_RATES = (-0.01, 0.01)  # beyond, one exchange is rather wrong than the rate
+_POSSIBLE_RATES = (-0.9, 9.0)
+_LINES_KEPT, _LINES_APART_NS = 8, 8_000_000_000
+_VOTES, _VOTES_UNLIKELY = 3, 8
+_COUNT_CERTAIN = 16
+_NS = 1_000_000_000
+_SUSPEND_NS = 50_000_000  # no host wakes sooner; less is a pause between two readings of its clocks
 
 
 class Exchange(NamedTuple):
@@ -21,29 +31,27 @@ class Exchange(NamedTuple):
     board_ticks: int
     received_monotonic_ns: int
 
-    @property
-    def middle_monotonic_ns(self) -> int:
-        return (self.sent_monotonic_ns + self.received_monotonic_ns) // 2
-
-    @property
-    def half_width_ns(self) -> int:
-        return (self.received_monotonic_ns - self.sent_monotonic_ns + 1) // 2
-
 
 class Instant(NamedTuple):
-    """A moment in UTC and the bound of its error."""
+    """A moment on the host's clocks and the bound of its error; durations are differences of monotonic times."""
 
     utc_ns: int
     uncertainty_ns: int
+    monotonic_ns: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class _Line:
-    origin: Exchange
-    rate_ppm: float  # of the host's seconds per board second, less one
-    rate_uncertainty_ppm: float
-    offset_ns: float  # at the origin
-    offset_uncertainty_ns: float
+class _Line(NamedTuple):
+    nominal_ns: int
+    monotonic_ns: int
+    uncertainty_ns: float
+    rate: float
+    rate_uncertainty: float
+
+
+class _Bounds(NamedTuple):
+    nominal_ns: int
+    least_ns: int
+    most_ns: int
 
 
 class BoardClock:
@@ -53,13 +61,31 @@ class BoardClock:
     ----------
     reference_millihertz
         Nominal rate of the board's ticks.
+
+    Attributes
+    ----------
+    utc_less_monotonic_ns
+        Difference of the host's two clocks at the latest exchange.
+    outliers
+        Exchanges that contradicted those before them.
+    restarts
+        How often the relation was begun anew: after a suspend, or because such exchanges agreed with each other.
     """
 
     def __init__(self, reference_millihertz: int) -> None:
         self._reference_millihertz = reference_millihertz
-        self._exchanges: deque[Exchange] = deque(maxlen=_REMEMBERED)
+        self._origin: Exchange | None = None
+        self._agreed: TickBounds | None = None  # by all but outliers
+        self._rival: TickBounds | None = None
+        self._votes = 0
+        self._boottime_less_monotonic_ns = 0
+        self._asleep_ns = 0
         self._line: _Line | None = None
+        self._lines: deque[_Line] = deque(maxlen=_LINES_KEPT)
+        self._pacing = PingPacing()
         self.utc_less_monotonic_ns = 0
+        self.outliers = 0
+        self.restarts = 0
 
     @property
     def known(self) -> bool:
@@ -67,15 +93,115 @@ class BoardClock:
 
     @property
     def rate_ppm(self) -> float:
-        """How much slower than nominal the board's ticks run; NaN until known to 10 ppm."""
-        known = self._line is not None and self._line.rate_uncertainty_ppm <= _RATE_KNOWN_PPM
-        return self._line.rate_ppm if self._line is not None and known else math.nan
+        """How much slower than nominal the board's ticks ran over the last minute or so; NaN until known to 10 ppm."""
+        now = self._line
+        if now is None:
+            return math.nan
+        known = [
+            ((now.uncertainty_ns + then.uncertainty_ns) / (now.nominal_ns - then.nominal_ns), then)
+            for then in self._lines
+            if then.nominal_ns < now.nominal_ns
+        ]
+        uncertainty, then = min(known, default=(math.inf, now))
+        if uncertainty > _RATE_KNOWN_PPM * 1e-6:
+            return math.nan
+        elapsed_ns = now.nominal_ns - then.nominal_ns
+        return (now.monotonic_ns - then.monotonic_ns - elapsed_ns) / elapsed_ns * 1e6
 
-    def add(self, exchange: Exchange, utc_less_monotonic_ns: int) -> None:
-        """Take one ping exchange and the present difference of the host's two clocks."""
-        self._exchanges.append(exchange)
+    @property
+    def rate_beyond_tolerance(self) -> tuple[float, float] | None:
+        """Rate and its uncertainty in ppm, where the ticks are certainly further off nominal than 1000 ppm."""
+        if self._agreed is None or self._rival is not None or self._agreed.count < _COUNT_CERTAIN:
+            return None
+        least_ppm, most_ppm = 1e6 * self._agreed.lines.least_rate, 1e6 * self._agreed.lines.most_rate
+        if least_ppm <= _TOLERANCE_PPM and most_ppm >= -_TOLERANCE_PPM:
+            return None
+        return (least_ppm + most_ppm) / 2, (most_ppm - least_ppm) / 2
+
+    def add(self, exchange: Exchange, utc_less_monotonic_ns: int, *, boottime_less_monotonic_ns: int = 0) -> None:
+        """Take one ping exchange, and the present differences of the host's clocks.
+
+        `boottime_less_monotonic_ns` grows while the host sleeps: then, the board counted on and the monotonic clock did
+        not, and the relation begins anew.
+        """
         self.utc_less_monotonic_ns = utc_less_monotonic_ns
-        self._line = self._fit()
+        if exchange.received_monotonic_ns < exchange.sent_monotonic_ns:
+            self.outliers += 1
+            return
+        if self._origin is None:
+            self._origin = exchange
+            self._boottime_less_monotonic_ns = boottime_less_monotonic_ns
+        origin = self._origin
+        slept_ns = abs(boottime_less_monotonic_ns - self._boottime_less_monotonic_ns)
+        self._boottime_less_monotonic_ns = boottime_less_monotonic_ns
+        ticks = exchange.board_ticks - origin.board_ticks
+        nominal_ns = self._nominal_ns(ticks)
+        bounds = _Bounds(
+            nominal_ns,
+            exchange.sent_monotonic_ns - origin.sent_monotonic_ns - self._nominal_ns(ticks + 1) - 1,  # rounded down
+            exchange.received_monotonic_ns - origin.sent_monotonic_ns - nominal_ns,
+        )
+        if self._agreed is None:
+            agreed = self._begin(TickBounds(_LIKELY_RATES, *bounds))
+        elif slept_ns >= _SUSPEND_NS:
+            self._asleep_ns = slept_ns
+            self.restarts += 1
+            agreed = self._begin(TickBounds(_LIKELY_RATES, *bounds))
+        elif self._asleep_ns:
+            self._asleep_ns = 0
+            agreed = self._agreed
+            if not agreed.add(*bounds):  # the ping before was received before the host fell asleep
+                agreed = self._begin(TickBounds(_LIKELY_RATES, *bounds))
+        else:
+            agreed = self._weigh(self._agreed, bounds)
+        self._line = line = self._draw(origin, agreed)
+        if not self._lines or line.nominal_ns - self._lines[-1].nominal_ns >= _LINES_APART_NS:
+            self._lines.append(line)
+        before_next_ns = line.uncertainty_ns + line.rate_uncertainty * _NS
+        self._pacing.learnt(exchange.received_monotonic_ns, before_next_ns, agreed.count)
+
+    def _begin(self, agreed: TickBounds) -> TickBounds:
+        self._agreed = agreed
+        self._rival = None
+        self._lines.clear()
+        return agreed
+
+    def _weigh(self, agreed: TickBounds, bounds: _Bounds) -> TickBounds:
+        """Take bounds that may contradict those before; contradictions that agree with each other win in the end."""
+        fits = agreed.add(*bounds)
+        fits_rival = self._rival is not None and self._rival.add(*bounds)
+        if fits:
+            if not fits_rival:
+                self._rival = None
+            return agreed
+        self.outliers += 1
+        if self._rival is None or not fits_rival:
+            self._rival = TickBounds(_POSSIBLE_RATES, *bounds)
+            self._votes = 0
+        self._votes += 1
+        likely = self._rival.narrowed(_LIKELY_RATES) is not None
+        if self._votes < (_VOTES if likely else _VOTES_UNLIKELY):
+            return agreed
+        self.restarts += 1
+        return self._begin(self._rival)
+
+    def _draw(self, origin: Exchange, bounds: TickBounds) -> _Line:
+        """Return the middle of the lines that a crystal may follow, and what is in doubt about it."""
+        lines = bounds.narrowed(_CRYSTAL_RATES) or bounds.lines
+        middle_ns = (lines.least_ns + lines.most_ns) / 2
+        uncertainty_ns = (lines.most_ns - lines.least_ns) / 2 + self._asleep_ns
+        rate = (lines.least_rate + lines.most_rate) / 2
+        if self._rival is not None:
+            other = self._rival.lines
+            less_ns = other.excess_ns - lines.excess_ns - middle_ns - (other.nominal_ns - lines.nominal_ns) * rate
+            uncertainty_ns = max(uncertainty_ns, abs(less_ns + other.least_ns), abs(less_ns + other.most_ns))
+        return _Line(
+            lines.nominal_ns,
+            origin.sent_monotonic_ns + lines.nominal_ns + lines.excess_ns + round(middle_ns),
+            uncertainty_ns,
+            rate,
+            (lines.most_rate - lines.least_rate) / 2,
+        )
 
     def at(self, board_ticks: int) -> Instant:
         """Return the instant of a tick count of this boot.
@@ -85,44 +211,19 @@ class BoardClock:
         ValueError
             Before the first exchange.
         """
-        if self._line is None:
+        if self._line is None or self._origin is None:
             raise ValueError("the board's clock is not known before the first ping was answered")
         line = self._line
-        elapsed_ns = self._nominal_ns(board_ticks - line.origin.board_ticks)
-        correction_ns = line.offset_ns + elapsed_ns * line.rate_ppm * 1e-6
-        monotonic_ns = line.origin.middle_monotonic_ns + elapsed_ns + round(correction_ns)
-        uncertainty_ns = line.offset_uncertainty_ns + abs(elapsed_ns) * line.rate_uncertainty_ppm * 1e-6
-        return Instant(monotonic_ns + self.utc_less_monotonic_ns, round(uncertainty_ns))
+        elapsed_ns = self._nominal_ns(board_ticks - self._origin.board_ticks) - line.nominal_ns
+        monotonic_ns = line.monotonic_ns + elapsed_ns + round(elapsed_ns * line.rate)
+        uncertainty_ns = line.uncertainty_ns + abs(elapsed_ns) * (
+            line.rate_uncertainty + abs(elapsed_ns) * (RATE_WANDER_PER_S / (2 * _NS))
+        )
+        return Instant(monotonic_ns + self.utc_less_monotonic_ns, math.ceil(uncertainty_ns), monotonic_ns)
+
+    def ping_due_ns(self, now_monotonic_ns: int) -> int:
+        """Return the monotonic time at which the ping after one that leaves now should leave."""
+        return self._pacing.next_ns(now_monotonic_ns)
 
     def _nominal_ns(self, ticks: int) -> int:
         return ticks * 10**12 // self._reference_millihertz
-
-    def _fit(self) -> _Line:
-        """Fit a line through the exchanges whose round trip was short; the latest of those is its origin."""
-        shortest = min(exchange.half_width_ns for exchange in self._exchanges)
-        good = [e for e in self._exchanges if e.half_width_ns <= 2 * shortest + 20_000]
-        origin = good[-1]
-        # Relative to the origin all numbers are small, so that floating point loses nothing.
-        elapsed_ns = [self._nominal_ns(e.board_ticks - origin.board_ticks) for e in good]
-        excess_ns = [
-            e.middle_monotonic_ns - origin.middle_monotonic_ns - t for e, t in zip(good, elapsed_ns, strict=True)
-        ]
-        mean_t, mean_x = sum(elapsed_ns) / len(good), sum(excess_ns) / len(good)
-        spread = sum((t - mean_t) ** 2 for t in elapsed_ns)
-        span_ns = max(elapsed_ns) - min(elapsed_ns)
-        rate = (
-            sum((t - mean_t) * (x - mean_x) for t, x in zip(elapsed_ns, excess_ns, strict=True)) / spread
-            if spread
-            else 0.0
-        )
-        rate_uncertainty_ppm = min(_RATE_TOLERANCE_PPM, 2e6 * shortest / span_ns) if span_ns else _RATE_TOLERANCE_PPM
-        if abs(rate * 1e6) > _RATE_TOLERANCE_PPM:  # too short a span to tell the rate from a late answer
-            rate, rate_uncertainty_ppm = 0.0, _RATE_TOLERANCE_PPM
-        return _Line(
-            origin=origin,
-            rate_ppm=rate * 1e6,
-            rate_uncertainty_ppm=rate_uncertainty_ppm,
-            offset_ns=mean_x - rate * mean_t,
-            # The answer cannot have come before the question: half a round trip bounds each, whatever the delays.
-            offset_uncertainty_ns=float(origin.half_width_ns),
-        )

@@ -1,118 +1,164 @@
 """One opening of a link: the handshake with the board, its clock, its frames, and the timers that keep it going."""
 
-import time
-from collections.abc import Callable
-
 from firmware_protocol.host import (
     Described,
     Frame,
     FramePart,
     HostEvent,
     HostSession,
-    HostState,
     Pong,
     Rebooted,
     Started,
 )
 from firmware_protocol.layouts import PROTOCOL_MAJOR
-from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal
+from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode, ResetCause
 from firmware_protocol.packets import Damage, ForeignVersion
+from firmware_protocol.states import HostState
+from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.assembly import AssembledFrame, FrameAssembler
 from resonator_daemon.acquisition.clock import BoardClock, Exchange
-from resonator_daemon.acquisition.fit import gate_ticks, misfits
+from resonator_daemon.acquisition.fit import gate_ticks, measured_misfit, misfits, strangers
 from resonator_daemon.acquisition.frames import (
-    Arrival,
     BoardOnline,
     BoardRefused,
     BoardSays,
     ChannelisedFrame,
-    LinkAccount,
     SingleToneFrame,
 )
-from resonator_daemon.acquisition.link import Link, LinkLostError
-from resonator_daemon.acquisition.numbering import FrameNumbering
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link import LinkLostError
+from resonator_daemon.acquisition.link_state import LinkState
+from resonator_daemon.acquisition.numbering import BrokenSpacingError, FrameNumbering
 from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.plate import Plate
 
-_ASK_AGAIN_S = 0.3
-_HANDSHAKE_S = 3.0
-_PING_S = 0.97  # odd, so that it beats with nothing periodic
-_FIRST_PINGS_S = 0.04
-_FIRST_PINGS = 16
-_SILENCE_FRAMES, _SILENCE_S = 3, 0.05
-_REOPEN_S = 1.0
-_FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
+_MS = 1_000_000
+_S = 1_000_000_000
+_ASK_AGAIN_NS = 300 * _MS
+_HANDSHAKE_NS = 3 * _S
+_SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
+_REOPEN_NS = 1 * _S  # of silence beyond what was noticed
+_STUCK_NS = 500 * _MS  # of bytes without a frame among them
+_FRAME_AGE_NS = 30 * _S  # far beyond what any buffer on the way can hold
 
 
 class BoardRefusedError(Exception):
     """The board can never serve this plate, or speaks another protocol."""
 
-    def __init__(self, refused: BoardRefused) -> None:
-        super().__init__("; ".join(refused.problems))
-        self.refused = refused
+    def __init__(self, *problems: str, other_protocol: bool = False) -> None:
+        super().__init__("; ".join(problems))
+        self.refused = BoardRefused(problems, other_protocol)
 
 
 class Connection:
-    """One opening of the link: a session, the board's clock, and the timers that keep both going."""
+    """One opening of the link: a session, the board's clock, and the timers that keep both going.
+
+    It reads no clock and opens nothing: it is handed bytes and times, and has `data_to_send`.
+
+    Parameters
+    ----------
+    known
+        The board that was here before, None where none was: no other one is taken in its place.
+    """
 
     def __init__(
         self,
-        link: Link,
         plate: Plate,
+        known: Described | None,
         numbering: FrameNumbering,
         ring: Ring,
         account: LinkAccount,
-        say: Callable[[str, str], None],
+        state: LinkState,
+        opened: HostTime,
     ) -> None:
-        self._link = link
         self._plate = plate
+        self._known = known
         self._numbering = numbering
         self._ring = ring
         self._account = account
-        self._say = say
+        self._state = state
+        self._gate_ticks = gate_ticks(plate)
         self._single_tone = plate.counter.kind == "single-tone"
         self._session = HostSession()
         self._assembler = FrameAssembler(len(plate.tones.f0_hz))
-        self._described: Described | None = None
         self._pings: dict[bytes, int] = {}
         self._pings_sent = 0
-        self._silence_s = _SILENCE_FRAMES / plate.counter.frame_rate_hz + _SILENCE_S
-        now = time.monotonic()
-        self._opened = now
-        self._last_frame = now
-        self._next_ask = now + _ASK_AGAIN_S
-        self._next_ping = now
+        self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
+        self._now = opened
+        self._opened_ns = opened.monotonic_ns
+        self._last_frame_ns = opened.monotonic_ns
+        self._next_ask_ns = opened.monotonic_ns + _ASK_AGAIN_NS
+        self._next_ping_ns = 0
+        self._newest_ticks = 0
+        self._clock_counts = (0, 0)  # outliers and restarts of clocks that are gone
+        self._counting = False
+        self._doubt = ""  # what is odd about the board, though it can be read
+        self.described: Described | None = None
         self.clock: BoardClock | None = None
         self.was_online = False
 
-    def receive(self, data: bytes) -> None:
-        """Take received bytes."""
-        now_ns = time.monotonic_ns()
-        for event in self._session.receive(data):
-            self._handle(event, now_ns)
-        self._flush()
+    def receive(self, data: bytes, now: HostTime) -> None:
+        """Take bytes that had been received at `now`.
 
-    def tend(self) -> None:
-        """Do what is due: ask again, ping, notice silence. Raises LinkLostError when the board must be opened anew."""
-        now = time.monotonic()
-        if self._session.state is HostState.RUNNING:
-            self._watch_silence(now)
-        elif now - self._opened > _HANDSHAKE_S:
+        Raises
+        ------
+        BoardRefusedError
+            The board can never serve the plate.
+        LinkLostError
+            The board is not what it was: it must be asked anew.
+        """
+        self._now = now
+        for event in self._session.receive(data):
+            self._handle(event)
+
+    def data_to_send(self) -> bytes:
+        """Return and clear the bytes that the board must get, at once."""
+        return self._session.data_to_send()
+
+    def overrun(self) -> None:
+        """Take note that the host's driver lost bytes of this link."""
+        self._account.host_overruns += 1
+        self._numbering.overrun()
+
+    def tend(self, now: HostTime, *, idle: bool) -> None:
+        """Do what is due: ask again, ping, notice silence; `idle`: nothing is left to read.
+
+        Raises
+        ------
+        LinkLostError
+            When the board must be opened anew.
+        """
+        self._now = now
+        now_ns = now.monotonic_ns
+        if self._counting:
+            # A reader that comes late finds much to read, and the frames in it: that is no silence.
+            if idle or now_ns - self._last_frame_ns > self._silence_ns + _STUCK_NS:
+                self._watch_silence(now_ns)
+        elif now_ns - self._opened_ns > _HANDSHAKE_NS:
             received = self._session.bytes.received
             heard = f"{received} bytes came and no answer" if received else "not a byte came"
             self._say("stalled", f"no board answers: {heard}; is it a board of this kind, and the baud rate right?")
             raise LinkLostError("no board answers")
-        elif now >= self._next_ask:
+        if not self._session.awaits_answer:
+            self._next_ask_ns = now_ns + _ASK_AGAIN_NS
+        elif now_ns >= self._next_ask_ns:
             self._session.ask_again()
-            self._next_ask = now + _ASK_AGAIN_S
-        if self.clock is not None and now >= self._next_ping:
-            self._ping(now)
-        self._flush()
+            self._next_ask_ns = now_ns + _ASK_AGAIN_NS
+        if self.clock is not None and now_ns >= self._next_ping_ns:
+            self._ping(self.clock)
+
+    def due_ns(self) -> int:
+        """Return the monotonic time at which `tend` has something to do."""
+        dues = [self._next_ask_ns]
+        if self.clock is not None:
+            dues.append(self._next_ping_ns)
+        if self._counting:
+            dues.append(self._last_frame_ns + self._silence_ns + 1)
+        return min(dues)
 
     def say_goodbye(self) -> None:
         """Stop the board, so that it does not fill a buffer that nobody empties."""
         self._session.stop()
-        self._flush()
 
     def close(self) -> None:
         """Hand on what was begun and close the books of this connection."""
@@ -134,12 +180,15 @@ class Connection:
         account.messages_stale += session.messages.stale
         account.messages_malformed += session.messages.malformed
         account.messages_unknown += session.messages.unknown + self._assembler.misfits
+        outliers, restarts = self._clock_counts
+        clock = self.clock
+        account.clock_outliers += outliers + (clock.outliers if clock else 0)
+        account.clock_restarts += restarts + (clock.restarts if clock else 0)
 
-    def _flush(self) -> None:
-        if data := self._session.data_to_send():
-            self._link.write(data)
+    def _say(self, state: str, reason: str) -> None:
+        self._state.say(state, reason, self._now.utc_ns)
 
-    def _handle(self, event: HostEvent, now_ns: int) -> None:
+    def _handle(self, event: HostEvent) -> None:
         match event:
             case Frame() if self._single_tone:
                 self._frame(event)
@@ -149,8 +198,11 @@ class Connection:
             case Frame() | FramePart():
                 self._account.messages_malformed += 1  # of the other kind of counter
             case Pong():
-                self._pong(event, now_ns)
+                if self._session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
+                    self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
+                self._pong(event)
             case Described():
+                self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
                 self._describe(event)
             case Started():
                 self._start(event)
@@ -161,106 +213,184 @@ class Connection:
             case BoardLog():
                 self._ring.put(BoardSays(event.level, event.text))
             case Rebooted():
-                for frame in self._assembler.flush():  # it belongs to the boot, and the clock, before
-                    self._frame(frame)
-                self._say("lost", "the board started anew")
-                self.clock = None
-                self._opened = time.monotonic()
+                self._rebooted()
             case Refusal():
-                raise BoardRefusedError(BoardRefused((f"the board refuses the configuration: {event.text}",)))
+                self._refused(event)
             case ForeignVersion():
                 problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
-                raise BoardRefusedError(BoardRefused((problem,), other_protocol=True))
+                raise BoardRefusedError(problem, other_protocol=True)
+
+    def _rebooted(self) -> None:
+        for frame in self._assembler.flush():  # it belongs to the boot, and the clock, before
+            self._frame(frame)
+        self._say("lost", "the board started anew")
+        if self.clock is not None:
+            outliers, restarts = self._clock_counts
+            self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
+        self.clock = None
+        self._counting = False
+        self._opened_ns = self._now.monotonic_ns
+        self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
+
+    def _refused(self, refusal: Refusal) -> None:
+        match refusal.code:
+            case RefusalCode.NOT_IN_THIS_STATE if self.was_online:
+                raise LinkLostError(f"the board has forgotten its configuration ({refusal.text})")
+            case RefusalCode.FAULT:
+                self._say("stalled", f"the board cannot count: {refusal.text}")
+                raise LinkLostError(refusal.text)
+            case RefusalCode.OTHER_VERSION:
+                raise BoardRefusedError(f"the board does not speak protocol {PROTOCOL_MAJOR}", other_protocol=True)
+            case _:
+                raise BoardRefusedError(f"the board refuses the configuration: {refusal.text}")
 
     def _describe(self, event: Described) -> None:
-        if problems := misfits(event.description, self._plate):
-            raise BoardRefusedError(BoardRefused(problems))
-        board = f"board {event.identity.serial_number}"
-        self._say("starting", f"{board} with firmware {event.identity.firmware} is being configured")
-        self._described = event
+        problems = misfits(event.description, self._plate)
+        if self._known is not None:
+            problems += strangers(event, self._known)
+        elif (unit := self._plate.calibration.unit) and unit != event.identity.serial_number:
+            problems += (
+                f"serial number: the board is {event.identity.serial_number}, the plate file was calibrated with "
+                f"{unit}; connect that one, or name the plate file of this one",
+            )
+        if problems:
+            raise BoardRefusedError(*problems)
+        identity = event.identity
+        before = self.described or self._known
+        if before is not None and before.boot_id != event.boot_id:
+            self._say("lost", f"the board started anew{_after(identity.reset_cause)}")
+        self._say("starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured")
+        self.described = event
         self._pings.clear()
         self._pings_sent = 0
+        self._newest_ticks = 0
         self.clock = BoardClock(event.description.reference_millihertz)
-        self._ping(time.monotonic())
+        self._ping(self.clock)
 
     def _start(self, event: Started) -> None:
-        if self._described is None:  # the session starts only what it has described
-            return
-        asked, given = gate_ticks(self._plate), event.configuration.gate_ticks
-        if given != asked:
-            self.say_goodbye()
-            problem = f"the board counts gates of {given} ticks, {asked} were asked for"
-            raise BoardRefusedError(BoardRefused((problem,)))
+        if self.described is None or self.clock is None or self._counting:
+            return  # the answer of a board that was asked to go on
+        given = event.configuration.gate_ticks
+        if given != self._gate_ticks:
+            raise BoardRefusedError(f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for")
+        continues = self._numbering.continues(self.described.boot_id, self._newest_ticks)
         self._numbering.started()
-        self.was_online = True
-        self._last_frame = time.monotonic()
-        self._ring.put(BoardOnline(*self._described, event.configuration))
+        self._counting = self.was_online = True
+        self._last_frame_ns = self._now.monotonic_ns
+        self._account.boot(self.described.boot_id).connections += 1
+        self._ring.put(BoardOnline(*self.described, event.configuration, continues))
         self._say_online()
 
     def _say_online(self) -> None:
-        if self._described is not None:
-            identity = self._described.identity
+        if self.described is not None:
             rate_hz = self._plate.counter.frame_rate_hz
-            self._say("online", f"board {identity.serial_number} sends {rate_hz:g} frames/s")
+            told = f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"
+            self._say("online", f"{told}; {self._doubt}" if self._doubt else told)
 
-    def _ping(self, now: float) -> None:
+    def _ping(self, clock: BoardClock) -> None:
+        now_ns = self._now.monotonic_ns
         number = self._pings_sent.to_bytes(8, "little")
-        self._pings_sent += 1
-        self._next_ping = now + (_FIRST_PINGS_S if self._pings_sent < _FIRST_PINGS else _PING_S)
-        self._session.ping(number)
-        self._pings[number] = time.monotonic_ns()
-        self._flush()
+        if self._session.ping(number):
+            self._pings_sent += 1
+            self._pings[number] = now_ns
+        self._next_ping_ns = clock.ping_due_ns(now_ns)
 
-    def _pong(self, event: Pong, now_ns: int) -> None:
+    def _pong(self, event: Pong) -> None:
         sent_ns = self._pings.pop(event.opaque, None)
-        if sent_ns is None or self.clock is None:
+        if sent_ns is None or self.clock is None or self.described is None:
             return
-        self._pings.clear()  # an answer that comes after a later one tells nothing
-        utc_less_monotonic_ns = time.time_ns() - time.monotonic_ns()
-        self.clock.add(Exchange(sent_ns, event.board_ticks, now_ns), utc_less_monotonic_ns)
+        for number in [number for number, at_ns in self._pings.items() if at_ns < sent_ns]:
+            del self._pings[number]  # boards answer in order: an earlier one will not be answered any more
+        if event.board_ticks < self._newest_ticks:
+            raise LinkLostError(
+                f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
+                f"{self._newest_ticks} to {event.board_ticks}, as at a start"
+            )
+        self._newest_ticks = event.board_ticks
+        now = self._now
+        exchange = Exchange(sent_ns, event.board_ticks, now.monotonic_ns)
+        self.clock.add(exchange, now.utc_less_monotonic_ns, boottime_less_monotonic_ns=now.boottime_less_monotonic_ns)
+        if self.clock.rate_beyond_tolerance is not None and not self._doubt:
+            # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
+            self._doubt = measured_misfit(self.described.description, *self.clock.rate_beyond_tolerance)
+            self._state.warn(self._doubt)
+            if self._state.state == "online":
+                self._say_online()
+        self._next_ping_ns = min(self._next_ping_ns, self.clock.ping_due_ns(now.monotonic_ns))
         # Only now: every frame can be stamped from the first one on.
         if self._session.state is HostState.DESCRIBED:
-            self._session.configure(Configuration(gate_ticks(self._plate)))
+            self._session.configure(Configuration(self._gate_ticks))
+        elif self._state.state == "stalled":
+            self._session.resume()
 
     def _frame(self, frame: Frame | AssembledFrame) -> None:
-        if self.clock is None or self._described is None:
+        if self.clock is None or self.described is None:
             return
-        gate_end = self.clock.at(frame.board_ticks)
-        age_ns = time.monotonic_ns() - (gate_end.utc_ns - self.clock.utc_less_monotonic_ns)
-        if not -_FRAME_AGE_NS < age_ns < _FRAME_AGE_NS:
+        middle = self.clock.at(frame.board_ticks - self._gate_ticks // 2)
+        if not -_FRAME_AGE_NS < self._now.monotonic_ns - middle.monotonic_ns < _FRAME_AGE_NS:
             self._account.messages_malformed += 1  # ticks that this boot has not reached, or long left behind
             return
-        accepted = self._numbering.accept(self._described.boot_id, frame.sequence, frame.board_ticks, gate_end)
+        boot_id = self.described.boot_id
+        try:
+            accepted = self._numbering.accept(boot_id, frame.sequence, frame.board_ticks, middle)
+        except BrokenSpacingError as error:
+            spacing = f"{error.spacing_ticks} ticks from frame to frame, {error.gate_ticks} were configured"
+            if error.from_the_start:
+                raise BoardRefusedError(f"the board does not keep its gate: {spacing}") from error
+            raise LinkLostError(f"the board's clock jumped: {spacing}") from error
         if accepted is None:
             self._account.messages_stale += 1
             return
-        index, gap = accepted
-        self._last_frame = time.monotonic()
+        gap = accepted.gap
+        self._last_frame_ns = self._now.monotonic_ns
+        self._newest_ticks = max(self._newest_ticks, frame.board_ticks)
+        boot = self._account.boots[-1]
+        boot.frames += 1
         self._account.frames += 1
         if gap is not None:
-            self._account.lost = self._account.lost + gap.loss
+            self._account.lost += gap.loss
+            boot.lost += gap.loss
             self._ring.put(gap)
+        if self._state.state != "online":
+            self._say_online()
+        self._state.frame_came(accepted.previous, middle, gap.loss.total if gap else 0)
         if isinstance(frame, Frame):
-            arrival: Arrival = SingleToneFrame(index, frame.board_ticks, gate_end, frame.records)
+            self._ring.put_frame(SingleToneFrame(accepted.index, frame.board_ticks, middle, frame.payload))
         else:
             self._account.parts_lost += frame.parts - frame.parts_seen
             self._account.frames_incomplete += frame.parts_seen < frame.parts
-            arrival = ChannelisedFrame(
-                index,
-                frame.board_ticks,
-                gate_end,
-                frame.phase_turn32,
-                frame.offset_hz16,
-                frame.sigma_code,
-                frame.known,
+            self._ring.put_frame(
+                ChannelisedFrame(
+                    accepted.index,
+                    frame.board_ticks,
+                    middle,
+                    frame.phase_turn32,
+                    frame.offset_hz16,
+                    frame.sigma_code,
+                    frame.known,
+                )
             )
-        self._ring.put(arrival, frame.size_bytes)
 
-    def _watch_silence(self, now: float) -> None:
-        silent_s = now - self._last_frame
-        if silent_s > self._silence_s + _REOPEN_S:
-            raise LinkLostError(f"the board was silent for {silent_s:.1f} s")
-        if silent_s > self._silence_s:
+    def _watch_silence(self, now_ns: int) -> None:
+        silent_ns = now_ns - self._last_frame_ns
+        if silent_ns > self._silence_ns + _REOPEN_NS:
+            raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
+        if silent_ns > self._silence_ns and self._state.state != "stalled":
             self._say("stalled", "the port is open and no frame comes")
-        else:
-            self._say_online()
+            self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on
+
+
+def _after(reset_cause: int | None) -> str:
+    match reset_cause:
+        case ResetCause.POWER_ON:
+            return ", switched on"
+        case ResetCause.BROWN_OUT:
+            return " after a brown-out: look at its supply"
+        case ResetCause.WATCHDOG:
+            return ", by its watchdog"
+        case ResetCause.SOFTWARE:
+            return ", by its software"
+        case ResetCause.RESET_PIN:
+            return ", by its reset pin"
+        case _:
+            return ""

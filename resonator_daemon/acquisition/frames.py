@@ -1,13 +1,17 @@
 """What the acquisition hands on: frames with their time, gaps, and news of board and link."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.layouts import SingleToneRecord
+from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
+from resonator_daemon.acquisition.account import FrameLoss
 from resonator_daemon.acquisition.clock import Instant
+
+_SINGLE_TONE_BYTES = 700  # a frame with its instant, integers and payload, as tracemalloc sees it
+_CHANNELISED_BYTES = 1400  # beside its arrays
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,9 +19,18 @@ class SingleToneFrame:
     """One gate of a single-tone counter; `index` counts gates without a break, also through outages."""
 
     index: int
-    board_ticks: int
-    gate_end: Instant
-    records: tuple[SingleToneRecord, ...]
+    board_ticks: int  # at the end of the gate
+    gate_middle: Instant
+    payload: bytes  # parsed where it is used: whoever reads the link has no time for it
+
+    @property
+    def records(self) -> tuple[SingleToneRecord, ...]:
+        """The reading of each channel."""
+        return single_tone_records(self.payload)
+
+    @property
+    def memory_bytes(self) -> int:
+        return _SINGLE_TONE_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,34 +38,17 @@ class ChannelisedFrame:
     """One gate of a channelised counter: arrays (4, tones) in the wire's units; `known` tells what arrived."""
 
     index: int
-    board_ticks: int
-    gate_end: Instant
+    board_ticks: int  # at the end of the gate
+    gate_middle: Instant
     phase_turn32: NDArray[np.int32]
     offset_hz16: NDArray[np.int32]
     sigma_code: NDArray[np.uint8]
     known: NDArray[np.bool_]
 
-
-@dataclass(frozen=True, slots=True)
-class FrameLoss:
-    """Frames that did not reach the measurement, by cause."""
-
-    link_gap: int = 0  # never arrived
-    damaged: int = 0  # arrived with a wrong check sum, or in pieces
-    board_overflow: int = 0  # the board dropped them, and said so
-    host_overrun: int = 0  # arrived, and the ring was full
-
     @property
-    def total(self) -> int:
-        return self.link_gap + self.damaged + self.board_overflow + self.host_overrun
-
-    def __add__(self, other: "FrameLoss") -> "FrameLoss":
-        return FrameLoss(
-            self.link_gap + other.link_gap,
-            self.damaged + other.damaged,
-            self.board_overflow + other.board_overflow,
-            self.host_overrun + other.host_overrun,
-        )
+    def memory_bytes(self) -> int:
+        arrays = (self.phase_turn32, self.offset_hz16, self.sigma_code, self.known)
+        return _CHANNELISED_BYTES + sum(array.nbytes for array in arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +61,16 @@ class Gap:
 
 @dataclass(frozen=True, slots=True)
 class BoardOnline:
-    """A board was identified, fits the plate, and counts."""
+    """A board was identified, fits the plate, and counts.
+
+    `continues`: its ticks go on from those of the frames before, so that what was learnt from them holds.
+    """
 
     identity: Identity
     description: Description
     boot_id: int
     configuration: Configuration
+    continues: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +91,16 @@ class LinkChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Outage:
+    """A time without frames that is over: from the middle of the last gate before to that of the first after."""
+
+    start_utc_ns: int
+    end_utc_ns: int
+    frames_lost: int
+    reason: str  # what was said of the link when it began
+
+
+@dataclass(frozen=True, slots=True)
 class BoardSays:
     """A line of the board's log."""
 
@@ -105,27 +115,14 @@ class ReaderFailed:
     error: Exception
 
 
-Arrival = SingleToneFrame | ChannelisedFrame | Gap | BoardOnline | BoardRefused | LinkChange | BoardSays | ReaderFailed
-
-
-@dataclass(slots=True)
-class LinkAccount:
-    """Where every byte and every frame of the link went; complete at any instant.
-
-    bytes_received = bytes_accepted + bytes_other_version + bytes_own_direction + bytes_discarded + bytes_waiting.
-    """
-
-    bytes_received: int = 0
-    bytes_accepted: int = 0
-    bytes_other_version: int = 0
-    bytes_own_direction: int = 0
-    bytes_discarded: int = 0
-    bytes_waiting: int = 0
-    messages_stale: int = 0
-    messages_malformed: int = 0
-    messages_unknown: int = 0
-    frames: int = 0  # handed on or lost to host_overrun
-    parts_lost: int = 0  # of frames that did arrive
-    frames_incomplete: int = 0
-    connections: int = 0
-    lost: FrameLoss = field(default_factory=FrameLoss)
+Arrival = (
+    SingleToneFrame
+    | ChannelisedFrame
+    | Gap
+    | BoardOnline
+    | BoardRefused
+    | LinkChange
+    | Outage
+    | BoardSays
+    | ReaderFailed
+)

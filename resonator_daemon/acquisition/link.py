@@ -6,8 +6,11 @@ import time
 from collections.abc import Callable
 from typing import Protocol
 
-_READ_BYTES = 1 << 18
+_READ_BYTES = 1 << 18  # about this much a call, so that a flood is handed on in pieces
+_PIECE_BYTES = 1 << 16
+_TERMINAL_BYTES = 2048  # a terminal with more waiting never gives less than this
 _WRITE_TIMEOUT_S = 1.0
+_BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class LinkUnavailableError(Exception):
@@ -21,41 +24,61 @@ class LinkLostError(Exception):
 class Link(Protocol):
     """A two-way stream of bytes to a board."""
 
+    @property
+    def overruns(self) -> int:
+        """How often the host's own kernel has lost bytes since the link was opened; 0 where it does not tell."""
+
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, waiting at most `timeout_s`; empty when nothing has. Raises LinkLostError."""
 
     def write(self, data: bytes) -> None:
         """Send all of `data`. Raises LinkLostError."""
 
+    def reset(self) -> None:
+        """Have the device begin anew where the link can do that; elsewhere nothing. Raises LinkLostError."""
+
     def close(self) -> None:
-        """Give the port back; never fails."""
+        """Give the port back; never fails, and never waits for the board."""
 
 
 class FileDescriptorLink:
-    """A link over a non-blocking file descriptor; an error, a hang-up and an end of file all mean unplugged."""
+    """A link over a non-blocking file descriptor; an error, a hang-up and an end of file all mean unplugged.
+
+    Parameters
+    ----------
+    descriptor
+        Non-blocking, open for reading and writing.
+    close
+        Gives the descriptor back; called once.
+    """
 
     def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
         self._descriptor = descriptor
-        self._close = close
+        self._close: Callable[[], None] | None = close
+        self._lost: str | None = None
         self._readable = select.poll()
         self._readable.register(descriptor, select.POLLIN)
         self._writable = select.poll()
         self._writable.register(descriptor, select.POLLOUT)
 
+    @property
+    def overruns(self) -> int:
+        return 0
+
     def read(self, timeout_s: float) -> bytes:
-        if not self._readable.poll(timeout_s * 1e3):
+        self._check()
+        states = self._readable.poll(timeout_s * 1e3)
+        if not states:
             return b""
-        try:
-            data = os.read(self._descriptor, _READ_BYTES)
-        except BlockingIOError:
-            return b""
-        except OSError as error:
-            raise LinkLostError(f"unplugged ({error.strerror})") from error
+        data = self._drain()
+        if not data and self._lost is None and states[0][1] & _BROKEN:
+            self._lost = "unplugged (hung up)"  # the next poll would return at once again, for ever
         if not data:
-            raise LinkLostError("unplugged (end of stream)")
+            self._check()
         return data
 
     def write(self, data: bytes) -> None:
+        self._check()
         deadline = time.monotonic() + _WRITE_TIMEOUT_S
         while data:
             left_s = deadline - time.monotonic()
@@ -68,5 +91,37 @@ class FileDescriptorLink:
             except OSError as error:
                 raise LinkLostError(f"unplugged ({error.strerror})") from error
 
+    def reset(self) -> None:
+        self._check()
+
     def close(self) -> None:
-        self._close()
+        close, self._close = self._close, None
+        if close is not None:
+            self._lost = self._lost or "closed here"
+            close()
+
+    def _drain(self) -> bytes:
+        """Read what is there: a terminal gives 4 kB a call. An end that is found behind bytes is kept for next time."""
+        pieces = []
+        size = 0
+        while size < _READ_BYTES:
+            try:
+                piece = os.read(self._descriptor, _PIECE_BYTES)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._lost = f"unplugged ({error.strerror})"
+                break
+            if not piece:
+                self._lost = "unplugged (end of stream)"
+                break
+            pieces.append(piece)
+            size += len(piece)
+            if len(piece) < _TERMINAL_BYTES:
+                break
+        return b"".join(pieces)
+
+    def _check(self) -> None:
+        # A closed descriptor's number may be somebody else's by now.
+        if self._lost is not None:
+            raise LinkLostError(self._lost)

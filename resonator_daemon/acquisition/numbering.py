@@ -1,9 +1,32 @@
 """Numbers frames without a break, and tells by which cause the missing ones were lost."""
 
+from dataclasses import dataclass
+
+from resonator_daemon.acquisition.account import FrameLoss
 from resonator_daemon.acquisition.clock import Instant
-from resonator_daemon.acquisition.frames import FrameLoss, Gap
+from resonator_daemon.acquisition.frames import Gap
 
 _HALF_RANGE = 1 << 31
+_CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock may differ: rates, and their drift
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """A frame's number, the gap before it, and the time of the frame before that gap."""
+
+    index: int
+    gap: Gap | None
+    previous: Instant | None
+
+
+class BrokenSpacingError(Exception):
+    """Frames of one run do not lie a gate apart: the board's ticks jumped, or its gate is not the one configured."""
+
+    def __init__(self, spacing_ticks: int, gate_ticks: int, *, from_the_start: bool) -> None:
+        super().__init__(spacing_ticks, gate_ticks)
+        self.spacing_ticks = spacing_ticks
+        self.gate_ticks = gate_ticks
+        self.from_the_start = from_the_start
 
 
 class FrameNumbering:
@@ -26,7 +49,9 @@ class FrameNumbering:
         self._discarded_bytes = 0
         self._dropped_by_board = 0
         self._dropped_counted = 0
-        self._last: tuple[int, int, Instant] | None = None  # boot id, board ticks, gate end
+        self._overrun = False
+        self._last: tuple[int, int, Instant] | None = None  # boot id, board ticks, time
+        self._frames_of_run = 0
         self._resuming = False
 
     def started(self) -> None:
@@ -34,6 +59,8 @@ class FrameNumbering:
         self._next_sequence = 0
         self._discarded_bytes = 0
         self._dropped_by_board = self._dropped_counted = 0
+        self._overrun = False
+        self._frames_of_run = 0
         self._resuming = self._last is not None
 
     def discarded(self, size_bytes: int) -> None:
@@ -41,35 +68,74 @@ class FrameNumbering:
         self._discarded_bytes += size_bytes
 
     def dropped_by_board(self, frames_since_start: int) -> None:
-        """Take the board's own count of frames that it could not send."""
-        self._dropped_by_board = frames_since_start
+        """Take the board's own count of frames before the next one that it could not send."""
+        self._dropped_by_board = max(frames_since_start, self._dropped_by_board)
 
-    def accept(self, boot_id: int, sequence: int, board_ticks: int, gate_end: Instant) -> tuple[int, Gap | None] | None:
-        """Return the frame's index and the gap before it; None for a frame that was there already."""
+    def overrun(self) -> None:
+        """Take note that the host's driver lost bytes; the next frame tells whether frames were among them."""
+        self._overrun = True
+
+    def continues(self, boot_id: int, board_ticks: int) -> bool:
+        """Tell whether a tick count may belong to the same time line as the last frame's."""
+        return self._last is not None and self._last[0] == boot_id and board_ticks >= self._last[1]
+
+    def accept(self, boot_id: int, sequence: int, board_ticks: int, time: Instant) -> Accepted | None:
+        """Return the frame's index and the gap before it; None for a frame that was there already.
+
+        Raises
+        ------
+        BrokenSpacingError
+            When its ticks are not where its number puts them; nothing has been counted then.
+        """
         missing = (sequence - self._next_sequence) % (2 * _HALF_RANGE)
         if missing >= _HALF_RANGE:
             return None
+        self._check_spacing(missing, board_ticks)
         loss = self._causes(missing)
-        if self._resuming and self._last is not None:
-            # The board counted from 0 again: what a run without the outage would have had is told by the clocks.
-            last_boot_id, last_ticks, last_end = self._last
-            if boot_id == last_boot_id:
-                elapsed = (board_ticks - last_ticks) / self._gate_ticks
-            else:
-                elapsed = (gate_end.utc_ns - last_end.utc_ns) / self._gate_ns
-            loss += FrameLoss(link_gap=max(0, round(elapsed) - 1 - missing))
+        previous = self._last[2] if self._last is not None else None
+        if self._resuming:
+            loss += FrameLoss(link_gap=max(0, self._gates_away(boot_id, board_ticks, time) - 1 - missing))
             self._resuming = False
         gap = Gap(self._next_index, loss) if loss.total else None
         index = self._next_index + loss.total
         self._next_index = index + 1
         self._next_sequence = (sequence + 1) % (2 * _HALF_RANGE)
-        self._last = (boot_id, board_ticks, gate_end)
-        return index, gap
+        self._last = (boot_id, board_ticks, time)
+        self._frames_of_run += 1
+        return Accepted(index, gap, previous)
+
+    def _check_spacing(self, missing: int, board_ticks: int) -> None:
+        if self._frames_of_run and self._last is not None:
+            spacing_ticks = board_ticks - self._last[1]
+            if spacing_ticks != (missing + 1) * self._gate_ticks:
+                raise BrokenSpacingError(
+                    spacing_ticks // (missing + 1), self._gate_ticks, from_the_start=self._frames_of_run == 1
+                )
+
+    def _gates_away(self, boot_id: int, board_ticks: int, time: Instant) -> int:
+        """Tell how many gates an uninterrupted run would have had since the last frame."""
+        if self._last is None:
+            return 0
+        last_boot_id, last_ticks, last_time = self._last
+        by_board = (board_ticks - last_ticks) / self._gate_ticks
+        by_host = (time.monotonic_ns - last_time.monotonic_ns) / self._gate_ns
+        unsure = 1 + (last_time.uncertainty_ns + time.uncertainty_ns) / self._gate_ns
+        by_utc = (time.utc_ns - last_time.utc_ns) / self._gate_ns  # goes on while the host sleeps
+        # The board's ticks are exact, if they went on through the outage: a boot id that came twice does not say so,
+        # a clock that agrees does.
+        same_boot = boot_id == last_boot_id and any(
+            abs(by_board - gates) < unsure + _CLOCKS_AGREE * abs(gates) for gates in (by_host, by_utc)
+        )
+        return round(by_board if same_boot else by_host)
 
     def _causes(self, missing: int) -> FrameLoss:
-        overflow = min(missing, max(0, self._dropped_by_board - self._dropped_counted))
-        self._dropped_counted += overflow
+        overflow = min(missing, self._dropped_by_board - self._dropped_counted)
+        self._dropped_counted = self._dropped_by_board  # what it told is over with this frame, found missing or not
+        left = missing - overflow
         # Fragments too: a frame that arrived in part was damaged, one that never arrived is a gap of the link.
-        damaged = min(missing - overflow, -(-self._discarded_bytes // self._frame_bytes))
-        self._discarded_bytes = 0
-        return FrameLoss(link_gap=missing - overflow - damaged, damaged=damaged, board_overflow=overflow)
+        damaged = min(left, -(-self._discarded_bytes // self._frame_bytes))
+        overrun = self._overrun
+        self._discarded_bytes, self._overrun = 0, False
+        if overrun:
+            return FrameLoss(host_overrun=left, board_overflow=overflow)
+        return FrameLoss(link_gap=left - damaged, damaged=damaged, board_overflow=overflow)

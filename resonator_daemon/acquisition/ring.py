@@ -4,18 +4,17 @@ from collections import deque
 from collections.abc import Callable
 from threading import Lock
 
-from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, FrameLoss, SingleToneFrame
-
-FRAME = (SingleToneFrame, ChannelisedFrame)
+from resonator_daemon.acquisition.account import FrameLoss
+from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
 
 
 class Ring:
-    """Arrivals in order; when frames take more than `limit_bytes`, the oldest frames give way, news never.
+    """Arrivals in order; when frames take more than `limit_bytes`, the oldest give way to a gap, news never.
 
     Parameters
     ----------
     limit_bytes
-        Bound, in bytes on the wire, of the frames kept.
+        Bound of the memory that the frames kept take.
     wake
         Called, from the writing thread, when news was put in, or a frame that completes a step.
     step_frames
@@ -29,16 +28,23 @@ class Ring:
         self._lock = Lock()
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
-        self._overrun = 0
+        self._overflow = 0
 
-    def put(self, arrival: Arrival, size_bytes: int = 0) -> None:
-        """Append one arrival; `size_bytes` is a frame's size on the wire, 0 for news."""
+    def put(self, news: Arrival) -> None:
+        """Append what is no frame."""
         with self._lock:
-            self._items.append((size_bytes, arrival))
+            self._items.append((0, news))
+        self._wake()
+
+    def put_frame(self, frame: SingleToneFrame | ChannelisedFrame) -> None:
+        """Append one frame; when it completes a step, the consumer is woken."""
+        size_bytes = frame.memory_bytes
+        with self._lock:
+            self._items.append((size_bytes, frame))
             self._bytes += size_bytes
             if self._bytes > self._limit_bytes:
                 self._make_room()
-        if not isinstance(arrival, FRAME) or (arrival.index + 1) % self._step_frames == 0:
+        if (frame.index + 1) % self._step_frames == 0:
             self._wake()
 
     def take(self) -> list[Arrival]:
@@ -52,15 +58,22 @@ class Ring:
     def loss(self) -> FrameLoss:
         """Frames that gave way since the start."""
         with self._lock:
-            return FrameLoss(host_overrun=self._overrun)
+            return FrameLoss(ring_overflow=self._overflow)
 
     def _make_room(self) -> None:
-        news = []
+        news: list[Arrival] = []
         while self._bytes > self._limit_bytes:
             size_bytes, arrival = self._items.popleft()
-            if isinstance(arrival, FRAME):
+            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
                 self._bytes -= size_bytes
-                self._overrun += 1
+                self._overflow += 1
+                arrival = Gap(arrival.index, FrameLoss(ring_overflow=1))
+            if isinstance(arrival, Gap) and news and isinstance(news[-1], Gap) and _adjoin(news[-1], arrival):
+                news[-1] = Gap(news[-1].first_index, news[-1].loss + arrival.loss)
             else:
-                news.append((size_bytes, arrival))
-        self._items.extendleft(reversed(news))
+                news.append(arrival)
+        self._items.extendleft((0, arrival) for arrival in reversed(news))
+
+
+def _adjoin(gap: Gap, later: Gap) -> bool:
+    return gap.first_index + gap.loss.total == later.first_index

@@ -71,6 +71,7 @@ class Lost(Message):
     damaged: int = 0
     board_overflow: int = 0
     host_overrun: int = 0
+    ring_overflow: int = 0
     publish_dropped: int = 0
 
 
@@ -236,12 +237,22 @@ class DecodedSummary(Measured):
     patches: tuple[Patch, ...]
 
 
+class OutageInfo(Message):
+    """A time without frames that is over."""
+
+    start_t_ns: Int64  # UTC, middle of the last gate before
+    end_t_ns: Int64  # and of the first after
+    frames_lost: int
+    reason: str  # what was said of the link when it began
+
+
 class State(Header):
     """State of the daemon, its link or its sensor."""
 
     state: Condition
     reason: str
     since_t_ns: Int64 | None  # None in the last will: nobody is left to date it
+    last_outage: OutageInfo | None = None  # of the link, since the daemon started
 
 
 class SiteInfo(Message):
@@ -294,6 +305,15 @@ class MessageAccount(Message):
     waiting: int  # queued, or on their way
 
 
+class BootInfo(Message):
+    """What one boot of the board sent; a gap counts for the boot whose frame ended it."""
+
+    board_boot_id: str
+    connections: int
+    frames: int
+    lost: dict[str, int]  # frames by cause
+
+
 class Health(Header):
     """How the daemon itself fares."""
 
@@ -306,7 +326,12 @@ class Health(Header):
     packets_ignored: dict[str, int]  # sound packets that led to nothing: stale, malformed, unknown
     bytes_in: int
     bytes_by_fate: dict[str, int]  # their sum is bytes_in
+    connections: int  # openings of the link
+    host_overruns: int  # times that the host's driver said it had lost bytes of the link
+    boots: tuple[BootInfo, ...]  # of the board: the latest, the present one last
     clock_drift_ppm: Float
+    clock_outliers: int  # pings that contradicted the others
+    clock_restarts: int  # times that the board's clock had to be learnt anew
     cpu_percent: Float
     rss_mb: Float
     messages: MessageAccount

@@ -155,6 +155,88 @@ def test_write_to_a_closed_socket_is_a_loss(pair: Pair) -> None:
         pair.link.write(b"ping")
 
 
+def test_what_a_terminal_gives_in_pieces_comes_in_one_read(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    data = bytes(range(251)) * 36  # 9 kB, of which a terminal gives 4 kB a call
+    link = link_on(slave)
+    most_bytes = 0
+    for _ in range(20):  # now and then the kernel hands on a few bytes only, behind which there are more
+        assert os.write(master, data) == len(data)
+        received = link.read(AMPLE_S)
+        most_bytes = max(most_bytes, len(received))
+        while len(received) < len(data):
+            received += link.read(AMPLE_S)
+        assert received == data
+    assert most_bytes > 8192
+
+
+def test_a_flood_is_handed_on_in_pieces(pair: Pair) -> None:
+    flood = threading.Thread(target=pair.far.sendall, args=(bytes(4 << 20),))
+    flood.start()
+    received = 0
+    while received < 4 << 20:
+        piece = pair.link.read(AMPLE_S)
+        assert 0 < len(piece) <= 2 * link_module._READ_BYTES
+        received += len(piece)
+    flood.join()
+
+
+def test_an_error_behind_bytes_is_told_after_them_and_every_time(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [bytes(4096), errno.ECONNRESET]
+
+    def reset(_descriptor: int, _count: int) -> bytes:
+        answer = answers.pop(0)  # the system tells of a reset once
+        if isinstance(answer, int):
+            raise OSError(answer, os.strerror(answer))
+        return answer
+
+    pair.far.sendall(b"ready")
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(read=reset))
+    assert pair.link.read(AMPLE_S) == bytes(4096)
+    for _ in range(2):
+        with pytest.raises(LinkLostError, match="Connection reset by peer"):
+            pair.link.read(AMPLE_S)
+
+
+def test_a_descriptor_that_hangs_and_gives_nothing_is_a_loss_and_no_busy_loop(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(_descriptor: int, _count: int) -> bytes:
+        raise BlockingIOError
+
+    pair.far.close()
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(read=nothing))
+    with pytest.raises(LinkLostError, match="hung up"):
+        pair.link.read(AMPLE_S)
+
+
+def test_a_closed_link_is_lost_whoever_has_its_descriptor_now(pair: Pair) -> None:
+    number = pair.near.fileno()
+    pair.link.close()
+    os.dup2(pair.far.fileno(), number)
+    try:
+        for use in (lambda: pair.link.read(0.0), lambda: pair.link.write(b"stop"), pair.link.reset):
+            with pytest.raises(LinkLostError, match="closed here"):
+                use()
+        pair.link.close()
+        os.fstat(number)  # is not closed a second time
+    finally:
+        os.close(number)
+
+
+def test_what_gives_the_descriptor_back_is_called_once(pair: Pair) -> None:
+    closed = []
+    link = FileDescriptorLink(pair.near.fileno(), lambda: closed.append(True))
+    link.close()
+    link.close()
+    assert closed == [True]
+
+
+def test_a_plain_descriptor_has_no_losses_and_nothing_to_reset(pair: Pair) -> None:
+    pair.link.reset()
+    assert pair.link.overruns == 0
+
+
 def test_close_closes_what_was_given(pair: Pair) -> None:
     pair.link.close()
     assert pair.near.fileno() == -1

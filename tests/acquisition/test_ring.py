@@ -1,41 +1,94 @@
 """The ring: order, bound, what gives way, and when the reader's consumer is woken."""
 
+import tracemalloc
+
+import numpy as np
+import pytest
+
+from resonator_daemon.acquisition.account import FrameLoss
 from resonator_daemon.acquisition.clock import Instant
-from resonator_daemon.acquisition.frames import BoardSays, FrameLoss, SingleToneFrame
+from resonator_daemon.acquisition.frames import BoardSays, ChannelisedFrame, Gap, SingleToneFrame
 from resonator_daemon.acquisition.ring import Ring
+
+FRAME_BYTES = SingleToneFrame(0, 0, Instant(0, 0), b"").memory_bytes
 
 
 def frame(index: int) -> SingleToneFrame:
-    return SingleToneFrame(index, index, Instant(0, 0), ())
+    return SingleToneFrame(index, index, Instant(0, 0), bytes(176))
 
 
 def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
     wakes = []
-    ring = Ring(1000, lambda: wakes.append(1), step_frames=3)
+    ring = Ring(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=3)
     for index in range(2):
-        ring.put(frame(index), 100)
+        ring.put_frame(frame(index))
     assert wakes == []
-    ring.put(frame(2), 100)
+    ring.put_frame(frame(2))
     assert len(wakes) == 1
     assert ring.take() == [frame(0), frame(1), frame(2)]
     assert ring.take() == []
     ring.put(BoardSays(20, "news"))
     assert len(wakes) == 2
-    ring.put(frame(3), 100)
+    ring.put_frame(frame(3))
     assert len(wakes) == 2
     assert ring.take() == [BoardSays(20, "news"), frame(3)]
 
 
-def test_when_full_the_oldest_frames_give_way_and_news_stays() -> None:
-    ring = Ring(300, lambda: None)
+def test_when_full_the_oldest_frames_give_way_to_a_gap_and_news_stays() -> None:
+    ring = Ring(3 * FRAME_BYTES, lambda: None)
     news = [BoardSays(20, "first"), BoardSays(20, "second")]
     ring.put(news[0])
-    ring.put(frame(0), 100)
+    ring.put_frame(frame(0))
     ring.put(news[1])
     for index in range(1, 6):
-        ring.put(frame(index), 100)
-    assert ring.loss == FrameLoss(host_overrun=3)
-    assert ring.take() == [*news, frame(3), frame(4), frame(5)]
-    ring.put(frame(6), 100)
+        ring.put_frame(frame(index))
+    assert ring.loss == FrameLoss(ring_overflow=3)
+    given_up = [Gap(0, FrameLoss(ring_overflow=1)), Gap(1, FrameLoss(ring_overflow=2))]
+    assert ring.take() == [news[0], given_up[0], news[1], given_up[1], frame(3), frame(4), frame(5)]
+    ring.put_frame(frame(6))
     assert ring.take() == [frame(6)]
-    assert ring.loss == FrameLoss(host_overrun=3)
+    assert ring.loss == FrameLoss(ring_overflow=3)
+
+
+def test_gaps_that_adjoin_become_one() -> None:
+    ring = Ring(2 * FRAME_BYTES, lambda: None)
+    ring.put_frame(frame(0))
+    ring.put(Gap(1, FrameLoss(damaged=4)))
+    for index in range(5, 9):
+        ring.put_frame(frame(index))
+    assert ring.take() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
+
+
+def fresh_single_tone(index: int) -> SingleToneFrame:
+    """Return a frame that shares no object with another, as those from the link."""
+    big = 2**40 + index
+    return SingleToneFrame(2**30 + index, big, Instant(big + 1, 2**31 + index, big + 2), bytes(176) + b"x"[:0])
+
+
+def fresh_channelised(index: int) -> ChannelisedFrame:
+    big, shape = 2**40 + index, (4, 300)
+    return ChannelisedFrame(
+        2**30 + index,
+        big,
+        Instant(big + 1, 2**31 + index, big + 2),
+        np.zeros(shape, np.int32),
+        np.zeros(shape, np.int32),
+        np.zeros(shape, np.uint8),
+        np.zeros(shape, np.bool_),
+    )
+
+
+@pytest.mark.parametrize("fresh", [fresh_single_tone, fresh_channelised])
+def test_the_bound_is_one_of_memory(fresh: object) -> None:
+    limit_bytes = 1_000_000
+    ring = Ring(limit_bytes, lambda: None)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        for index in range(4000):
+            ring.put_frame(fresh(index))  # type: ignore[operator]
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert ring.loss.total > 0
+    assert 0.7 * limit_bytes < after - before <= 1.05 * limit_bytes

@@ -6,8 +6,12 @@ import fcntl
 import grp
 import os
 import pty
+import struct
+import subprocess
+import sys
 import termios
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +22,7 @@ from serial.tools import list_ports
 
 from resonator_daemon.acquisition import serial_link
 from resonator_daemon.acquisition.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
+from resonator_daemon.acquisition.port_holders import Holders
 from resonator_daemon.acquisition.serial_link import open_serial
 from resonator_daemon.config import SerialLink
 
@@ -25,6 +30,8 @@ BAUD = 4_000_000
 AMPLE_S = 30.0
 TIOCGEXCL = 0x80045440  # asks Linux whether TIOCEXCL holds
 TCSETS2 = 0x402C542B  # sets a baud rate that has no constant
+TCGETS2 = 0x802C542A
+TIOCGICOUNT = 0x545D
 
 
 class Terminal:
@@ -64,6 +71,21 @@ def read_exactly(link: FileDescriptorLink, count: int) -> bytes:
         assert piece, f"{len(data)} of {count} bytes came"
         data += piece
     return data
+
+
+@contextmanager
+def locked_elsewhere(path: str, *, lock: bool = True) -> Iterator[subprocess.Popen[str]]:
+    """Let another process hold the port for as long as the context lasts."""
+    program = (
+        f"import fcntl, os; d = os.open({path!r}, os.O_RDWR | os.O_NOCTTY); "
+        f"{lock} and fcntl.flock(d, fcntl.LOCK_EX); print('held', flush=True); os.read(0, 1)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        yield holder
 
 
 def failing_ioctl(request: int, code: int) -> Callable[..., Any]:
@@ -136,17 +158,134 @@ def test_closing_twice_leaves_the_port_of_the_next_holder_alone(port: Terminal) 
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
     held = open_serial(SerialLink(port.path, BAUD))
     said = refusal(port.path)
-    assert port.path in said
-    assert "held by another program" in said
+    name = Path("/proc/self/comm").read_text().strip()
+    assert said == f"{port.path} is held by {name} (pid {os.getpid()}); close it there"
     held.close()
     open_serial(SerialLink(port.path, BAUD)).close()
 
 
-def test_a_locked_port_is_said_to_be_held(port: Terminal) -> None:
-    fcntl.flock(port.slave, fcntl.LOCK_EX)
-    assert "held by another program" in refusal(port.path)
-    fcntl.flock(port.slave, fcntl.LOCK_UN)
+def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal) -> None:
+    # This process has the terminal open as well, and no lock on it.
+    with locked_elsewhere(port.path) as holder:
+        name = Path(f"/proc/{holder.pid}/comm").read_text().strip()
+        assert refusal(port.path) == f"{port.path} is held by {name} (pid {holder.pid}); close it there"
     open_serial(SerialLink(port.path, BAUD)).close()
+
+
+@pytest.mark.parametrize(
+    ("all_seen", "ending"),
+    [(True, "another program; close it there"), (False, "this user may not look at; as root: fuser -v {path}")],
+)
+def test_a_holder_that_is_not_found_is_said_so(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch, all_seen: bool, ending: str
+) -> None:
+    held = open_serial(SerialLink(port.path, BAUD))
+    monkeypatch.setattr(serial_link, "port_holders", lambda _path: Holders((), all_seen))
+    assert refusal(port.path).endswith(ending.format(path=port.path))
+    held.close()
+
+
+def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_link, "is_pseudo_terminal", lambda _path: False)
+    with locked_elsewhere(port.path, lock=False) as holder:
+        assert f"also held by {Path(f'/proc/{holder.pid}/comm').read_text().strip()} (pid {holder.pid})" in refusal(
+            port.path
+        )
+    open_serial(SerialLink(port.path, BAUD)).close()  # this process's own hold counts for nothing
+
+
+def test_closing_leaves_the_modem_lines_as_they_are(port: Terminal) -> None:
+    settings = termios.tcgetattr(port.slave)
+    settings[2] |= termios.HUPCL
+    termios.tcsetattr(port.slave, termios.TCSANOW, settings)
+    link = open_serial(SerialLink(port.path, 2_345_678))
+    assert not termios.tcgetattr(port.slave)[2] & termios.HUPCL
+    settings2 = bytearray(44)
+    fcntl.ioctl(port.slave, TCGETS2, settings2)
+    assert struct.unpack_from("II", settings2, 36) == (2_345_678, 2_345_678)  # the rate without a constant stayed
+    link.close()
+
+
+def test_nothing_that_came_before_is_read_or_sent_back(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = termios.tcflush
+    flushed = []
+
+    def flush(descriptor: int, queue: int) -> None:
+        flushed.append(queue)  # of a terminal that is not raw, output holds an echo; a pseudo-terminal's goes at once
+        real(descriptor, queue)
+
+    monkeypatch.setattr(termios, "tcflush", flush)
+    os.write(port.master, b"frames of an old run\n")
+    link = open_serial(SerialLink(port.path, BAUD))
+    assert link.read(0.0) == b""
+    assert flushed == [termios.TCIFLUSH, termios.TCOFLUSH]
+    link.close()
+
+
+def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(port: Terminal) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    os.write(port.master, bytes(3000))  # so many that the link looks for more
+    assert read_exactly(link, 3000) == bytes(3000)
+    assert link.read(0.0) == b""
+    link.close()
+
+
+def test_the_last_bytes_are_still_sent_when_the_port_is_closed(port: Terminal) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    link.write(b"stop")
+    link.close()
+    assert os.read(port.master, 100) == b"stop"
+
+
+@pytest.mark.parametrize(("queued", "dropped"), [([28, 5, 0], []), ([28] * 3, [termios.TCOFLUSH])])
+def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch, queued: list[int], dropped: list[int]
+) -> None:
+    real = fcntl.ioctl
+    flushed: list[int] = []
+    instants = iter((0.0, 0.04, 0.049, 0.05))  # at the fourth it has been a moment
+
+    def stuck(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked == termios.TIOCOUTQ:
+            rest[0][0] = queued.pop(0)
+            return 0
+        return real(descriptor, asked, *rest)
+
+    link = open_serial(SerialLink(port.path, BAUD))
+    monkeypatch.setattr(fcntl, "ioctl", stuck)
+    clock = SimpleNamespace(monotonic=lambda: next(instants), sleep=lambda _s: None)
+    monkeypatch.setattr(serial_link, "time", clock)
+    monkeypatch.setattr(termios, "tcflush", lambda _descriptor, queue: flushed.append(queue))
+    link.close()
+    assert flushed == dropped
+    assert not queued
+
+
+def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = fcntl.ioctl
+    overrun, buffer_overrun = 2**31 - 1, 5
+    gone = False
+
+    def counting(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked != TIOCGICOUNT:
+            return real(descriptor, asked, *rest)
+        if gone:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        struct.pack_into("11i", rest[0], 0, 1, 2, 3, 4, 5, 6, 7, overrun, 8, 9, buffer_overrun)
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", counting)
+    link = open_serial(SerialLink(port.path, BAUD))
+    assert link.overruns == 0
+    overrun, buffer_overrun = -(2**31) + 1, 8  # two more, past the end of the driver's number, and three more
+    assert link.overruns == 5
+    gone = True
+    assert link.overruns == 5
+    gone, buffer_overrun = False, 100
+    link.close()
+    assert link.overruns == 5  # nobody asks a descriptor that may be another's
 
 
 def ports_present(monkeypatch: pytest.MonkeyPatch, root: Path, devices: tuple[str, ...] = ()) -> Path:
@@ -213,23 +352,32 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
 
 
 @pytest.mark.parametrize("code", [errno.EACCES, errno.EPERM])
-def test_a_port_that_is_not_permitted_names_the_group_to_join(tmp_path: Path, code: int) -> None:
+def test_a_port_that_is_not_permitted_names_the_group_to_join(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    monkeypatch.setattr(grp, "getgrgid", lambda _number: SimpleNamespace(gr_name="dialout"))
     path = tmp_path / "ttyACM0"
     path.touch()
     said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(code, os.strerror(code)))
-    group = grp.getgrgid(path.stat().st_gid).gr_name
-    assert said == f"{path} may not be opened by this user; join the group {group}"
+    assert said == (
+        f"{path} may not be opened by this user; join its group: sudo usermod -aG dialout $USER, then log in anew"
+    )
 
 
-def test_a_group_without_a_name_is_named_by_its_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nameless(number: int) -> None:
-        raise KeyError(f"getgrgid(): gid not found: {number}")
+@pytest.mark.parametrize("group", [None, "root"])
+def test_a_group_that_nobody_should_join_asks_for_a_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
+) -> None:
+    def look_up(number: int) -> SimpleNamespace:
+        if group is None:
+            raise KeyError(f"getgrgid(): gid not found: {number}")
+        return SimpleNamespace(gr_name=group)
 
     path = tmp_path / "ttyACM0"
     path.touch()
-    monkeypatch.setattr(grp, "getgrgid", nameless)
+    monkeypatch.setattr(grp, "getgrgid", look_up)
     said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
-    assert said.endswith(f"join the group {path.stat().st_gid}")
+    assert said.endswith("give it to a group of this user with a udev rule (docs/links.md)")
 
 
 def test_a_port_that_goes_away_while_it_is_set_up_is_no_crash(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -324,7 +324,7 @@ def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pyt
         code, _, told = desk.run(*LOADS)
         link.close()
     assert code == 69
-    assert "is held by another program" in told
+    assert re.search(r"is held by \S+ \(pid \d+\); close it there", told)
     assert "stop the daemon that runs on it" in told
     code, _, told = desk.say(capsys, *LOADS)  # no board at all
     assert code == 69

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import Mosquitto, free_port
+from brokers import Mosquitto, free_port
 from numpy.typing import NDArray
 
 from resonator_daemon.calibration import skin as calibrate_module

@@ -6,6 +6,7 @@ import subprocess
 import sys
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "demo")
+FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
 PLATE_KEYS = {
     "frames",
     "lost",
@@ -36,7 +37,9 @@ def test_both_plates_against_the_truth() -> None:
     assert quartz.keys() >= PLATE_KEYS
     assert skin.keys() >= PLATE_KEYS
     for plate in (quartz, skin):
-        assert {plate["lost"][cause] for cause in ("link_gap", "damaged", "board_overflow", "host_overrun")} == {0}
+        lost = plate["lost"]
+        assert set(lost) == {*FRAME_LOSSES, "publish_dropped"}
+        assert {lost[cause] for cause in FRAME_LOSSES} == {0}
         assert plate["latency_ms"]["p50"] <= plate["latency_ms"]["p99"]
         assert plate["frames"] > 0
     assert quartz["contacts_true"] >= 2

@@ -225,6 +225,7 @@ def test_losses_are_those_since_the_beginning(run: Run) -> None:
         "damaged": 0,
         "board_overflow": 0,
         "host_overrun": 0,
+        "ring_overflow": 0,
         "publish_dropped": 5,
     }
 

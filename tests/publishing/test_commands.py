@@ -8,7 +8,7 @@ from typing import Any
 
 import aiomqtt
 import pytest
-from conftest import Amqtt, Mosquitto, free_port
+from brokers import Amqtt, Mosquitto, free_port
 from mqtt_helpers import Messages, assert_exact, scripted_broker, until
 from observer import observe
 from paho.mqtt.packettypes import PacketTypes

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import aiomqtt
 import pytest
-from conftest import Mosquitto
+from brokers import Mosquitto
 from mqtt_helpers import Messages, publishing, scripted_broker, until
 
 from resonator_daemon.publishing import connection, topics

@@ -119,6 +119,11 @@ def health(**changes: Any) -> Health:
         "cpu_percent": 21.4,
         "rss_mb": 92.3,
         "messages": MessageAccount(**nothing),
+        "connections": 1,
+        "host_overruns": 0,
+        "boots": (),
+        "clock_outliers": 0,
+        "clock_restarts": 0,
     }
     return Health(**header(), **{**fields, **changes})
 

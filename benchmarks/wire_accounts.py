@@ -1,0 +1,277 @@
+"""The accounts of the wire under every fault, alone and together, in simulated time, over the wrap of frame numbers.
+
+Run it with `make soak`, or `python benchmarks/wire_accounts.py [FRAMES]`. Exit code 1 when a single frame or byte is in
+the wrong place. The truth is the generator's list of what it made and what it harmed; nothing of it comes from the
+receiver.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
+from firmware_protocol.messages import BoardStatus, CounterKind, Description, Identity
+from firmware_protocol.states import BoardState
+from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.acquisition.connection import Connection
+from resonator_daemon.acquisition.fit import gate_ticks
+from resonator_daemon.acquisition.frames import Arrival, Gap, SingleToneFrame
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link_state import LinkState
+from resonator_daemon.acquisition.numbering import FrameNumbering
+from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.config import frame_bytes
+from resonator_daemon.plate import load_plate
+from simulators.board import Outgoing
+from simulators.faults import FaultPlan
+from simulators.faults.byte_faults import ByteFaults
+
+GATE_NS = 1_000_000
+PLATE = load_plate("quartz16")
+GATE_TICKS = gate_ticks(PLATE)
+RECORDS = bytes(CHANNEL_COUNT * SINGLE_TONE_STRUCT.size)
+DESCRIPTION = Description(CounterKind.SINGLE_TONE, CHANNEL_COUNT, 1, 10**12, 1, 10**9, PLATE.name)
+BEFORE_THE_WRAP = 2**32 - 1000
+
+
+@dataclass(frozen=True)
+class Case:
+    """What goes wrong; rates are shares of the gates."""
+
+    name: str
+    plan: FaultPlan = field(default_factory=FaultPlan)
+    overflow_rate: float = 0.0
+    reboot_rate: float = 0.0
+    chunk_bytes: int = 2000  # what a read gives at most; a draw from 1 up
+    share: float = 1.0  # of the frames
+
+    @property
+    def damages(self) -> bool:
+        return self.plan != FaultPlan()
+
+
+CASES = (
+    Case("nothing"),
+    Case("one byte a read", FaultPlan(bit_error_rate=3e-5), chunk_bytes=1, share=0.02),
+    Case("bit errors", FaultPlan(bit_error_rate=3e-5)),
+    Case("bursts of 16 bits", FaultPlan(burst_rate_hz=50.0)),
+    Case("garbage", FaultPlan(garbage_rate_hz=50.0)),
+    Case("lost chunks", FaultPlan(lost_chunk_rate_hz=20.0, lost_chunk_bytes=900)),
+    Case("duplicates", FaultPlan(duplicate_rate=0.02)),
+    Case("pieces in the wrong order", FaultPlan(reorder_rate=0.02)),
+    Case("board overflow", overflow_rate=0.02),
+    Case("reboots", reboot_rate=1e-3),
+    Case(
+        "all together",
+        FaultPlan(
+            bit_error_rate=3e-6,
+            burst_rate_hz=5.0,
+            garbage_rate_hz=5.0,
+            lost_chunk_rate_hz=5.0,
+            lost_chunk_bytes=900,
+            duplicate_rate=0.01,
+            reorder_rate=0.01,
+        ),
+        overflow_rate=0.01,
+        reboot_rate=3e-4,
+        chunk_bytes=400,
+    ),
+)
+
+
+class Board:
+    """Counts gates from a number just before the wrap, and keeps the list of what it sent unharmed."""
+
+    def __init__(self, case: Case, seed: int) -> None:
+        self._case = case
+        self._random = np.random.default_rng(seed)
+        self._faults = ByteFaults(case.plan, seed)
+        self._boots = 0
+        self.heard = False  # frames of this boot have arrived
+        self.arriving: list[tuple[int, int]] = []  # boot id and ticks of the frames that must arrive
+        self.dropped = self.hit = self.duplicated = 0
+        self.boot(0)
+
+    def boot(self, now_ns: int) -> None:
+        self._boots += 1
+        self.boot_id = 1000 + self._boots
+        self._boot_ns = now_ns
+        self.session = DeviceSession(Identity("accounts", "A-1", "0", 0), DESCRIPTION, self.boot_id)
+        self._runs = 0
+        self._sequence = BEFORE_THE_WRAP
+        self._since_start = self._reported = 0
+
+    def gate(self, requests: bytes, now_ns: int) -> bytes:
+        """Let one gate pass; return what is on the wire then."""
+        if self._case.reboot_rate and self._random.random() < self._case.reboot_rate:
+            self.boot(now_ns)
+        ticks = now_ns - self._boot_ns
+        outgoing = []
+        if self.session.state is BoardState.RUNNING:
+            outgoing += self._close_gate(ticks)
+        answers = self.session.receive(requests, ticks)
+        if self.session.started != self._runs:
+            self._runs, self._sequence = self.session.started, BEFORE_THE_WRAP
+            self._since_start = self._reported = 0
+        if answers:
+            outgoing.append(Outgoing((answers,)))
+        return b"".join(self._on_the_wire(packets, ticks, now_ns) for packets in outgoing)
+
+    def _close_gate(self, ticks: int) -> list[Outgoing]:
+        sequence, self._sequence = self._sequence, (self._sequence + 1) % 2**32
+        if self._case.overflow_rate and self._random.random() < self._case.overflow_rate:
+            self._since_start += 1
+            self.dropped += 1
+            return []
+        out = []
+        if self._reported != self._since_start:
+            self._reported = self._since_start
+            status = self.session.status(BoardStatus(self._since_start), ticks)
+            out.append(Outgoing((status,)))
+        return [*out, Outgoing((self.session.frame(sequence, ticks, RECORDS),), sequence)]
+
+    def _on_the_wire(self, outgoing: Outgoing, ticks: int, now_ns: int) -> bytes:
+        data, harm = b"".join(outgoing.packets), None
+        if self.heard:  # what comes as seldom as answers would be hit each time
+            data, harm = self._faults.damage(outgoing, now_ns * 1e-9)
+        if outgoing.is_frame:
+            self.hit += harm.frames_hit if harm else 0
+            self.duplicated += len(harm.frame_sequences_duplicated) if harm else 0
+            if harm is None or not harm.frames_hit:
+                self.arriving.append((self.boot_id, ticks))
+        return data
+
+
+class Receiver:
+    """The daemon's end, and what arrived."""
+
+    def __init__(self) -> None:
+        self.account = LinkAccount()
+        self.arrivals: list[Arrival] = []
+        self._ring = Ring(64 << 20, lambda: None)
+        self._numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, GATE_NS)
+        started = self._numbering.started
+
+        def started_before_the_wrap() -> None:
+            started()
+            self._numbering._next_sequence = BEFORE_THE_WRAP  # noqa: SLF001 - 2^32 frames would take 50 days
+
+        self._numbering.started = started_before_the_wrap  # type: ignore[method-assign]
+        self._state = LinkState(self._ring.put)
+        self.connection = Connection(PLATE, None, self._numbering, self._ring, self.account, self._state, _host_time(0))
+        self.fed_bytes = 0
+        self.books_wrong = 0
+
+    def take(self, data: bytes, now_ns: int) -> bytes:
+        if data:
+            self.fed_bytes += len(data)
+            self.connection.receive(data, _host_time(now_ns))
+        self.connection.tend(_host_time(now_ns), idle=True)
+        self.arrivals += self._ring.take()
+        return self.connection.data_to_send()
+
+    def check_bytes(self) -> None:
+        now = self.account.copy()
+        self.connection.add_to(now)
+        fates = now.bytes_accepted + now.bytes_other_version + now.bytes_own_direction
+        fates += now.bytes_discarded + now.bytes_waiting
+        self.books_wrong += not now.bytes_received == self.fed_bytes == fates
+
+
+def _host_time(now_ns: int) -> HostTime:
+    return HostTime(now_ns, 10**18, 0)
+
+
+def run(case: Case, gates: int, seed: int, tell: Callable[[str], object] = lambda _: None) -> list[str]:
+    """Play a case; return what is wrong, in sentences."""
+    board, receiver = Board(case, seed), Receiver()
+    random = np.random.default_rng(seed + 1)
+    now_ns, requests, wrong = 0, b"", []
+    expected: list[tuple[int, int]] = []
+    frames = gap_frames = next_index = out_of_order = 0
+    boot_id = 0
+    for number in range(gates + 50):
+        now_ns += GATE_NS
+        if number == gates:
+            board._case = Case("the end")  # noqa: SLF001
+            board._faults = ByteFaults(FaultPlan(), 0)  # noqa: SLF001 - the last frames tell of those before
+        boots = receiver.account.boots
+        board.heard = bool(boots) and boots[-1].boot_id == board.boot_id and boots[-1].frames > 0
+        data = board.gate(requests, now_ns)
+        requests, at = b"", 0
+        while at < len(data):
+            size = int(random.integers(1, case.chunk_bytes + 1))
+            requests += receiver.take(data[at : at + size], now_ns)
+            at += size
+            receiver.check_bytes()
+        requests += receiver.take(b"", now_ns)
+        for arrival in receiver.arrivals:
+            if isinstance(arrival, Gap):
+                out_of_order += arrival.first_index != next_index
+                next_index += arrival.loss.total
+                gap_frames += arrival.loss.total
+            elif isinstance(arrival, SingleToneFrame):
+                out_of_order += arrival.index != next_index
+                next_index += 1
+                boot_id = receiver.connection.described.boot_id if receiver.connection.described else 0
+                expected.append((boot_id, arrival.board_ticks))
+                frames += 1
+        receiver.arrivals.clear()
+        if number % 250_000 == 249_999:
+            tell(f"{case.name}: {number + 1} gates")
+    if case.reboot_rate:
+        # Frames that were on the way before the board was asked anew are stale; the others must all be there.
+        missing = set(board.arriving) - set(expected)
+        extra = set(expected) - set(board.arriving)
+        if extra:
+            wrong.append(f"{len(extra)} frames arrived that were harmed or never sent")
+        if len(missing) > receiver.connection._session.messages.stale:  # noqa: SLF001
+            wrong.append(f"{len(missing)} sound frames did not arrive")
+    elif expected != board.arriving:
+        wrong.append(f"{len(set(board.arriving) ^ set(expected))} frames are on one list only")
+    lost = receiver.account.lost
+    if frames != receiver.account.frames or gap_frames != lost.total:
+        wrong.append(f"account: {receiver.account.frames} frames and {lost.total} lost, seen {frames} and {gap_frames}")
+    boots = receiver.account.boots
+    if not case.reboot_rate and (boots[0].frames, boots[0].lost) != (frames, lost):
+        wrong.append("the account of the boot is another than that of the link")
+    if not case.reboot_rate and lost.total != board.dropped + board.hit:
+        wrong.append(f"{lost.total} frames reported lost, {board.dropped + board.hit} were")
+    if not case.damages and not case.reboot_rate and lost.board_overflow != board.dropped:
+        wrong.append(f"{lost.board_overflow} put down to the board, it dropped {board.dropped}")
+    if (
+        case.plan.model_fields_set <= {"bit_error_rate", "burst_rate_hz"}
+        and not case.reboot_rate
+        and (lost.damaged != board.hit)
+    ):
+        wrong.append(f"{lost.damaged} put down to damage, {board.hit} were hit")
+    if out_of_order:
+        wrong.append(f"{out_of_order} arrivals with another index than the next")
+    if receiver.books_wrong:
+        wrong.append(f"bytes did not add up at {receiver.books_wrong} reads")
+    tell(
+        f"{case.name}: {frames} frames, lost {lost.total} ({board.hit} hit, {board.dropped} dropped by the board), "
+        f"{board.duplicated} twice, {receiver.fed_bytes} bytes: {'; '.join(wrong) or 'exact'}"
+    )
+    return wrong
+
+
+def main() -> int:
+    frames = int(float(sys.argv[1])) if len(sys.argv) > 1 else 10_000_000
+    began, wrong = time.monotonic(), []
+
+    def tell(text: str) -> None:
+        print(f"{time.monotonic() - began:6.0f} s  {text}", flush=True)
+
+    for seed, case in enumerate(CASES):
+        wrong += run(case, round(case.share * frames / len(CASES)), seed, tell)
+    print("all exact" if not wrong else f"{len(wrong)} accounts are wrong")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

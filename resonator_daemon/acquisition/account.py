@@ -1,0 +1,73 @@
+"""Where every byte and every frame of a link went."""
+
+from dataclasses import dataclass, field, fields, replace
+
+
+@dataclass(frozen=True, slots=True)
+class FrameLoss:
+    """Frames that did not reach the measurement, by cause."""
+
+    link_gap: int = 0  # never arrived
+    damaged: int = 0  # arrived with a wrong check sum, or in pieces
+    board_overflow: int = 0  # the board dropped them, and said so
+    host_overrun: int = 0  # the host's driver had no room for their bytes, and said so
+    ring_overflow: int = 0  # arrived, and the ring was full
+
+    @property
+    def total(self) -> int:
+        return sum(getattr(self, cause.name) for cause in fields(self))
+
+    def __add__(self, other: "FrameLoss") -> "FrameLoss":
+        return FrameLoss(*(getattr(self, cause.name) + getattr(other, cause.name) for cause in fields(self)))
+
+
+@dataclass(slots=True)
+class BootAccount:
+    """What one boot of a board sent; a gap counts for the boot whose frame ended it."""
+
+    boot_id: int
+    connections: int = 0
+    frames: int = 0
+    lost: FrameLoss = field(default_factory=FrameLoss)  # ring_overflow aside: the ring does not ask whose they were
+
+
+BOOTS_REMEMBERED = 8
+
+
+@dataclass(slots=True)
+class LinkAccount:
+    """Where every byte and every frame of the link went; complete at any instant.
+
+    bytes_received = bytes_accepted + bytes_other_version + bytes_own_direction + bytes_discarded + bytes_waiting.
+    """
+
+    bytes_received: int = 0
+    bytes_accepted: int = 0
+    bytes_other_version: int = 0
+    bytes_own_direction: int = 0
+    bytes_discarded: int = 0
+    bytes_waiting: int = 0
+    messages_stale: int = 0
+    messages_malformed: int = 0
+    messages_unknown: int = 0
+    frames: int = 0  # handed on or lost to ring_overflow
+    parts_lost: int = 0  # of frames that did arrive
+    frames_incomplete: int = 0
+    connections: int = 0
+    host_overruns: int = 0  # times that the host's driver said it had no room
+    clock_outliers: int = 0  # pings that contradicted the others
+    clock_restarts: int = 0
+    lost: FrameLoss = field(default_factory=FrameLoss)
+    boots: list[BootAccount] = field(default_factory=list)  # the latest, the present one last
+
+    def boot(self, boot_id: int) -> BootAccount:
+        """Return the account of a boot, made where there is none."""
+        for boot in self.boots:
+            if boot.boot_id == boot_id:
+                return boot
+        self.boots.append(BootAccount(boot_id))
+        del self.boots[:-BOOTS_REMEMBERED]
+        return self.boots[-1]
+
+    def copy(self) -> "LinkAccount":
+        return replace(self, boots=[replace(boot) for boot in self.boots])

@@ -1,0 +1,142 @@
+"""What follows from each event on a link: connections, frames, accounts and states, live and from a recording alike."""
+
+import threading
+from collections.abc import Callable
+
+from firmware_protocol.host import Described
+from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
+from resonator_daemon.acquisition.connection import Connection
+from resonator_daemon.acquisition.fit import gate_ticks
+from resonator_daemon.acquisition.frames import BoardRefused
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link_state import LinkState
+from resonator_daemon.acquisition.numbering import FrameNumbering
+from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.acquisition.wire_events import (
+    Closed,
+    Goodbye,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Skipped,
+    Tended,
+    WireEvent,
+)
+from resonator_daemon.config import frame_bytes
+from resonator_daemon.plate import Plate
+
+
+class LinkCourse:
+    """Follows one link through any number of connections; it depends on its events alone.
+
+    Parameters
+    ----------
+    ring
+        Takes the frames and the news.
+    tap
+        Is handed each event before anything follows from it.
+    """
+
+    def __init__(self, plate: Plate, ring: Ring, tap: Callable[[WireEvent], None]) -> None:
+        self._plate = plate
+        self._ring = ring
+        self._tap = tap
+        self._numbering = FrameNumbering(
+            frame_bytes(plate), gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz)
+        )
+        self._lock = threading.Lock()  # held while a chunk is taken apart, so that accounts are whole
+        self._account = LinkAccount()
+        self._known: Described | None = None
+        self._state = LinkState(ring.put)
+        self.connection: Connection | None = None
+
+    def apply(self, event: WireEvent) -> None:
+        """Do what follows from the event.
+
+        Raises
+        ------
+        BoardRefusedError, LinkLostError
+            By what was received or tended: `Refused` or `Lost` is to follow, then `Closed`.
+        ValueError
+            An event of an open link, and none is open; or `Opened`, and one is.
+        """
+        self._tap(event)
+        match event:
+            case Said():
+                self._state.say(event.state, event.reason, event.now.utc_ns)
+            case Opened():
+                self._open(event.now)
+            case Received():
+                with self._lock:
+                    self._opened().receive(event.data, event.now)
+            case Tended():
+                with self._lock:
+                    self._opened().tend(event.now, idle=event.idle)
+            case Overrun():
+                with self._lock:
+                    self._opened().overrun()
+            case Goodbye():
+                self._opened().say_goodbye()
+            case Lost():
+                if self._state.state != "stalled":
+                    state = "lost" if self._opened().was_online else "waiting"
+                    self._state.say(state, event.reason, event.now.utc_ns)
+            case Refused():
+                self._state.say("refused", "; ".join(event.problems), event.now.utc_ns)
+                self._ring.put(BoardRefused(event.problems, event.other_protocol))
+            case Closed():
+                self._close()
+            case Sent() | Skipped():
+                pass
+
+    def data_to_send(self) -> bytes:
+        """Return and clear the bytes that the board must get, at once."""
+        return self._opened().data_to_send()
+
+    def due_ns(self) -> int:
+        """Return the monotonic time at which something is to be tended."""
+        return self._opened().due_ns()
+
+    @property
+    def was_online(self) -> bool:
+        """Whether the board has counted since the link was opened."""
+        return self._opened().was_online
+
+    def account(self) -> LinkAccount:
+        """Return where every byte and frame went, as of now."""
+        with self._lock:
+            account = self._account.copy()
+            if self.connection is not None:
+                self.connection.add_to(account)
+        account.lost += self._ring.loss
+        return account
+
+    @property
+    def lost(self) -> FrameLoss:
+        """Frames lost since the start, by cause."""
+        return self._account.lost + self._ring.loss
+
+    def _opened(self) -> Connection:
+        if self.connection is None:
+            raise ValueError("no link is open")
+        return self.connection
+
+    def _open(self, now: HostTime) -> None:
+        if self.connection is not None:
+            raise ValueError("the link is open already")
+        connection = Connection(self._plate, self._known, self._numbering, self._ring, self._account, self._state, now)
+        with self._lock:
+            self.connection = connection
+            self._account.connections += 1
+
+    def _close(self) -> None:
+        connection = self._opened()
+        if connection.was_online:
+            self._known = connection.described
+        with self._lock:
+            connection.close()
+            self.connection = None

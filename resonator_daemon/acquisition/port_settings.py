@@ -1,0 +1,99 @@
+"""What Linux is asked of a serial port beyond pyserial: modem lines left alone, no waiting of bytes, losses counted."""
+
+import fcntl
+import logging
+import os
+import struct
+import termios
+from collections.abc import Callable
+from pathlib import Path
+
+log = logging.getLogger(__name__)
+
+_TIOCGSERIAL, _TIOCSSERIAL = 0x541E, 0x541F
+_SERIAL_STRUCT_BYTES = 72
+_FLAGS = struct.Struct("@i")
+_FLAGS_AT = 16
+_ASYNC_LOW_LATENCY = 1 << 13
+
+_TIOCGICOUNT = 0x545D
+_COUNTS = struct.Struct("@20i")
+_OVERRUN, _BUFFER_OVERRUN = 7, 10
+
+_SYS_TTY = Path("/sys/class/tty")
+_said: set[str] = set()  # ports whose latency was told of: once for each life of the process
+
+
+def settle(descriptor: int) -> None:
+    """Have DTR stay as it is when the port is closed, and an empty port not look like one that is gone.
+
+    Many boards start anew when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
+    nothing returns no bytes, as does a read from a port that was hung up.
+    """
+    settings = termios.tcgetattr(descriptor)
+    settings[2] &= ~termios.HUPCL
+    settings[6][termios.VMIN] = 1
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+
+
+def hasten(descriptor: int, path: str) -> None:
+    """Have received bytes handed on at once where an adapter would collect them; say so where it will not."""
+    try:
+        serial = bytearray(_SERIAL_STRUCT_BYTES)
+        fcntl.ioctl(descriptor, _TIOCGSERIAL, serial)
+        flags = _FLAGS.unpack_from(serial, _FLAGS_AT)[0]
+        _FLAGS.pack_into(serial, _FLAGS_AT, flags | _ASYNC_LOW_LATENCY)
+        fcntl.ioctl(descriptor, _TIOCSSERIAL, bytes(serial))
+    except OSError:
+        pass  # a driver that knows no such flag; its timer, if it has one, says what remains to be done
+    name = os.path.basename(os.path.realpath(path))
+    timer = _SYS_TTY / name / "device" / "latency_timer"
+    timer_ms = _latency_ms(timer)
+    if timer_ms is None or timer_ms <= 1:
+        return
+    try:
+        timer.write_text("1")
+    except OSError as error:
+        if path not in _said:
+            _said.add(path)
+            log.info(
+                "%s hands bytes on only every %d ms (%s); a udev rule mends it: "
+                'ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
+                path,
+                timer_ms,
+                error.strerror,
+            )
+
+
+def overrun_counter(descriptor: int) -> Callable[[], int]:
+    """Return what tells how often driver and terminal have lost bytes since now; always 0 where they do not count."""
+    first = _overruns(descriptor)
+    if first is None:
+        return lambda: 0
+    last = 0
+
+    def since() -> int:
+        nonlocal last
+        now = _overruns(descriptor)
+        if now is not None:  # else the port went away; what was lost before stays lost
+            last = (now - first) & 0xFFFFFFFF
+        return last
+
+    return since
+
+
+def _latency_ms(timer: Path) -> int | None:
+    try:
+        return int(timer.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def _overruns(descriptor: int) -> int | None:
+    counts = bytearray(_COUNTS.size)
+    try:
+        fcntl.ioctl(descriptor, _TIOCGICOUNT, counts)
+    except OSError:
+        return None
+    values = _COUNTS.unpack(counts)
+    return int(values[_OVERRUN]) + int(values[_BUFFER_OVERRUN])

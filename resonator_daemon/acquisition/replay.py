@@ -1,0 +1,174 @@
+"""Has a recorded link happen again, event by event, and says where what follows is not what followed then."""
+
+import logging
+import time
+from collections.abc import Callable
+
+from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link import LinkLostError
+from resonator_daemon.acquisition.link_course import LinkCourse
+from resonator_daemon.acquisition.recording_file import Recording
+from resonator_daemon.acquisition.wire_events import (
+    Closed,
+    Goodbye,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Skipped,
+    Tended,
+    WireEvent,
+)
+
+log = logging.getLogger(__name__)
+
+_AT_ONCE_S = 1e-3  # a wait takes longer than this
+
+
+class Pace:
+    """Lets recorded time pass as fast as it did.
+
+    Parameters
+    ----------
+    wait
+        Waits for so many seconds, or less.
+    stopped
+        Whether to go on at all.
+    """
+
+    def __init__(self, wait: Callable[[float], object], stopped: Callable[[], bool]) -> None:
+        self._wait = wait
+        self._stopped = stopped
+        self._ahead_ns: int | None = None  # of recorded time before the present
+
+    def __call__(self, recorded: HostTime) -> bool:
+        """Wait until it is `recorded`'s turn; return False if nothing is wanted any more."""
+        if self._ahead_ns is None:
+            self._ahead_ns = time.monotonic_ns() - recorded.monotonic_ns
+        while not self._stopped():
+            left_s = (recorded.monotonic_ns + self._ahead_ns - time.monotonic_ns()) * 1e-9
+            if left_s < _AT_ONCE_S:
+                return True
+            self._wait(left_s)
+        return False
+
+
+def replay(recording: Recording, course: LinkCourse, pace: Callable[[HostTime], bool]) -> int:
+    """Apply the events of a recording; at the end the link is lost, for the reason that the recording is over.
+
+    Parameters
+    ----------
+    course
+        Has no link open.
+    pace
+        Is handed the time of each event and may wait; returns False to end the replay where it is.
+
+    Returns
+    -------
+    int
+        How often what followed was not what is recorded; 0 where nothing of the recording is missing.
+    """
+    comparison = _Comparison(recording.path, course)
+    now = None
+    for event in recording.events():
+        now = event.now
+        if not pace(now):
+            comparison.close(now)
+            return comparison.differences
+        comparison.apply(event)
+    if now is None:
+        now = HostTime(time.monotonic_ns(), 0, 0)
+    comparison.close(now)
+    sentences = [f"the recording {recording.path} is over"]
+    if recording.damage is not None:
+        sentences.append(f"its file is {recording.damage}; all before that was replayed")
+    if comparison.differences:
+        sentences.append(f"replay differs from it in {comparison.differences} places, first {comparison.first}")
+    course.apply(Said(now, "lost", "; ".join(sentences)))
+    return comparison.differences
+
+
+class _Comparison:
+    """Applies events, and compares what the connection does with what it did."""
+
+    def __init__(self, path: str, course: LinkCourse) -> None:
+        self._path = path
+        self._course = course
+        self._raised: BoardRefusedError | LinkLostError | None = None
+        self._begun: HostTime | None = None
+        self.differences = 0
+        self.first = ""
+
+    def apply(self, event: WireEvent) -> None:
+        if self._begun is None:
+            self._begun = event.now
+        match event:
+            case Said() | Skipped():
+                self._course.apply(event)
+                if isinstance(event, Skipped):
+                    self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
+            case Opened():
+                if self._course.connection is not None:
+                    self._differ(event, "the link is opened twice")
+                    self.close(event.now)
+                self._course.apply(event)
+            case _ if self._course.connection is None:
+                self._differ(event, "the link is not open")
+            case Lost() | Refused():
+                self._compare_end(event)
+                self._course.apply(event)
+            case Closed():
+                self.close(event.now)
+            case _ if self._raised is not None:
+                self._differ(event, f"the link would have been closed: {self._raised}")
+            case Sent():
+                self._course.apply(event)
+                self._compare_sent(event, event.data)
+            case Received() | Tended() | Overrun() | Goodbye():
+                if isinstance(event, Received) or (isinstance(event, Tended) and event.idle):
+                    self._compare_sent(event, b"")  # it was sent before the link was read again
+                try:
+                    self._course.apply(event)
+                except (BoardRefusedError, LinkLostError) as error:
+                    self._raised = error
+
+    def close(self, now: HostTime) -> None:
+        """Close what is open."""
+        self._raised = None
+        if self._course.connection is not None:
+            self._course.apply(Closed(now))
+
+    def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
+        wanted = self._course.data_to_send()
+        if wanted != sent:
+            self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")
+
+    def _compare_end(self, event: Lost | Refused) -> None:
+        raised, self._raised = self._raised, None
+        match event, raised:
+            case (Lost(), None):
+                return  # the link itself went away
+            case (Lost(), LinkLostError()):
+                as_recorded = str(raised) == event.reason
+            case (Refused(), BoardRefusedError()):
+                as_recorded = raised.refused.problems == event.problems
+            case _:
+                as_recorded = False
+        if not as_recorded:
+            now = raised or "nothing is wrong"
+            self._differ(event, f"the link was closed, {'; '.join(_reasons(event))}; now: {now}")
+
+    def _differ(self, event: WireEvent, what: str) -> None:
+        self.differences += 1
+        if self.differences == 1 and self._begun is not None:
+            at_s = (event.now.monotonic_ns - self._begun.monotonic_ns) * 1e-9
+            self.first = f"{at_s:.3f} s after its beginning: {what}"
+            log.warning("replay differs from the recording %s, %s", self._path, self.first)
+
+
+def _reasons(event: Lost | Refused) -> tuple[str, ...]:
+    return (event.reason,) if isinstance(event, Lost) else event.problems

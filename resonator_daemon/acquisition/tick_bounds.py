@@ -1,0 +1,134 @@
+"""Which lines from ticks to host time all exchanges allow: two convex hulls, relaxed by what a rate may wander.
+
+Every exchange bounds the host's time of one tick count from below and from above, whatever its delays were. Lines that
+keep all bounds form a polygon (Duda, Harrus, Haddad and Bernard, "Estimating global time in distributed systems",
+1987); a long trip is merely a loose bound. A rate that changes by at most W a second leaves its present line by no more
+than W/2 times the square of the age, so a bound is loosened by that. A parabola and a change of its apex differ by a
+straight line, which moves no point into or out of a convex hull: a bound once dropped can never bind again, and the few
+vertices that are left say what thousands of exchanges said.
+"""
+
+from typing import NamedTuple
+
+RATE_WANDER_PER_S = 0.5e-6  # a bare crystal in a draught or under a warming hand
+_NS = 1_000_000_000
+_RELAX_NS = round(2 * _NS / RATE_WANDER_PER_S)  # age squared over this is the loosening: ns * ns / ns
+_WINDOW_NS = 128 * _NS
+_VERTICES = 16
+
+
+class Point(NamedTuple):
+    """A bound on the excess of host time over nominal board time, at a nominal board time."""
+
+    nominal_ns: int
+    excess_ns: int
+
+
+class Lines(NamedTuple):
+    """The lines that keep all bounds: their extremes at the newest one; rates in ns per ns."""
+
+    nominal_ns: int
+    excess_ns: int
+    least_ns: float  # beyond excess_ns, as is the next
+    most_ns: float
+    least_rate: float
+    most_rate: float
+
+
+class TickBounds:
+    """Bounds that agree with each other; there is at least one.
+
+    Parameters
+    ----------
+    rates
+        Least and most excess of host time per nominal board time that is thought possible.
+    nominal_ns, least_ns, most_ns
+        The first bounds, as of `add`.
+    """
+
+    def __init__(self, rates: tuple[float, float], nominal_ns: int, least_ns: int, most_ns: int) -> None:
+        self._rates = rates
+        self._floor = [Point(nominal_ns, least_ns)]
+        self._ceiling = [Point(nominal_ns, -most_ns)]  # upside down, so that one hull routine serves both
+        self.lines = Lines(nominal_ns, least_ns, 0.0, float(most_ns - least_ns), *rates)
+        self.count = 1
+
+    def add(self, nominal_ns: int, least_ns: int, most_ns: int) -> bool:
+        """Take the bounds of one exchange; return False, and change nothing, where they contradict the others."""
+        # However long nothing was heard: the loosening of old bounds would in the end allow anything.
+        floor_at, floor_ns = self._floor[-1]
+        ceiling_at, ceiling_ns = self._ceiling[-1]
+        if (
+            nominal_ns < self.lines.nominal_ns
+            or most_ns - floor_ns < self._rates[0] * (nominal_ns - floor_at)
+            or least_ns + ceiling_ns > self._rates[1] * (nominal_ns - ceiling_at)
+        ):
+            return False
+        floor = _with_point(self._floor, Point(nominal_ns, least_ns))
+        ceiling = _with_point(self._ceiling, Point(nominal_ns, -most_ns))
+        lines = _lines(floor, ceiling, self._rates)
+        if lines is None:
+            return False
+        self._floor, self._ceiling, self.lines = floor, ceiling, lines
+        self.count = self.count + 1 if len(floor) > 1 else 1  # after long silence there is nothing to agree with
+        return True
+
+    def narrowed(self, rates: tuple[float, float]) -> Lines | None:
+        """Return the lines with a rate in this range only; None where there is none."""
+        least, most = max(rates[0], self.lines.least_rate), min(rates[1], self.lines.most_rate)
+        if (least, most) == (self.lines.least_rate, self.lines.most_rate):
+            return self.lines
+        return _lines(self._floor, self._ceiling, (least, most))
+
+
+def _with_point(hull: list[Point], new: Point) -> list[Point]:
+    """Return the upper hull with a point at its right end, in exact integers."""
+    kept = [point for point in hull if point.nominal_ns > new.nominal_ns - _WINDOW_NS]
+    if kept and kept[-1].nominal_ns == new.nominal_ns:
+        new = max(new, kept.pop())
+    while len(kept) >= 2:
+        (x0, z0), (x1, z1) = _bent(kept[-2], new), _bent(kept[-1], new)
+        if z1 * x0 < z0 * x1:  # the middle point lies above the chord: both x are negative
+            break
+        kept.pop()
+    kept.append(new)
+    if len(kept) > _VERTICES:  # delays all alike: the parabola alone keeps every bound
+        del kept[min(range(1, _VERTICES), key=lambda at: _height(*kept[at - 1 : at + 2]))]
+    return kept
+
+
+def _height(left: Point, middle: Point, right: Point) -> int:
+    """Return how far a vertex lies above the chord of its neighbours."""
+    (x0, z0), (x1, z1) = _bent(left, right), _bent(middle, right)
+    return z1 - z0 * x1 // x0
+
+
+def _bent(point: Point, apex: Point) -> tuple[int, int]:
+    """Return a point relative to another, loosened by its age, heights in units of 1 / _RELAX_NS."""
+    age = point.nominal_ns - apex.nominal_ns
+    return age, (point.excess_ns - apex.excess_ns) * _RELAX_NS - age * age
+
+
+def _lines(floor: list[Point], ceiling: list[Point], rates: tuple[float, float]) -> Lines | None:
+    """Return the extremes of the polygon of lines; None where it is empty."""
+    now_ns, near_ns = floor[-1]
+    # Relative to the newest bound all numbers are small, so that floating point loses nothing.
+    below = [(float(x - now_ns), y - near_ns - (x - now_ns) ** 2 / _RELAX_NS) for x, y in floor]
+    above = [(float(x - now_ns), -y - near_ns + (x - now_ns) ** 2 / _RELAX_NS) for x, y in ceiling]
+    least, most = rates
+    for xb, yb in below:
+        for xa, ya in above:
+            if xa > xb:
+                most = min(most, (ya - yb) / (xa - xb))
+            elif xa < xb:
+                least = max(least, (yb - ya) / (xb - xa))
+    if least > most:
+        return None
+    return Lines(
+        nominal_ns=now_ns,
+        excess_ns=near_ns,
+        least_ns=max(y - least * x for x, y in below),
+        most_ns=min(y - most * x for x, y in above),
+        least_rate=least,
+        most_rate=most,
+    )

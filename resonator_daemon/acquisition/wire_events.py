@@ -1,0 +1,154 @@
+"""What happens on a link, as events: all that a connection is handed, so that a recording of them can hand it again."""
+
+import json
+import struct
+from typing import NamedTuple
+
+from resonator_daemon.acquisition.host_time import HostTime
+
+_HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
+
+
+class Said(NamedTuple):
+    """A state of the link was announced while no link was open."""
+
+    now: HostTime
+    state: str
+    reason: str
+
+
+class Opened(NamedTuple):
+    """The link was opened."""
+
+    now: HostTime
+
+
+class Received(NamedTuple):
+    """Bytes had come by then."""
+
+    now: HostTime
+    data: bytes
+
+
+class Tended(NamedTuple):
+    """Timers were looked after; `idle`: nothing had come."""
+
+    now: HostTime
+    idle: bool
+
+
+class Sent(NamedTuple):
+    """Bytes went out, made by what was received and tended at `now` or before."""
+
+    now: HostTime
+    data: bytes
+
+
+class Overrun(NamedTuple):
+    """The host's driver said that it lost bytes."""
+
+    now: HostTime
+
+
+class Goodbye(NamedTuple):
+    """The reader was told to stop, and is about to tell the board."""
+
+    now: HostTime
+
+
+class Lost(NamedTuple):
+    """The open link went away, or the board on it is to be asked anew."""
+
+    now: HostTime
+    reason: str
+
+
+class Refused(NamedTuple):
+    """The board cannot serve the plate."""
+
+    now: HostTime
+    problems: tuple[str, ...]
+    other_protocol: bool
+
+
+class Closed(NamedTuple):
+    """The link was closed, whatever the reason."""
+
+    now: HostTime
+
+
+class Skipped(NamedTuple):
+    """Events that happened before this and are not in the recording: the disk was too slow for them."""
+
+    now: HostTime
+    events: int
+    size_bytes: int
+
+
+WireEvent = (
+    Said | Opened | Received | Tended | Sent | Overrun | Goodbye | Lost | Refused | Closed | Skipped
+)  # fmt: skip
+
+# A kind's place is its number in files: new ones are appended.
+_KINDS: tuple[type[WireEvent], ...] = (
+    Said,
+    Opened,
+    Received,
+    Tended,
+    Sent,
+    Overrun,
+    Goodbye,
+    Lost,
+    Refused,
+    Closed,
+    Skipped,
+)
+_NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+
+
+def encode(event: WireEvent) -> bytes:
+    """Return the event without its monotonic time and UTC, which travel beside it."""
+    head = _HEAD.pack(_NUMBERS[type(event)], event.now.boottime_less_monotonic_ns)
+    match event:
+        case Received() | Sent():
+            return head + event.data
+        case Tended():
+            return head + bytes([event.idle])
+        case Opened() | Overrun() | Goodbye() | Closed():
+            return head
+        case Said() | Lost() | Refused() | Skipped():
+            return head + json.dumps(event[1:]).encode()
+
+
+def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
+    """Return the event that `encode` was given.
+
+    Raises
+    ------
+    ValueError
+        These are no bytes of `encode`.
+    """
+    if len(data) < _HEAD.size:
+        raise ValueError(f"an event has at least {_HEAD.size} bytes, got {len(data)}")
+    number, boottime_less_monotonic_ns = _HEAD.unpack_from(data)
+    if number >= len(_KINDS):
+        raise ValueError(f"no event has number {number}; the highest is {len(_KINDS) - 1}")
+    kind = _KINDS[number]
+    body = data[_HEAD.size :]
+    now = HostTime(monotonic_ns, utc_ns - monotonic_ns, boottime_less_monotonic_ns)
+    if kind is Received or kind is Sent:
+        return kind(now, body)
+    if kind is Tended:
+        return Tended(now, body == b"\1")
+    if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed:
+        return kind(now)
+    match kind, json.loads(body):
+        case (_, [str() as state, str() as reason]) if kind is Said:
+            return Said(now, state, reason)
+        case (_, [str() as reason]) if kind is Lost:
+            return Lost(now, reason)
+        case (_, [list() as problems, bool() as other_protocol]) if kind is Refused:
+            return Refused(now, tuple(str(problem) for problem in problems), other_protocol)
+        case (_, [int() as events, int() as size_bytes]) if kind is Skipped:
+            return Skipped(now, events, size_bytes)
+    raise ValueError(f"{kind.__name__} cannot be read from {body!r}")

@@ -1,0 +1,59 @@
+"""What happened on an emulated board's link, recorded to a file and replayed as fast as it goes."""
+
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+
+from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.acquisition.board import RING_BYTES
+from resonator_daemon.acquisition.frames import Arrival
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link_course import LinkCourse
+from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.acquisition.replay import replay
+from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.acquisition.wire_events import WireEvent
+from resonator_daemon.plate import Plate, load_plate
+
+PLATE = load_plate("quartz16")
+
+
+def at(monotonic_ms: int) -> HostTime:
+    return HostTime(10**9 + monotonic_ms * 10**6, 1_700_000_000 * 10**9 + monotonic_ms, 7)
+
+
+def record(path: Path, events: list[WireEvent], plate: Plate = PLATE, **options: int) -> Recorder:
+    with Recorder(path, plate, "tcp://board:1", **options) as recorder:
+        for event in events:
+            recorder.put(event)
+    return recorder
+
+
+def read(path: Path, plate: Plate = PLATE) -> tuple[list[WireEvent], str | None]:
+    with open_recording(str(path), plate) as recording:
+        return list(recording.events()), recording.damage
+
+
+def replayed(
+    path: Path, plate: Plate = PLATE, pace: Callable[[HostTime], bool] = lambda _: True
+) -> tuple[list[Arrival], LinkAccount, int]:
+    """Return what arrives, the account and how many differences there were."""
+    ring = Ring(RING_BYTES, lambda: None)
+    course = LinkCourse(plate, ring, lambda _: None)
+    with open_recording(str(path), plate) as recording:
+        differences = replay(recording, course, pace)
+    return ring.take(), course.account(), differences
+
+
+def same(one: object, other: object) -> bool:
+    """Like ==, with arrays compared to the bit, and of one type."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return bool(np.array_equal(one, other))
+    if is_dataclass(one):
+        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    return one == other

@@ -1,0 +1,349 @@
+"""One opening of a link in simulated time: handshake, clock, silence, reboots, boards that do not keep their word."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import pytest
+from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, board
+
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import Configuration, Identity, ResetCause, encode_message
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.acquisition.account import FrameLoss
+from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.frames import BoardOnline, Outage
+from resonator_daemon.acquisition.link import LinkLostError
+
+
+def online(**changes: object) -> Bench:
+    bench = Bench(board(**changes))
+    bench.run(200)
+    assert bench.states[-1][0] == "online"
+    return bench
+
+
+def test_a_board_is_identified_configured_started_and_read() -> None:
+    bench = online()
+    assert [state for state, _ in bench.states] == ["starting", "online"]
+    assert bench.states[0][1] == "board T-1 with firmware 1.0 is being configured"
+    (news,) = (arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline))
+    assert news.configuration == Configuration(GATE_TICKS)
+    assert not news.continues
+    assert len(bench.frames) > 150
+    bench.check_indices()
+    assert bench.account.lost == FrameLoss()
+
+
+def test_frames_carry_the_middle_of_their_gate() -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.boot(7, bench.now_ns)
+    booted_ns = bench.now_ns
+    bench.run(300)
+    for frame in bench.frames:
+        middle_ns = booted_ns + frame.board_ticks - GATE_TICKS // 2  # 1 GHz: a tick is a nanosecond
+        assert abs(frame.gate_middle.monotonic_ns - middle_ns) <= frame.gate_middle.uncertainty_ns
+        assert frame.gate_middle.utc_ns == frame.gate_middle.monotonic_ns + 10**18
+        assert frame.gate_middle.uncertainty_ns < 2 * MS
+
+
+def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
+    bench = online()
+    bench.board.silent = True
+    bench.run(53)
+    assert bench.states[-1][0] == "online"
+    bench.run(3)
+    assert bench.states[-1] == ("stalled", "the port is open and no frame comes")
+    with pytest.raises(LinkLostError, match=r"silent for 1\.1 s"):
+        bench.run(2000)
+
+
+def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> None:
+    bench = online()
+    last = bench.frames[-1]
+    bench.board.silent = True
+    bench.run(200)
+    bench.board.silent = False
+    bench.run(50)
+    assert [state for state, _ in bench.states[-2:]] == ["stalled", "online"]
+    (outage,) = (arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.frames_lost == 200
+    assert outage.reason == "the port is open and no frame comes"
+    assert outage.start_utc_ns == last.gate_middle.utc_ns
+    assert outage.end_utc_ns - outage.start_utc_ns == pytest.approx(201 * MS, abs=MS)
+    bench.check_indices()
+    assert bench.account.connections == 0  # the reader counts these
+
+
+def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> None:
+    bench = online()
+    sent = bench.board.session.receive(encode_packet(MessageType.STOP, 999), 0)  # as if something else had stopped it
+    assert sent
+    bench.run(150)
+    assert bench.board.session.started == 2
+
+
+def test_a_late_reader_does_not_call_the_board_silent() -> None:
+    bench = online()
+    said = len(bench.states)
+    data = b""
+    for _ in range(1000):  # half a second in which nobody reads
+        bench.now_ns += MS // 2
+        data += bench.board.step(b"", bench.now_ns)
+    bench.connection.receive(data, bench.host_time())
+    bench.connection.tend(bench.host_time(), idle=False)
+    bench.run(20)
+    assert len(bench.states) == said
+    assert bench.account.lost.total == 0
+
+
+def test_bytes_that_are_no_frames_are_silence_too() -> None:
+    bench = online()
+    bench.board.slip = lambda packet: bytes(len(packet))
+    bench.run(700)
+    assert bench.states[-1][0] == "stalled"
+
+
+def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
+    bench = online()
+    frames = len(bench.frames)
+    bench.board.identity = replace(IDENTITY, reset_cause=ResetCause.BROWN_OUT)
+    bench.board.boot(8, bench.now_ns)
+    bench.run(100)  # nothing comes: it waits to be asked
+    bench.run(300)
+    reasons = [reason for state, reason in bench.states if state == "lost"]
+    assert reasons == ["the board started anew", "the board started anew after a brown-out: look at its supply"]
+    assert bench.states[-1][0] == "online"
+    assert len(bench.frames) > frames + 100
+    bench.check_indices()
+    (gap,) = bench.gaps
+    outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.frames_lost == gap.loss.total == pytest.approx((outage.end_utc_ns - outage.start_utc_ns) / MS, abs=3)
+    boots = bench.account.boots
+    assert [boot.boot_id for boot in boots] == [7, 8]
+    assert [boot.connections for boot in boots] == [1, 1]
+    assert sum(boot.frames for boot in boots) == bench.account.frames
+    assert boots[1].lost == gap.loss
+    assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
+
+
+def test_a_boot_id_that_comes_twice_is_seen_by_the_ticks() -> None:
+    bench = online()
+    bench.run(1000)
+    bench.board.boot(7, bench.now_ns)
+    with pytest.raises(LinkLostError, match="boot id 00000007 came twice: the board's ticks went back from 1"):
+        bench.run(2000)
+    bench.reopen()
+    bench.run(300)
+    assert bench.states[-1][0] == "online"
+    assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
+    bench.check_indices()
+    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
+    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
+
+
+def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
+    bench = online()
+    bench.close()
+    bench.state.say("lost", "unplugged (Input/output error)", bench.host_time().utc_ns)
+    for _ in range(2000):
+        bench.now_ns += MS // 2
+        bench.board.step(b"", bench.now_ns)
+    bench.open()
+    bench.run(200)
+    news = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)]
+    assert [entry.continues for entry in news] == [False, True]
+    bench.check_indices()
+    first, last = bench.frames[0], bench.frames[-1]
+    assert (last.board_ticks - first.board_ticks) / GATE_TICKS == pytest.approx(last.index - first.index, abs=1)
+    outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.reason == "unplugged (Input/output error)"
+    assert 1000 <= outage.frames_lost == bench.account.lost.link_gap < 1100
+    assert bench.account.boots[0].connections == 2
+
+
+def test_another_board_on_the_link_is_refused_with_both_named() -> None:
+    bench = online()
+    bench.board = SimulatedBoard(replace(IDENTITY, serial_number="T-2"), boot_id=9)
+    bench.board.boot(9, bench.now_ns)
+    bench.reopen()
+    with pytest.raises(BoardRefusedError, match="another board is on this link: T-2; T-1 was here before"):
+        bench.run(200)
+    bench.close()
+    assert bench.account.boots[0].boot_id == 7
+    assert len(bench.account.boots) == 1
+
+
+@pytest.mark.parametrize(
+    ("identity", "changes", "said"),
+    [
+        ({"product": "a scale"}, {}, "product: the board says a scale, it said test board before"),
+        ({}, {"reference_millihertz": 10**12 + 1}, "reference_millihertz: the board says 1000000000001, it said 1000"),
+        ({}, {"gate_ticks_max": 2_000_000}, "gate_ticks_max: the board says 2000000, it said 1000000000 before"),
+    ],
+)  # fmt: skip
+def test_a_board_that_describes_itself_otherwise_than_before_is_refused(
+    identity: dict[str, str], changes: dict[str, int], said: str
+) -> None:
+    bench = online()
+    bench.board = SimulatedBoard(replace(IDENTITY, **identity), replace(DESCRIPTION, **changes), boot_id=9)  # type: ignore[arg-type]
+    bench.reopen()
+    with pytest.raises(BoardRefusedError, match=said):
+        bench.run(200)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"channels": 0}, "channels: the board describes 0, the plate file has 4"),
+        ({"channels": 5}, "channels: the board describes 5, the plate file has 4"),
+        ({"plate": "skin32"}, "plate: the board describes skin32, the plate file has quartz16"),
+        ({"counter_kind": 1}, "counter kind: the board describes channelised, the plate file has single-tone"),
+        ({"counter_kind": 9}, "counter kind: the board describes number 9"),
+        ({"reference_millihertz": 0}, "reference_hz: the board describes 0.0, the plate file has 1000000000.0"),
+        ({"gate_ticks_min": 0, "gate_ticks_max": 0}, "frame rate: the board makes"),
+        ({"gate_ticks_min": 10, "gate_ticks_max": 9}, "gate: the board describes at least 10 and at most 9 ticks"),
+        ({"gate_ticks_step": 300_000}, "multiples of 300000 ticks, the plate file's 1000 Hz need 1000000"),
+        ({"gate_ticks_step": 0}, "gate: the board describes multiples of 0 ticks"),
+    ],
+)
+def test_a_description_that_does_not_fit_is_refused(changes: dict[str, object], said: str) -> None:
+    bench = Bench(board(**changes))
+    with pytest.raises(BoardRefusedError, match=said):
+        bench.run(200)
+    assert not bench.frames
+
+
+def test_a_plate_calibrated_with_another_board_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(SimulatedBoard())
+    calibration = bench.connection._plate.calibration
+    plate = bench.connection._plate.model_copy(
+        update={"calibration": calibration.model_copy(update={"unit": "RD-0042"})}
+    )
+    monkeypatch.setattr(bench.connection, "_plate", plate)
+    with pytest.raises(BoardRefusedError, match="the board is T-1, the plate file was calibrated with RD-0042"):
+        bench.run(200)
+
+
+def test_a_gate_that_was_not_asked_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stubborn(message: Any) -> bytes:
+        return encode_message(Configuration(2 * GATE_TICKS) if isinstance(message, Configuration) else message)
+
+    bench = Bench(SimulatedBoard())
+    monkeypatch.setattr("firmware_protocol.device.encode_message", stubborn)
+    with pytest.raises(BoardRefusedError, match="gates of 2000000 ticks, 1000000 were asked for"):
+        bench.run(200)
+
+
+def test_a_gate_that_is_not_kept_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_counted = DeviceSession.frame
+
+    def wide(session: DeviceSession, sequence: int, board_ticks: int, records: bytes) -> bytes:
+        return as_counted(session, sequence, board_ticks + 1000 * sequence, records)
+
+    bench = Bench(SimulatedBoard())
+    monkeypatch.setattr(DeviceSession, "frame", wide)
+    with pytest.raises(BoardRefusedError, match="does not keep its gate: 1001000 ticks from frame to frame, 1000000"):
+        bench.run(200)
+
+
+def test_ticks_that_jump_end_the_connection_before_a_frame_is_believed() -> None:
+    bench = online()
+    frames = len(bench.frames)
+    bench.board.jump_ticks = 5_000_000
+    with pytest.raises(LinkLostError, match="the board's clock jumped: 6000000 ticks from frame to frame"):
+        bench.run(50)
+    bench.reopen()
+    bench.run(200)
+    bench.check_indices()
+    assert len(bench.frames) > frames + 100
+    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
+    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
+
+
+def test_a_reference_that_is_not_what_was_described_is_flagged_with_both_named(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.fast_ppm = 2000.0
+    bench.run(10_000)
+    state, reason = bench.states[-1]
+    assert state == "online"
+    assert re.search(r"describes 1000000000 Hz, its ticks come at 100[12]\d{6} Hz \(give or take \d+ ppm", reason)
+    assert sum("its ticks come at" in record.getMessage() for record in caplog.records) == 1
+    bench.check_indices()
+
+
+def test_a_fault_of_the_board_is_its_own_words_and_waited_out() -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.session.fault = "the reference oscillator does not swing"
+    with pytest.raises(LinkLostError):
+        bench.run(200)
+    bench.close()
+    assert bench.states[-1] == ("stalled", "the board cannot count: the reference oscillator does not swing")
+
+
+def test_a_step_of_the_wall_clock_bends_no_sample() -> None:
+    bench = online()
+    bench.utc_step_ns = 3600 * 10**9
+    bench.run(3000)
+    monotonic = [frame.gate_middle.monotonic_ns for frame in bench.frames]
+    steps = {b - a for a, b in pairwise(monotonic)}
+    assert max(steps) < 1.05 * MS
+    utc = [frame.gate_middle.utc_ns for frame in bench.frames]
+    jumps = [b - a for a, b in pairwise(utc) if b - a > 2 * MS]
+    assert jumps == [pytest.approx(3600 * 10**9 + MS, abs=MS)]
+
+
+@pytest.mark.parametrize("lose", [lambda it: it.discarded(204), lambda it: it.overrun()], ids=["damage", "overrun"])
+def test_the_books_of_a_connection_are_kept_when_it_ends(lose: Callable[[object], None]) -> None:
+    bench = online()
+    bench.connection.receive(b"\xa5\x5a\x01", bench.host_time())
+    before = bench.account
+    bench.close()
+    after = bench.total
+    assert before.bytes_waiting == 3
+    assert (after.bytes_discarded, after.bytes_waiting) == (before.bytes_discarded + 3, 0)
+    assert after.bytes_received == before.bytes_received
+
+
+def test_other_versions_are_refused_with_both_named() -> None:
+    bench = Bench(SimulatedBoard())
+    with pytest.raises(BoardRefusedError, match="the board speaks protocol 3, this daemon speaks 1") as refused:
+        bench.connection.receive(encode_packet(0x9F, 1, b"?", boot_id=7, major=3), bench.host_time())
+    assert refused.value.refused.other_protocol
+
+
+def test_nobody_there_is_said_with_what_came() -> None:
+    bench = Bench(SimulatedBoard(Identity("x", "x", "x", 0)))
+    bench.board.frozen = True
+    with pytest.raises(LinkLostError, match="no board answers"):
+        bench.run(4000)
+    bench.close()
+    assert bench.states[-1][1].startswith("no board answers: not a byte came; is it a board of this kind")
+
+
+@pytest.mark.parametrize("lost", ["IDENTITY", "DESCRIPTION", "CONFIGURED", "STARTED"])
+def test_a_lost_answer_is_asked_for_again_while_pings_are_answered(lost: str) -> None:
+    bench = Bench(SimulatedBoard())
+    session, seen = bench.board.session, []
+    answer = session.receive
+
+    def lossy(data: bytes, board_ticks: int) -> bytes:
+        packets = [
+            answer(packet, board_ticks) for packet in data.split(b"\xa5\x5a")[1:] for packet in (b"\xa5\x5a" + packet,)
+        ]
+        if not seen:
+            hit = [packet for packet in packets if packet and packet[3] == MessageType[lost]]
+            seen.extend(hit)
+            packets = [packet for packet in packets if packet not in hit]
+        return b"".join(packets)
+
+    session.receive = lossy  # type: ignore[method-assign]
+    bench.run(900)
+    assert seen
+    assert bench.states[-1][0] == "online"
+    assert session.started == 1
