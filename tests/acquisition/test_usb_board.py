@@ -1,0 +1,86 @@
+"""A whole board over USB: the daemon's reader in a process that sees the emulated bus."""
+
+from collections.abc import Iterator
+
+import pytest
+from emulation import emulated
+from usb_bench import UsbHost
+
+from simulators.emulator import Emulator, EmulatorOptions
+from simulators.faults import parse_faults
+
+_READER = """
+import threading
+from dataclasses import asdict
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.frames import ChannelisedFrame, LinkChange, SingleToneFrame
+from resonator_daemon.config import parse_link
+from resonator_daemon.plate import load_plate
+
+woken = threading.Event()
+indices, states = [], []
+
+def read_until(condition):
+    while not condition():
+        if not woken.wait(20.0):
+            raise TimeoutError(f"{len(indices)} frames, states {states}")
+        woken.clear()
+        for arrival in reader.take():
+            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+                indices.append(arrival.index)
+            elif isinstance(arrival, LinkChange):
+                states.append((arrival.state, arrival.reason))
+
+def start(link, plate):
+    global reader
+    reader = BoardReader(parse_link(link), load_plate(plate), woken.set)
+    reader.start()
+
+def in_bins(account):
+    return (account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction
+            + account.bytes_discarded + account.bytes_waiting)
+"""
+
+
+@pytest.fixture
+def host(emulator: Emulator) -> Iterator[UsbHost]:
+    host = UsbHost(emulator.environment)
+    try:
+        host.run(_READER)
+        yield host
+        host.close()
+    finally:
+        host.kill()
+
+
+@pytest.fixture
+def emulator(request: pytest.FixtureRequest) -> Iterator[Emulator]:
+    plate, faults = request.param
+    with emulated(EmulatorOptions(plate, usb=True, faults=parse_faults(faults))) as emulator:
+        yield emulator
+
+
+@pytest.mark.parametrize("emulator", [("quartz16", ""), ("skin32", "")], indirect=True)
+def test_frames_arrive_without_a_gap(emulator: Emulator, host: UsbHost) -> None:
+    host.run(f"start({emulator.link.address!r}, {emulator.plate_name!r})")
+    host.run("read_until(lambda: len(indices) >= 100)")
+    host.run("reader.stop(); account = reader.account()")
+    assert host.value("indices == list(range(len(indices)))")
+    assert host.value("sum(asdict(account.lost).values())") == 0
+    assert host.value("account.bytes_received == in_bins(account) > 0")
+
+
+@pytest.mark.parametrize("emulator", [("quartz16", "unplug_at_s=0.5,unplug_for_s=0.5")], indirect=True)
+def test_an_unplugged_board_is_found_again_and_what_is_lost_is_counted(emulator: Emulator, host: UsbHost) -> None:
+    host.run(f"start({emulator.link.address!r}, 'quartz16')")
+    host.run("read_until(lambda: [state for state, _ in states].count('online') == 2)")
+    host.run("first = len(indices); read_until(lambda: len(indices) >= first + 200)")
+    host.run("reader.stop(); account = reader.account()")
+    reasons = host.value("[reason for state, reason in states if state in ('lost', 'waiting')]")
+    assert isinstance(reasons, list)
+    assert any(reason.startswith("unplugged") for reason in reasons)
+    assert f"no board is {emulator.link.address}; no board is on any USB bus" in reasons
+    assert host.value("account.connections") == 2
+    assert host.value("account.bytes_received == in_bins(account)")
+    assert host.value("indices[-1] + 1 == len(indices) + sum(asdict(account.lost).values())")
+    assert host.value("sum(asdict(account.lost).values())") > 0
