@@ -1,0 +1,286 @@
+"""`resonatord ports` and `resonatord identify` as a user meets them, with emulated boards and made-up devices."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from emulation import emulated
+from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
+
+from firmware_protocol.host import HostSession
+from firmware_protocol.messages import Configuration
+from firmware_protocol.packets import encode_packet
+from firmware_protocol.states import HostState
+from resonator_daemon import ports
+from resonator_daemon.acquisition import port_inquiry, usb_devices
+from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.port_holders import Holders
+from resonator_daemon.acquisition.serial_link import open_serial
+from resonator_daemon.cli import main
+from resonator_daemon.config import SerialLink
+from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
+
+AMPLE_S = 30.0
+
+
+@pytest.fixture
+def board(tmp_path: Path) -> Iterator[str]:
+    """The link of an emulated board."""
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        yield f"serial:{port}?baud=4000000"
+
+
+@pytest.fixture
+def present(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPortInfo]:
+    """The serial ports of a machine without USB boards; a test puts them in."""
+    found: list[ListPortInfo] = []
+    monkeypatch.setattr(list_ports, "comports", lambda: list(found))
+    monkeypatch.setattr(usb_devices, "present_boards", lambda: [])
+    monkeypatch.setattr(ports, "_BY_ID", tmp_path / "by-id")
+    return found
+
+
+def serial_port(device: str, **attributes: Any) -> ListPortInfo:
+    info = ListPortInfo(device)
+    for name, value in attributes.items():
+        setattr(info, name, value)
+    return info
+
+
+def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any]]:
+    code = main([*arguments, "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert isinstance(said, dict)
+    return code, said
+
+
+def test_ports_are_listed_with_the_line_to_copy(
+    present: list[ListPortInfo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(ports, "port_holders", lambda _path: Holders((), all_seen=False))
+    (tmp_path / "by-id").mkdir()
+    by_id = tmp_path / "by-id" / "usb-RD_board_0042-if00"
+    by_id.symlink_to("/dev/null")
+    present += [
+        serial_port("/dev/null", vid=0x1209, pid=0xA, serial_number="0042", description="RD board"),
+        serial_port("/dev/zero"),
+    ]
+    assert main(["ports"]) == 0
+    said, noted = capsys.readouterr()
+    assert noted == "programs of other users that hold a port are not shown; root sees them\n"
+    assert f'/dev/null  1209:000a 0042 RD board\n    link = "serial:{by_id}?baud=4000000"\n' in said
+    assert '/dev/zero  says nothing of itself\n    link = "serial:/dev/zero?baud=4000000"\n' in said
+    code, listed = asked(capsys, "ports")
+    assert code == 0
+    first, second = listed["ports"]
+    assert (first["link"], first["by_id"]) == (f"serial:{by_id}?baud=4000000", str(by_id))
+    assert (first["usb_id"], first["serial_number"], first["permitted"]) == ("1209:000a", "0042", True)
+    assert (second["usb_id"], second["serial_number"], second["description"]) == (None, None, None)
+
+
+def test_ports_tells_who_holds_one(present: list[ListPortInfo], board: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = board.removeprefix("serial:").partition("?")[0]
+    present.append(serial_port(path))
+    held = open_serial(SerialLink(path, 4_000_000))
+    assert main(["ports"]) == 0
+    assert f"held by {Path('/proc/self/comm').read_text().strip()} (pid {os.getpid()})" in capsys.readouterr().out
+    _, listed = asked(capsys, "ports")
+    assert [holder["pid"] for holder in listed["ports"][0]["held_by"]] == [os.getpid()]
+    held.close()
+
+
+def test_usb_boards_are_listed_too(
+    present: list[ListPortInfo], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = SimpleNamespace(
+        vendor_id=0x1209, product_id=1, serial_number="0042", node="/none/001/004", link="usb:1209:0001?serial=0042"
+    )
+    monkeypatch.setattr(usb_devices, "present_boards", lambda: [found])
+    assert main(["ports"]) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("/none/001/004  1209:0001 0042\n")
+    assert "may not be opened by this user" in said
+    assert 'link = "usb:1209:0001?serial=0042"' in said
+
+
+def test_without_the_usb_library_serial_ports_are_listed_and_the_rest_is_said(
+    present: list[ListPortInfo], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def none() -> None:
+        raise LinkUnavailableError("libusb 1.0 cannot be loaded; install it: apt-get install libusb-1.0-0")
+
+    present.append(serial_port("/dev/null"))
+    monkeypatch.setattr(usb_devices, "present_boards", none)
+    assert main(["ports"]) == 0
+    said = capsys.readouterr()
+    assert "/dev/null" in said.out
+    assert "apt-get install libusb-1.0-0" in said.err
+
+
+@pytest.mark.usefixtures("present")
+def test_a_machine_without_any_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["ports"]) == 0
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "no serial port and no USB board is present" in said.err
+    assert asked(capsys, "ports") == (0, {"verb": "ports", "ports": []})
+
+
+def test_a_board_says_who_it_is_and_what_it_can(board: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["identify", board, "--blink"]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    assert lines["board"] == "emulated quartz16 EMU-0001, firmware emulator"
+    assert lines["link"] == board
+    assert "1.0" in lines["protocol"]
+    assert "single-tone" in lines["counter"]
+    assert "5000 frames/s" in lines["gates"]
+    assert "1000 MHz" in lines["reference"]
+    assert lines["state"] == "quiet"
+    assert lines["blink"] == "look for it now"
+
+
+def test_a_board_that_counts_goes_on_counting(board: str, capsys: pytest.CaptureFixture[str]) -> None:
+    session = HostSession()
+    link = open_serial(SerialLink(board.removeprefix("serial:").partition("?")[0], 4_000_000))
+    try:
+        while session.state is not HostState.RUNNING:
+            if session.state is HostState.DESCRIBED:
+                session.configure(Configuration(1_000_000))
+            link.write(session.data_to_send())
+            session.receive(link.read(AMPLE_S))
+    finally:
+        link.close()  # as of a daemon that was killed
+    for _ in range(2):
+        _, said = asked(capsys, "identify", board)
+        assert said["counting"] is True
+
+
+def test_for_programs_it_is_one_object(board: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, said = asked(capsys, "identify", board)
+    assert code == 0
+    assert said["ok"] is True
+    assert said["identity"]["serial_number"] == "EMU-0001"
+    assert said["description"]["plate"] == "quartz16"
+    assert said["round_trip_s"]["answers"] > 10
+    assert 0 < said["round_trip_s"]["shortest"] <= said["round_trip_s"]["median"]
+    assert said["tick_rate"]["plausible"] is True
+    assert said["misfits"] == []
+
+
+@pytest.mark.parametrize(("plate", "code"), [("quartz16", 0), ("comb16", 69)])
+def test_a_configuration_names_the_link_and_is_compared(
+    board: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], plate: str, code: int
+) -> None:
+    config = tmp_path / "board.toml"
+    config.write_text(f'plate = "{plate}"\nlink = "{board}"\n')
+    assert main(["identify", "--config", str(config)]) == code
+    said = capsys.readouterr()
+    assert "EMU-0001" in said.out
+    assert ("the board describes quartz16, the plate file has comb16" in said.err) is (code == 69)
+
+
+def test_ticks_at_another_rate_than_described_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port, faults=parse_faults("skew_ppm=5000"))):
+        code, said = asked(capsys, "identify", f"serial:{port}?baud=4000000")
+    assert code == 0
+    assert said["tick_rate"]["plausible"] is False
+    assert said["tick_rate"]["deviation_ppm"] == pytest.approx(5000, abs=2 * said["tick_rate"]["uncertainty_ppm"])
+
+
+class Stranger:
+    """Listens on TCP, takes one connection and says what it is given, whatever it is asked."""
+
+    def __init__(self, says: bytes | None) -> None:
+        self._says = says
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.link = f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        client, _ = self._listener.accept()
+        with client:
+            client.settimeout(AMPLE_S)
+            while asked := client.recv(1000):
+                client.sendall(asked if self._says is None else self._says)
+
+    def close(self) -> None:
+        self._thread.join()
+        self._listener.close()
+
+
+@pytest.mark.parametrize(
+    ("says", "why"),
+    [
+        (b"", "not a byte came"),
+        (b"login: ", "bytes came and no packet among them"),
+        (None, "only our own requests came back"),
+        (encode_packet(0x81, 1, b"", boot_id=5, major=2), "speaks protocol 2, this program speaks 1.0"),
+        (encode_packet(0x90, 7, bytes(176), boot_id=5), "packets came"),
+    ],
+)
+def test_who_is_no_board_is_told_with_what_came(
+    says: bytes | None, why: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(port_inquiry, "_ANSWER_S", 0.7)
+    stranger = Stranger(says)
+    code, said = asked(capsys, "identify", stranger.link)
+    stranger.close()
+    assert code == 69
+    assert said["ok"] is False
+    assert said["error"]["code"] == "no_board"
+    assert said["error"]["message"].startswith(f"no board answers on {stranger.link}: ")
+    assert why in said["error"]["message"]
+
+
+def test_a_board_that_hangs_up_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        closer = threading.Thread(target=lambda: listener.accept()[0].close())
+        closer.start()
+        assert main(["identify", f"tcp://127.0.0.1:{listener.getsockname()[1]}"]) == 69
+        closer.join()
+    assert "the link was lost before the board had answered" in capsys.readouterr().err
+
+
+def test_a_held_port_names_its_holder(board: str, capsys: pytest.CaptureFixture[str]) -> None:
+    held = open_serial(SerialLink(board.removeprefix("serial:").partition("?")[0], 4_000_000))
+    assert main(["identify", board]) == 69
+    assert f"(pid {os.getpid()})" in capsys.readouterr().err
+    held.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ((), "name a LINK (see: resonatord ports) or --config FILE"),
+        (("serial:/dev/ttyACM0",), "must be serial:PATH?baud=N"),
+        (("/dev/ttyACM0",), "no link is called"),
+    ],
+)
+def test_a_link_that_is_none_is_a_usage_error(
+    arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["identify", *arguments])
+    assert stopped.value.code == 2
+    assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["ports", "identify"])
+def test_help_teaches(verb: str) -> None:
+    run = subprocess.run(
+        [sys.executable, "-m", "resonator_daemon.cli", verb, "--help"], capture_output=True, text=True, check=True
+    )
+    assert f"Example: resonatord {verb}" in run.stdout

@@ -1,0 +1,108 @@
+"""`resonatord record` as a user meets it: a file of what happened, what went wrong in one line, and the exit code."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from emulation import emulated
+
+from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
+from resonator_daemon.plate import load_plate
+from resonator_daemon.record import NoBoardError, record
+from simulators.emulator import EmulatorOptions
+
+COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "record")
+
+
+def config(tmp_path: Path, link: str, plate: str = "quartz16") -> Path:
+    path = tmp_path / "board.toml"
+    path.write_text(f'plate = "{plate}"\nlink = "{link}"\n')
+    return path
+
+
+def run(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    path = config(tmp_path, f"serial:{port}?baud=4000000")
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        made = run("--config", path, "--output", output, "--seconds", 1, "--json")
+        again = run("--config", path, "--output", output, "--json")
+    assert made.returncode == 0, made.stderr
+    told = json.loads(made.stdout)
+    assert (told["verb"], told["ok"], told["board"], told["file"]) == ("record", True, "EMU-0001", str(output))
+    assert told["frames"] > 500
+    assert told["events_missing"] == sum(told["frames_lost"].values()) == 0
+    assert told["file_bytes"] == output.stat().st_size
+    assert f"{output}: {told['frames']} frames, 0 lost, " in made.stderr
+    with open_recording(str(output), load_plate("quartz16")) as recording:
+        events = list(recording.events())
+        assert recording.header["link"] == f"serial:{port}?baud=4000000"
+        assert recording.damage is None
+    assert isinstance(events[0], Said)
+    assert isinstance(events[-1], Closed)
+    assert sum(len(event.data) for event in events if isinstance(event, Received)) == told["bytes_received"]
+    # Nothing is overwritten, and a program is told so as well.
+    assert again.returncode == 78
+    assert again.stderr == f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
+    assert json.loads(again.stdout)["error"]["code"] == "config"
+
+
+def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    command = [*COMMAND, "--config", str(config(tmp_path, f"serial:{port}?baud=4000000")), "--output", str(output)]
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+        assert process.stderr is not None
+        while not output.exists() or output.stat().st_size < 50_000:
+            assert process.poll() is None
+            threading.Event().wait(0.05)
+        process.send_signal(signal.SIGTERM)
+        rest = process.stderr.read()
+        assert process.wait(60) == 0
+        process.stderr.close()
+    assert f"{output}: " in rest
+    with open_recording(str(output), load_plate("quartz16")) as recording:
+        kinds = [type(event) for event in recording.events()]
+        assert recording.damage is None
+    assert Goodbye in kinds
+    assert kinds[-1] is Closed
+
+
+def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> None:
+    output = tmp_path / "run.mcap"
+    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
+        refused = run("--config", config(tmp_path, emulator.link.address), "--output", output, "--json")
+    assert refused.returncode == 69
+    assert "plate: the board describes skin32, the plate file has quartz16" in refused.stderr
+    assert json.loads(refused.stdout)["error"]["code"] == "refused"
+
+
+def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.2)
+    path = config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000")
+    with pytest.raises(NoBoardError, match=r"no board counts after 0\.2 s: no port ") as raised:
+        record(path, tmp_path / "run.mcap", None, as_json=False)
+    assert raised.value.exit_code == 69
+
+
+@pytest.mark.parametrize(
+    ("link", "output", "said"),
+    [
+        ("replay:old.mcap", "run.mcap", "link: replay:old.mcap is a recording already; copy the file"),
+        ("tcp://127.0.0.1:9", "no/run.mcap", "no/run.mcap cannot be written: No such file or directory"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said_at_once(tmp_path: Path, link: str, output: str, said: str) -> None:
+    refused = run("--config", config(tmp_path, link), "--output", tmp_path / output)
+    assert refused.returncode == 78
+    assert refused.stderr.endswith(f"{said}\n")
+    assert len(refused.stderr.splitlines()) == 1
