@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test coverage bench figures soak pins clean
+.PHONY: help setup demo test test-firmware coverage bench figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -26,26 +26,35 @@ define pip-install
 }
 endef
 
-# Programs that pip cannot bring, as `command:Debian package`.
+# What pip cannot bring: `debian-packages FILE:PACKAGE...`, each a command on PATH or a file with its whole name.
 define debian-packages
-@missing=
-for tool in mosquitto:mosquitto systemd-analyze:systemd; do
-  command -v "$${tool%:*}" >/dev/null || missing="$$missing $${tool#*:}"
-done
-if [ -n "$$missing" ] && [ "$$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
-  echo "setup: Debian packages$$missing"
-  export DEBIAN_FRONTEND=noninteractive
-  apt-get update -qq || true
-  apt-get install -qq -y --no-install-recommends -o DPkg::Lock::Timeout=120 $$missing >.venv/apt.log 2>&1 \
-    || { tail -n 15 .venv/apt.log; echo "setup: apt-get failed; see .venv/apt.log"; exit 1; } >&2
-elif [ -n "$$missing" ]; then
-  echo "setup: missing:$$missing; as root: apt-get install$$missing" >&2
-  exit 1
-fi
+@debian-packages() {
+  local missing= wanted
+  for wanted; do
+    compgen -G "$${wanted%:*}" >/dev/null || command -v "$${wanted%:*}" >/dev/null || missing="$$missing $${wanted#*:}"
+  done
+  if [ -n "$$missing" ] && [ "$$(id -u)" -eq 0 ] && command -v apt-get >/dev/null; then
+    echo "setup: Debian packages$$missing"
+    export DEBIAN_FRONTEND=noninteractive
+    apt-get update -qq || true
+    apt-get install -qq -y --no-install-recommends -o DPkg::Lock::Timeout=120 $$missing >.venv/apt.log 2>&1 \
+      || { tail -n 15 .venv/apt.log; echo "setup: apt-get failed; see .venv/apt.log"; exit 1; } >&2
+  elif [ -n "$$missing" ]; then
+    echo "setup: missing:$$missing; as root: apt-get install$$missing" >&2
+    exit 1
+  fi
+}
 endef
 
+BROKER := mosquitto:mosquitto
+# An emulated USB device, and the C reference beside the Python one.
+USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gir1.2-umockdev-1.0 \
+  /usr/lib/python3/dist-packages/gi/__init__.py:python3-gi /usr/lib/*/libusb-1.0.so.0:libusb-1.0-0
+COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
+FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm
+
 help:  ## list the targets
-	@sed -n 's/^\([a-z]*\):.*## /make \1\t/p' Makefile | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
 
 setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages
 
@@ -54,6 +63,7 @@ demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live v
 
 test: .venv/test-stamp  ## linter, formatter check, type checker, import contracts and all tests
 	$(debian-packages)
+	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER)
 	step() { printf '\n== %s\n' "$$*"; ".venv/bin/$$@"; }
 	step ruff check
 	step ruff format --check
@@ -62,15 +72,25 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
 	step pytest --numprocesses 2
 
+test-firmware: .venv/test-stamp  ## the C reference as a board program under QEMU, and the daemon against it
+	$(debian-packages)
+	debian-packages $(FIRMWARE)
+	.venv/bin/pytest -m firmware tests/firmware
+	.venv/bin/python benchmarks/firmware.py
+
 coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
 	$(debian-packages)
+	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER)
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## figures as tables: demo, damaged wire, measurement, elastic fields, contact and decoding
-	@run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
+bench: .venv/peers-stamp  ## figures as tables: demo, wire, clock, measurement, elastic fields, contact and decoding
+	$(debian-packages)
+	debian-packages $(USB)
+	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
+	for benchmark in codec wire_cost usb_throughput blocked_loop clock; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done
@@ -81,9 +101,22 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproducti
 	.venv/bin/python docs/figures/fingertip.py
 	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
-soak: .venv/run-stamp  ## 90 s against a broker that is killed for 30 s
+fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C under sanitizers
 	$(debian-packages)
-	.venv/bin/python benchmarks/broker_outage.py
+	debian-packages $(COMPILER)
+	mkdir -p build
+	gcc -std=c99 -O1 -g -fsanitize=address,undefined -fno-sanitize-recover=all -I firmware_protocol/c \
+	  firmware_protocol/c/fuzz/fuzz.c firmware_protocol/c/resonator_*.c -o build/fuzz
+	build/fuzz 10000000 1
+	.venv/bin/python benchmarks/fuzz.py
+
+soak: .venv/run-stamp  ## a broker killed for 30 s, 1000 hang-ups, 10 million frames under every fault
+	$(debian-packages)
+	debian-packages $(BROKER)
+	for benchmark in broker_outage hang_ups wire_accounts; do
+	  printf '\n== %s\n' "$$benchmark"
+	  .venv/bin/python benchmarks/$$benchmark.py
+	done
 
 pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt
