@@ -15,7 +15,7 @@ class FrameLoss:
 
     @property
     def total(self) -> int:
-        return sum(getattr(self, cause.name) for cause in fields(self))
+        return self.link_gap + self.damaged + self.board_overflow + self.host_overrun + self.ring_overflow
 
     def __add__(self, other: "FrameLoss") -> "FrameLoss":
         return FrameLoss(*(getattr(self, cause.name) + getattr(other, cause.name) for cause in fields(self)))

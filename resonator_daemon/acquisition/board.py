@@ -41,6 +41,7 @@ _POLL_S = 0.02  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
 _JITTER = (0.75, 1.25)  # so that several daemons do not knock together
 _REFUSED_S = 5.0
+_FEW_BYTES, _GATHER_S = 64, 250e-6
 _RESET_EVERY = 3  # openings in a row without a frame
 
 
@@ -181,6 +182,9 @@ class BoardReader:
                     course.apply(Received(read_host_time(), data))
                 now = read_host_time()
                 course.apply(Tended(now, idle=not data))
+                if 0 < len(data) < _FEW_BYTES and course.within_packet:
+                    # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
+                    time.sleep(_GATHER_S)
             self._say_goodbye(link)
         except LinkLostError as error:
             course.apply(Lost(read_host_time(), str(error)))

@@ -115,6 +115,11 @@ class Connection:
         """Return and clear the bytes that the board must get, at once."""
         return self._session.data_to_send()
 
+    @property
+    def within_packet(self) -> bool:
+        """Whether the last bytes that were received end in the middle of a packet."""
+        return self._session.waiting_bytes > 0
+
     def overrun(self) -> None:
         """Take note that the host's driver lost bytes of this link."""
         self._account.host_overruns += 1

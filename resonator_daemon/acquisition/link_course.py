@@ -102,6 +102,11 @@ class LinkCourse:
         return self._opened().due_ns()
 
     @property
+    def within_packet(self) -> bool:
+        """Whether the last bytes that were received end in the middle of a packet."""
+        return self._opened().within_packet
+
+    @property
     def was_online(self) -> bool:
         """Whether the board has counted since the link was opened."""
         return self._opened().was_online

@@ -96,8 +96,9 @@ class FrameNumbering:
         if self._resuming:
             loss += FrameLoss(link_gap=max(0, self._gates_away(boot_id, board_ticks, time) - 1 - missing))
             self._resuming = False
-        gap = Gap(self._next_index, loss) if loss.total else None
-        index = self._next_index + loss.total
+        lost = loss.total
+        gap = Gap(self._next_index, loss) if lost else None
+        index = self._next_index + lost
         self._next_index = index + 1
         self._next_sequence = (sequence + 1) % (2 * _HALF_RANGE)
         self._last = (boot_id, board_ticks, time)

@@ -28,6 +28,7 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
+from resonator_daemon.acquisition.wire_events import Received
 from resonator_daemon.config import SerialLink, TcpLink, parse_link
 from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
@@ -42,7 +43,7 @@ DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hang
 class Listener:
     """A running reader and everything that it has handed on."""
 
-    def __init__(self, link: SerialLink | TcpLink, plate: object = QUARTZ, **options: int) -> None:
+    def __init__(self, link: SerialLink | TcpLink, plate: object = QUARTZ, **options: object) -> None:
         self._woken = threading.Event()
         self.reader = BoardReader(link, plate, self._woken.set, **options)  # type: ignore[arg-type]
         self.arrivals: list[Arrival] = []
@@ -401,6 +402,24 @@ def test_a_slow_reader_makes_the_board_overflow_and_every_frame_is_put_down_to_i
     check_indices(it.arrivals)
     assert account.lost.total == account.lost.board_overflow
     assert account.lost.board_overflow <= emulator.report()["frames_dropped"]
+
+
+def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> None:
+    port, reads = tmp_path / "board", []
+
+    def tap(event: object) -> None:
+        if isinstance(event, Received):
+            reads.append(len(event.data))
+
+    faults = parse_faults("split_bytes=1")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000), tap=tap) as it,
+    ):
+        it.wait_for_frames(300)
+        account = it.reader.account()
+    assert account.lost.damaged == account.lost.link_gap == 0
+    assert sum(reads) / len(reads) > 10
 
 
 def test_time_is_known_to_200_us_through_clumps_and_late_answers(tmp_path: Path) -> None:
