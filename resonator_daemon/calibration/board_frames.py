@@ -29,7 +29,8 @@ OPEN_S: Final = 10.0  # in which a board must answer
 def board_frames(config: Config, timeout_s: float) -> Iterator[Iterator[FromBoard]]:
     """Give what the board says of itself, then its frames as they come; SIGTERM and SIGHUP end it like Ctrl-C."""
     arrived = threading.Event()
-    reader = BoardReader(config.link, config.plate, arrived.set)
+    anyone = config.plate.calibration.model_copy(update={"unit": None})  # another board may be calibrated anew
+    reader = BoardReader(config.link, config.plate.model_copy(update={"calibration": anyone}), arrived.set)
     handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
     reader.start()
     try:

@@ -111,6 +111,7 @@ def sensitivity_error(desk: Desk) -> float:
 
 
 def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk) -> None:
+    desk.plate.write_text(desk.plate.read_text() + '\n[calibration]\nunit = "RD-0042"\n')  # of the board before
     desk.loads()
     with desk.board():
         code, said, told = desk.run(*LOADS, "--accept", "--kelvin", "297.5")
