@@ -4,12 +4,14 @@ import os
 import select
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 _READ_BYTES = 1 << 18  # about this much a call, so that a flood is handed on in pieces
 _PIECE_BYTES = 1 << 16
 _TERMINAL_BYTES = 2048  # a terminal with more waiting never gives less than this
 _WRITE_TIMEOUT_S = 1.0
+_SELECT_LIMIT = 1024  # descriptors that select can wait for
 _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -67,12 +69,11 @@ class FileDescriptorLink:
 
     def read(self, timeout_s: float) -> bytes:
         self._check()
-        states = self._readable.poll(timeout_s * 1e3)
-        if not states:
+        if not self._wait(timeout_s):
             return b""
         data = self._drain()
-        if not data and self._lost is None and states[0][1] & _BROKEN:
-            self._lost = "unplugged (hung up)"  # the next poll would return at once again, for ever
+        if not data and self._lost is None and any(state & _BROKEN for _, state in self._readable.poll(0)):
+            self._lost = "unplugged (hung up)"  # the next wait would return at once again, for ever
         if not data:
             self._check()
         return data
@@ -99,6 +100,14 @@ class FileDescriptorLink:
         if close is not None:
             self._lost = self._lost or "closed here"
             close()
+
+    def _wait(self, timeout_s: float) -> bool:
+        # poll counts in whole milliseconds. Pings would leave on a grid of those behind the arrival of bytes, and where
+        # these come in clumps, none would leave just before a clump, which is what tells the time best.
+        if self._descriptor < _SELECT_LIMIT:
+            with suppress(OSError):  # a closed descriptor: poll tells it otherwise
+                return bool(select.select([self._descriptor], [], [], timeout_s)[0])
+        return bool(self._readable.poll(timeout_s * 1e3))
 
     def _drain(self) -> bytes:
         """Read what is there: a terminal gives 4 kB a call. An end that is found behind bytes is kept for next time."""
