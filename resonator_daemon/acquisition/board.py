@@ -144,7 +144,8 @@ class BoardReader:
                     if counted:
                         backoff_s = _BACKOFF_FIRST_S
                     elif fruitless % _RESET_EVERY == 0:
-                        link.reset()
+                        with suppress(LinkLostError):  # it is gone already, or goes with the reset
+                            link.reset()
                 except BoardRefusedError:
                     wait_s = _REFUSED_S
                 finally:

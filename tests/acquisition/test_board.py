@@ -28,6 +28,7 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
+from resonator_daemon.acquisition.link import LinkLostError
 from resonator_daemon.acquisition.wire_events import Received
 from resonator_daemon.config import SerialLink, TcpLink, parse_link
 from resonator_daemon.plate import load_plate
@@ -319,6 +320,42 @@ def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, mo
     assert account.messages_malformed >= 20
     check_indices(it.arrivals)
     assert all(abs(frame.gate_middle.utc_ns - time.time_ns()) < 60e9 for frame in frames(it.arrivals))
+
+
+class GoneAtOnce:
+    """A link that is lost by the time it is used, and then cannot be reset either."""
+
+    overruns = 0
+
+    def __init__(self) -> None:
+        self.resets = 0
+
+    def read(self, _timeout_s: float) -> bytes:
+        raise LinkLostError("unplugged")
+
+    def write(self, _data: bytes) -> None:
+        pass
+
+    def reset(self) -> None:
+        self.resets += 1
+        raise LinkLostError("unplugged")
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = GoneAtOnce()
+    monkeypatch.setattr("resonator_daemon.acquisition.board.open_link", lambda _target: link)
+    monkeypatch.setattr("resonator_daemon.acquisition.board._BACKOFF_CAP_S", 0.001)
+    with Listener(TcpLink("127.0.0.1", 1)) as it:
+        deadline = time.monotonic() + DEADLINE_S
+        while link.resets < 3 and time.monotonic() < deadline:
+            threading.Event().wait(0.01)
+        it.take_the_rest()
+    assert link.resets >= 3
+    assert it.states[-1] == ("waiting", "unplugged")
+    assert not any(isinstance(arrival, ReaderFailed) for arrival in it.arrivals)
 
 
 def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
