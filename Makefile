@@ -110,7 +110,7 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 	build/fuzz 10000000 1
 	.venv/bin/python benchmarks/fuzz.py
 
-soak: .venv/run-stamp  ## a broker killed for 30 s, 1000 hang-ups, 10 million frames under every fault
+soak: .venv/run-stamp  ## a broker killed for 30 s, 1000 hang-ups, 10 million frames under damage, loss, overflow and reboots
 	$(debian-packages)
 	debian-packages $(BROKER)
 	for benchmark in broker_outage hang_ups wire_accounts; do

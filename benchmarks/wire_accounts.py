@@ -1,7 +1,7 @@
-"""The accounts of the wire under every fault, alone and together, in simulated time, over the wrap of frame numbers.
+"""The accounts of the wire under each kind of loss, alone and together, over the wrap of frame numbers.
 
-Run it with `make soak`, or `python benchmarks/wire_accounts.py [FRAMES]`. Exit code 1 when a single frame or byte is in
-the wrong place. The truth is what a reader finds that knows every packet sent and compares bytes; nothing of it comes
+Run it with `make soak`, or `python benchmarks/wire_accounts.py [FRAMES]`. Exit code 1 when a frame or byte is in the
+wrong place. The truth is what a reader finds that knows every packet sent and compares bytes; nothing of it comes
 from the daemon's decoder.
 """
 
@@ -48,6 +48,7 @@ class Case:
     plan: FaultPlan = field(default_factory=FaultPlan)
     overflow_rate: float = 0.0
     reboot_rate: float = 0.0
+    hang_up_rate: float = 0.0  # for 1 to 300 gates
     chunk_bytes: int = 2000  # what a read gives at most; a draw from 1 up
     share: float = 1.0  # of the frames
 
@@ -66,6 +67,7 @@ CASES = (
     Case("duplicates", FaultPlan(duplicate_rate=0.02)),
     Case("pieces in the wrong order", FaultPlan(reorder_rate=0.02)),
     Case("board overflow", overflow_rate=0.02),
+    Case("hang-ups", FaultPlan(bit_error_rate=1e-5), overflow_rate=0.005, hang_up_rate=1e-3),
     Case("reboots", reboot_rate=1e-3),
     Case(
         "all together",
@@ -88,7 +90,7 @@ CASES = (
 class PerfectReader:
     """Who knows every packet that was sent finds those that are whole on the wire, each once, by comparing bytes.
 
-    Damage may heal: a piece comes to lie beside the right neighbour, or as many bytes are lost as make one frame of two.
+    Damage may heal: a piece comes to lie beside the right neighbour, or two frames lose what leaves one of them whole.
     """
 
     def __init__(self) -> None:
@@ -119,6 +121,7 @@ class Board:
         self._random = np.random.default_rng(seed)
         self._faults = ByteFaults(case.plan, seed)
         self._boots = 0
+        self.plugged_in = True
         self.heard = False  # frames of this boot have arrived
         self._reader = PerfectReader()
         self.arriving = self._reader.found  # the frames that must arrive
@@ -167,6 +170,8 @@ class Board:
         data, harm = b"".join(outgoing.packets), None
         if self.heard:  # what comes as seldom as answers would be hit each time
             data, harm = self._faults.damage(outgoing, now_ns * 1e-9)
+        if not self.plugged_in:
+            return b""
         if outgoing.is_frame:
             self.sent += 1
             self.duplicated += len(harm.frame_sequences_duplicated) if harm else 0
@@ -189,8 +194,8 @@ class Receiver:
         self._numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, GATE_NS)
         started = self._numbering.started
 
-        def started_before_the_wrap() -> None:
-            started()
+        def started_before_the_wrap(now_monotonic_ns: int) -> None:
+            started(now_monotonic_ns)
             self._numbering._next_sequence = BEFORE_THE_WRAP  # noqa: SLF001 - 2^32 frames would take 50 days
 
         self._numbering.started = started_before_the_wrap  # type: ignore[method-assign]
@@ -198,6 +203,11 @@ class Receiver:
         self.connection = Connection(PLATE, None, self._numbering, self._ring, self.account, self._state, _host_time(0))
         self.fed_bytes = 0
         self.books_wrong = 0
+
+    def open(self, now_ns: int) -> None:
+        self.connection = Connection(
+            PLATE, None, self._numbering, self._ring, self.account, self._state, _host_time(now_ns)
+        )
 
     def take(self, data: bytes, now_ns: int) -> bytes:
         if data:
@@ -226,7 +236,8 @@ def run(case: Case, gates: int, seed: int, tell: Callable[[str], object] = lambd
     now_ns, requests, wrong = 0, b"", []
     expected: list[tuple[int, int]] = []
     frames = gap_frames = next_index = out_of_order = 0
-    boot_id = 0
+    boot_id = back = misplaced = 0
+    first: tuple[int, int] | None = None  # index and ticks
     for number in range(gates + 50):
         now_ns += GATE_NS
         if number == gates:
@@ -234,8 +245,17 @@ def run(case: Case, gates: int, seed: int, tell: Callable[[str], object] = lambd
             board._faults = ByteFaults(FaultPlan(), 0)  # noqa: SLF001 - the last frames tell of those before
         boots = receiver.account.boots
         board.heard = bool(boots) and boots[-1].boot_id == board.boot_id and boots[-1].frames > 0
+        if case.hang_up_rate and board.plugged_in and number < gates and random.random() < case.hang_up_rate:
+            board.plugged_in, back = False, number + int(random.integers(1, 300))
+            receiver.connection.close()
+            requests = b""
+        elif not board.plugged_in and number >= back:
+            board.plugged_in = True
+            receiver.open(now_ns)
         data = board.gate(requests, now_ns)
         requests, at = b"", 0
+        if not board.plugged_in:
+            continue
         while at < len(data):
             size = int(random.integers(1, case.chunk_bytes + 1))
             requests += receiver.take(data[at : at + size], now_ns)
@@ -252,17 +272,22 @@ def run(case: Case, gates: int, seed: int, tell: Callable[[str], object] = lambd
                 next_index += 1
                 boot_id = receiver.connection.described.boot_id if receiver.connection.described else 0
                 expected.append((boot_id, arrival.board_ticks))
+                first = first or (arrival.index, arrival.board_ticks)
+                gates_on = (arrival.board_ticks - first[1]) // GATE_TICKS
+                misplaced += not case.reboot_rate and arrival.index - first[0] != gates_on
                 frames += 1
         receiver.arrivals.clear()
         if number % 250_000 == 249_999:
             tell(f"{case.name}: {number + 1} gates")
-    if case.reboot_rate:
+    if case.reboot_rate or case.hang_up_rate:
         # Frames that were on the way before the board was asked anew are stale; the others must all be there.
         missing = set(board.arriving) - set(expected)
         extra = set(expected) - set(board.arriving)
         if extra:
             wrong.append(f"{len(extra)} frames arrived that were harmed or never sent")
-        if len(missing) > receiver.connection._session.messages.stale:  # noqa: SLF001
+        total = receiver.account.copy()
+        receiver.connection.add_to(total)
+        if len(missing) > total.messages_stale:
             wrong.append(f"{len(missing)} sound frames did not arrive")
     elif expected != board.arriving:
         wrong.append(f"{len(set(board.arriving) ^ set(expected))} frames are on one list only")
@@ -272,15 +297,14 @@ def run(case: Case, gates: int, seed: int, tell: Callable[[str], object] = lambd
     boots = receiver.account.boots
     if not case.reboot_rate and (boots[0].frames, boots[0].lost) != (frames, lost):
         wrong.append("the account of the boot is another than that of the link")
-    if not case.reboot_rate and lost.total != board.dropped + board.hit:
+    if misplaced:
+        wrong.append(f"{misplaced} frames have another number than their ticks say")
+    if not case.reboot_rate and not case.hang_up_rate and lost.total != board.dropped + board.hit:
         wrong.append(f"{lost.total} frames reported lost, {board.dropped + board.hit} were")
     if not case.damages and not case.reboot_rate and lost.board_overflow != board.dropped:
         wrong.append(f"{lost.board_overflow} put down to the board, it dropped {board.dropped}")
-    if (
-        case.plan.model_fields_set <= {"bit_error_rate", "burst_rate_hz"}
-        and not case.reboot_rate
-        and (lost.damaged != board.hit)
-    ):
+    alone = not case.reboot_rate and not case.hang_up_rate
+    if case.plan.model_fields_set <= {"bit_error_rate", "burst_rate_hz"} and alone and lost.damaged != board.hit:
         wrong.append(f"{lost.damaged} put down to damage, {board.hit} were hit")
     if out_of_order:
         wrong.append(f"{out_of_order} arrivals with another index than the next")

@@ -1,5 +1,6 @@
 """Messages that are lists of tagged fields: their tables, and the one codec that reads and writes them."""
 
+import re
 from dataclasses import MISSING, dataclass, fields
 from enum import IntEnum
 from typing import Any, NamedTuple, TypeVar
@@ -175,8 +176,16 @@ def _text(value: str) -> bytes:
     return value.encode()[:_MAX_VALUE_BYTES].decode(errors="ignore").encode()
 
 
+_STEERING = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069]")  # controls, separators, directions
+
+
+def _printable(text: str) -> str:
+    """Return the text with signs that would steer a terminal or end a line of a log replaced."""
+    return _STEERING.sub("\N{REPLACEMENT CHARACTER}", text)
+
+
 def decode_message(kind: type[Message], payload: bytes) -> Message:
-    """Return the message in a payload; fields with unknown tags are skipped.
+    """Return the message in a payload; fields with unknown tags are skipped, unprintable signs replaced.
 
     Raises
     ------
@@ -195,7 +204,7 @@ def decode_message(kind: type[Message], payload: bytes) -> Message:
         if (field := table.get(tag)) is None:
             continue
         if field.kind is str:
-            values[field.name] = raw.decode(errors="replace")
+            values[field.name] = _printable(raw.decode(errors="replace"))
         elif 1 <= size <= _MAX_NUMBER_BYTES:
             values[field.name] = int.from_bytes(raw, "little")
         else:

@@ -64,6 +64,7 @@ class HealthMonitor:
                 "stale": link.messages_stale,
                 "malformed": link.messages_malformed,
                 "unknown": link.messages_unknown,
+                "log": link.log_lines_dropped,
             },
             bytes_in=link.bytes_received,
             bytes_by_fate={

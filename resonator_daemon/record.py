@@ -13,7 +13,14 @@ from typing import Any, Final
 
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import BoardOnline, BoardRefused, LinkChange, ReaderFailed
+from resonator_daemon.acquisition.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    ReaderFailed,
+    SingleToneFrame,
+)
 from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.config import Config, ReplayLink, load_config
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError, OperatorError
@@ -77,7 +84,8 @@ class _Sitting:
         self._reader = BoardReader(config.link, config.plate, self._arrived.set, step_frames=64, tap=self._recorder.put)
         self._board: BoardOnline | None = None
         self._link = ""  # what was said of it last
-        self._online_s = self._ended_s = 0.0
+        self._first_frame_s: float | None = None
+        self._ended_s = 0.0
         self._stopped = False
 
     @contextmanager
@@ -92,6 +100,8 @@ class _Sitting:
             self._ended_s = time.monotonic()
             self._reader.stop()
             self._recorder.close()
+            if self._reader.account().frames == 0:
+                self._output.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             self._say_progress(end="\n")
@@ -103,10 +113,10 @@ class _Sitting:
             arrived.clear()
             self._take()
             now_s = time.monotonic()
-            if self._board is None:
+            if self._first_frame_s is None:
                 if now_s - begun_s > _OPEN_S:
                     raise NoBoardError(f"no board counts after {_OPEN_S:g} s: {self._link}")
-            elif seconds is not None and now_s - self._online_s >= seconds:
+            elif seconds is not None and now_s - self._first_frame_s >= seconds:
                 return
             if now_s - said_s >= _PROGRESS_S:
                 said_s = now_s
@@ -125,7 +135,7 @@ class _Sitting:
             "file": str(self._output),
             "file_bytes": self._output.stat().st_size,
             "board": self._board.identity.serial_number if self._board is not None else None,
-            "seconds": round(self._ended_s - self._online_s, 3),
+            "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
             "bytes_received": account.bytes_received,
             "frames": account.frames,
             "frames_lost": asdict(account.lost),
@@ -141,9 +151,9 @@ class _Sitting:
             match arrival:
                 case BoardOnline():
                     self._recorder.name_board(arrival)
-                    if self._board is None:
-                        self._online_s = time.monotonic()
                     self._board = arrival
+                case SingleToneFrame() | ChannelisedFrame() if self._first_frame_s is None:
+                    self._first_frame_s = arrival.gate_middle.monotonic_ns * 1e-9
                 case LinkChange():
                     self._link = arrival.reason
                 case BoardRefused():

@@ -65,6 +65,7 @@ from resonator_daemon.sensor_state import SensorState
 log = logging.getLogger(__name__)
 
 _HEALTH_S = 1.0
+_TOGETHER = 50  # arrivals
 _NO_MESSAGES = MessageAccount(
     made=0, restored=0, acknowledged=0, handed_to_socket=0, dropped=0, unknown_at_disconnect=0, waiting=0
 )
@@ -199,8 +200,13 @@ class Service:
         while not self._stopping and self._fatal is None:
             await self._arrived.wait()
             self._arrived.clear()
-            for arrival in self._reader.take():
+            for count, arrival in enumerate(self._reader.take()):
                 self._handle(arrival)
+                if count % _TOGETHER == _TOGETHER - 1:
+                    await asyncio.sleep(0)  # much has come at once: messages and signals must not wait for all of it
+                    if self._stopping:
+                        break
+            await asyncio.sleep(0)
 
     def _handle(self, arrival: Arrival) -> None:
         match arrival:
@@ -228,7 +234,7 @@ class Service:
             case ReaderFailed():
                 raise arrival.error
             case BoardSays():
-                log.log(arrival.level, "board: %s", arrival.text)
+                log.log(min(arrival.level, logging.ERROR), "board: %s", arrival.text)
 
     def _adopt(self, board: BoardOnline) -> None:
         """Take a board that counts; a boot that was not seen before has nothing in common with the past."""

@@ -6,11 +6,9 @@ from firmware_protocol.layouts import MessageType
 from simulators.board import Board, Outgoing
 from simulators.faults import FaultPlan
 from simulators.faults.account import FaultCounts
-from simulators.faults.byte_faults import ByteFaults
+from simulators.faults.byte_faults import TYPE_AT, ByteFaults
 from simulators.faults.timing import Line, Lot, Splitter
 from simulators.links import Link
-
-_TYPE_AT = 3  # in a packet
 
 
 class Output:
@@ -42,7 +40,7 @@ class Output:
     @property
     def waits_for_room(self) -> bool:
         """Whether the next bytes go out as soon as the link can be written."""
-        return self._lot is not None and self._splitter.next_ns is None
+        return self._lot is not None and self._splitter.takes_more
 
     @property
     def next_ns(self) -> int | None:
@@ -118,4 +116,4 @@ class Output:
 
 
 def _single_tone_sequence(outgoing: Outgoing) -> int | None:
-    return outgoing.sequence if outgoing.packets[-1][_TYPE_AT] == MessageType.FRAME else None
+    return outgoing.sequence if outgoing.packets[-1][TYPE_AT] == MessageType.FRAME else None

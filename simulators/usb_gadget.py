@@ -25,13 +25,14 @@ DATA, BEGIN, BEGUN, RESET, READY = b"dBbRr"
 # with a stall, keep cancelled transfers from now on.
 UNPLUG, PLUG, STALL, HOLD = b"uxsh"
 
+# What usb_link.py and firmware_protocol know as well: the system's Python has no packages of this project.
 VENDOR_ID, PRODUCT_ID = 0x1209, 0x0001
+_PROTOCOL_MAJOR = 1
 ENDPOINT_OUT, ENDPOINT_IN = 0x01, 0x81
 _BULK_PACKET_BYTES = 512  # at high speed
 _REQUEST_BEGIN = (0x41, 0x01)  # bmRequestType, bRequest
 _REQUEST_GET_DESCRIPTOR = (0x80, 0x06)
 _DESCRIPTOR_STRING = 3
-_PROTOCOL_MAJOR = 1
 
 # linux/usbdevice_fs.h, as 64-bit machines lay it out.
 _SUBMITURB, _DISCARDURB, _REAPURB, _REAPURBNDELAY = 0x8038550A, 0x550B, 0x4008550C, 0x4008550D

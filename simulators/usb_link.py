@@ -19,7 +19,8 @@ _CHUNK_BYTES = 16384
 _SEND_BUFFER_BYTES = 65536  # as of a device's own memory: what is beyond waits in the board's queue
 _MESSAGE_BYTES_MAX = 1 + 65536
 
-# The first byte of a message; see usb_gadget.py, which no other Python than the system's can import.
+# As in usb_gadget.py, which no other Python than the system's can import: its ids, and the first byte of a message.
+_VENDOR_ID, _PRODUCT_ID = 0x1209, 0x0001
 _DATA, _BEGIN, _BEGUN, _RESET, _READY = (b"%c" % kind for kind in b"dBbRr")
 _UNPLUG, _PLUG, _STALL, _HOLD = (b"%c" % kind for kind in b"uxsh")
 
@@ -72,7 +73,7 @@ class UsbLink:
 
     @property
     def address(self) -> str:
-        return f"usb:1209:0001?serial={self._serial_number}"
+        return f"usb:{_VENDOR_ID:04x}:{_PRODUCT_ID:04x}?serial={self._serial_number}"
 
     @property
     def read_fds(self) -> list[int]:

@@ -15,6 +15,7 @@ from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, 
 from resonator_daemon.plate import load_plate
 from resonator_daemon.record import NoBoardError, record
 from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "record")
 
@@ -54,6 +55,29 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     assert again.returncode == 78
     assert again.stderr == f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
     assert json.loads(again.stdout)["error"]["code"] == "config"
+
+
+def test_seconds_count_from_the_first_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    faults = parse_faults("silence_at_s=0,silence_for_s=0.7")  # it counts and says nothing
+    with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)):
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), output, 1.0, as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] > 700
+    assert told["seconds"] >= 1.0
+
+
+def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.8)
+    port = tmp_path / "board"
+    faults = parse_faults("silence_at_s=0,silence_for_s=60")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
+    ):
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), tmp_path / "run.mcap", None, as_json=False)
 
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:

@@ -271,3 +271,32 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
         with pytest.raises(IncompatibleBoardError, match="speaks protocol 2, this daemon speaks 1") as refused:
             await bench.service("skin32", f"tcp://127.0.0.1:{port}").run()
     assert refused.value.exit_code == ExitCode.UNAVAILABLE
+
+
+async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = bench.service()
+    as_handled = service._handle
+    give_up_s = time.monotonic() + 20.0
+    behind, handled = asyncio.Event(), 0
+
+    def slow(arrival: object) -> None:
+        nonlocal handled
+        handled += 1
+        if handled > 300:
+            behind.set()
+        time.sleep(0.002)  # 1000 frames come in a second
+        if time.monotonic() > give_up_s:
+            service.stop()  # nobody else comes to his turn
+        as_handled(arrival)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(service, "_handle", slow)
+    turns = 0
+    async with bench.emulated(scenario="still"), bench.running(service):
+        await behind.wait()
+        for _ in range(10):
+            await asyncio.sleep(0.001)
+            turns += time.monotonic() < give_up_s
+    assert turns == 10
+    assert time.monotonic() < give_up_s

@@ -50,6 +50,7 @@ class LinkAccount:
     messages_stale: int = 0
     messages_malformed: int = 0
     messages_unknown: int = 0
+    log_lines_dropped: int = 0  # of the board's log, beyond what anyone would read
     frames: int = 0  # handed on or lost to ring_overflow
     parts_lost: int = 0  # of frames that did arrive
     frames_incomplete: int = 0
@@ -61,13 +62,10 @@ class LinkAccount:
     boots: list[BootAccount] = field(default_factory=list)  # the latest, the present one last
 
     def boot(self, boot_id: int) -> BootAccount:
-        """Return the account of a boot, made where there is none."""
-        for boot in self.boots:
-            if boot.boot_id == boot_id:
-                return boot
-        self.boots.append(BootAccount(boot_id))
-        del self.boots[:-BOOTS_REMEMBERED]
-        return self.boots[-1]
+        """Return the account of the present boot, made where there is none, and now the last."""
+        boot = next((boot for boot in self.boots if boot.boot_id == boot_id), BootAccount(boot_id))
+        self.boots = [*(other for other in self.boots if other is not boot), boot][-BOOTS_REMEMBERED:]
+        return boot
 
     def copy(self) -> "LinkAccount":
         return replace(self, boots=[replace(boot) for boot in self.boots])

@@ -9,10 +9,11 @@ from dataclasses import replace
 
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
 from resonator_daemon.acquisition.connection import BoardRefusedError
-from resonator_daemon.acquisition.frames import Arrival, ReaderFailed
+from resonator_daemon.acquisition.frames import Arrival, LinkChange, Outage, ReaderFailed
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.acquisition.link_course import LinkCourse
+from resonator_daemon.acquisition.link_state import LinkLog
 from resonator_daemon.acquisition.port_identity import PortIdentity, find_port, port_identity
 from resonator_daemon.acquisition.port_opening import open_link
 from resonator_daemon.acquisition.port_watch import PortWatch
@@ -82,6 +83,7 @@ class BoardReader:
         self._plate = plate
         self._ring = Ring(ring_bytes, wake, step_frames)
         self._course = LinkCourse(plate, self._ring, tap)
+        self._log = LinkLog()
         self._stopping = False
         self._watch = PortWatch(target)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
@@ -101,7 +103,11 @@ class BoardReader:
 
     def take(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
-        return self._ring.take()
+        arrivals = self._ring.take()
+        for arrival in arrivals:
+            if isinstance(arrival, LinkChange | Outage):
+                self._log.write(arrival)
+        return arrivals
 
     def account(self) -> LinkAccount:
         """Return where every byte and frame went, as of now."""
@@ -214,4 +220,5 @@ class BoardReader:
             with open_recording(target.path, self._plate) as recording:
                 replay(recording, self._course, Pace(self._watch.wait, lambda: self._stopping))
         except LinkUnavailableError as error:
-            self._course.apply(Said(read_host_time(), "waiting", str(error)))
+            # Another file does not come by waiting.
+            self._course.apply(Refused(read_host_time(), (str(error),), other_protocol=False))

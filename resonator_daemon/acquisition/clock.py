@@ -14,7 +14,7 @@ from resonator_daemon.acquisition.tick_bounds import RATE_WANDER_PER_S, TickBoun
 
 _RATE_KNOWN_PPM = 10.0
 _CRYSTAL_RATES = (-200e-6, 200e-6)
-_TOLERANCE_PPM = 1000.0  # a crystal, and the 500 ppm by which NTP may slew the host's clock
+TOLERANCE_PPM = 1000.0  # a crystal, and the 500 ppm by which NTP may slew the host's clock
 _LIKELY_RATES = (-0.01, 0.01)  # beyond, one exchange is rather wrong than the rate
 _POSSIBLE_RATES = (-0.9, 9.0)
 _LINES_KEPT, _LINES_APART_NS = 8, 8_000_000_000
@@ -38,6 +38,7 @@ class Instant(NamedTuple):
     utc_ns: int
     uncertainty_ns: int
     monotonic_ns: int = 0
+    boottime_ns: int = 0  # goes on while the host sleeps
 
 
 class _Line(NamedTuple):
@@ -99,7 +100,7 @@ class BoardClock:
             return math.nan
         known = [
             ((now.uncertainty_ns + then.uncertainty_ns) / (now.nominal_ns - then.nominal_ns), then)
-            for then in self._lines
+            for then in tuple(self._lines)  # the reader's thread adds to them meanwhile
             if then.nominal_ns < now.nominal_ns
         ]
         uncertainty, then = min(known, default=(math.inf, now))
@@ -114,7 +115,7 @@ class BoardClock:
         if self._agreed is None or self._rival is not None or self._agreed.count < _COUNT_CERTAIN:
             return None
         least_ppm, most_ppm = 1e6 * self._agreed.lines.least_rate, 1e6 * self._agreed.lines.most_rate
-        if least_ppm <= _TOLERANCE_PPM and most_ppm >= -_TOLERANCE_PPM:
+        if least_ppm <= TOLERANCE_PPM and most_ppm >= -TOLERANCE_PPM:
             return None
         return (least_ppm + most_ppm) / 2, (most_ppm - least_ppm) / 2
 
@@ -219,7 +220,12 @@ class BoardClock:
         uncertainty_ns = line.uncertainty_ns + abs(elapsed_ns) * (
             line.rate_uncertainty + abs(elapsed_ns) * (RATE_WANDER_PER_S / (2 * _NS))
         )
-        return Instant(monotonic_ns + self.utc_less_monotonic_ns, math.ceil(uncertainty_ns), monotonic_ns)
+        return Instant(
+            monotonic_ns + self.utc_less_monotonic_ns,
+            math.ceil(uncertainty_ns),
+            monotonic_ns,
+            monotonic_ns + self._boottime_less_monotonic_ns,
+        )
 
     def ping_due_ns(self, now_monotonic_ns: int) -> int:
         """Return the monotonic time at which the ping after one that leaves now should leave."""

@@ -39,6 +39,10 @@ _HANDSHAKE_NS = 3 * _S
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _REOPEN_NS = 1 * _S  # of silence beyond what was noticed
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
+_PING_LOST_NS = 5 * _S
+_SLEPT_NS = 50 * _MS
+_DEAF_NS = 10 * _S  # without an answer, though frames come
+_LOG_LINES_A_SECOND = 20
 _FRAME_AGE_NS = 30 * _S  # far beyond what any buffer on the way can hold
 
 
@@ -81,7 +85,7 @@ class Connection:
         self._single_tone = plate.counter.kind == "single-tone"
         self._session = HostSession()
         self._assembler = FrameAssembler(len(plate.tones.f0_hz))
-        self._pings: dict[bytes, int] = {}
+        self._pings: dict[bytes, tuple[int, int]] = {}  # when it left, and the newest ticks that were known then
         self._pings_sent = 0
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
         self._now = opened
@@ -92,7 +96,11 @@ class Connection:
         self._newest_ticks = 0
         self._clock_counts = (0, 0)  # outliers and restarts of clocks that are gone
         self._counting = False
-        self._doubt = ""  # what is odd about the board, though it can be read
+        self._log_second = self._log_lines = 0
+        self._answered_ns = opened.monotonic_ns
+        self._asleep_ns = opened.boottime_less_monotonic_ns
+        self._rate_doubt = ""  # what is odd about the board's ticks, though it can be read
+        self._deaf = False  # it does not answer, though it sends
         self.described: Described | None = None
         self.clock: BoardClock | None = None
         self.was_online = False
@@ -135,10 +143,16 @@ class Connection:
         """
         self._now = now
         now_ns = now.monotonic_ns
+        if now.boottime_less_monotonic_ns - self._asleep_ns > _SLEPT_NS:
+            self._next_ping_ns = now_ns  # the host has slept: what it knew of the board's clock is void
+        self._asleep_ns = now.boottime_less_monotonic_ns
         if self._counting:
             # A reader that comes late finds much to read, and the frames in it: that is no silence.
             if idle or now_ns - self._last_frame_ns > self._silence_ns + _STUCK_NS:
                 self._watch_silence(now_ns)
+            if now_ns - self._answered_ns > _DEAF_NS and not self._deaf and self._state.state == "online":
+                self._deaf = True
+                self._say_online()
         elif now_ns - self._opened_ns > _HANDSHAKE_NS:
             received = self._session.bytes.received
             heard = f"{received} bytes came and no answer" if received else "not a byte came"
@@ -158,7 +172,8 @@ class Connection:
         if self.clock is not None:
             dues.append(self._next_ping_ns)
         if self._counting:
-            dues.append(self._last_frame_ns + self._silence_ns + 1)
+            noticed_ns = self._last_frame_ns + self._silence_ns + 1
+            dues.append(noticed_ns + _REOPEN_NS if self._state.state == "stalled" else noticed_ns)
         return min(dues)
 
     def say_goodbye(self) -> None:
@@ -167,8 +182,7 @@ class Connection:
 
     def close(self) -> None:
         """Hand on what was begun and close the books of this connection."""
-        for frame in self._assembler.flush():
-            self._frame(frame)
+        self._flush_assembler()
         self.add_to(self._account)
         self._account.bytes_discarded += self._account.bytes_waiting
         self._account.bytes_waiting = 0
@@ -216,7 +230,7 @@ class Connection:
             case BoardStatus():
                 self._numbering.dropped_by_board(event.frames_dropped)
             case BoardLog():
-                self._ring.put(BoardSays(event.level, event.text))
+                self._board_says(event)
             case Rebooted():
                 self._rebooted()
             case Refusal():
@@ -225,21 +239,38 @@ class Connection:
                 problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(problem, other_protocol=True)
 
+    def _flush_assembler(self) -> None:
+        for frame in self._assembler.flush():
+            try:
+                self._frame(frame)
+            except (BoardRefusedError, LinkLostError):  # its connection is over anyway
+                self._account.messages_malformed += 1
+
     def _rebooted(self) -> None:
-        for frame in self._assembler.flush():  # it belongs to the boot, and the clock, before
-            self._frame(frame)
+        self._flush_assembler()  # what it holds belongs to the boot, and the clock, before
         self._say("lost", "the board started anew")
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
         self.clock = None
+        if self._counting:  # a board that does nothing but start anew has the time of one handshake
+            self._opened_ns = self._now.monotonic_ns
         self._counting = False
-        self._opened_ns = self._now.monotonic_ns
         self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
+
+    def _board_says(self, event: BoardLog) -> None:
+        second = self._now.monotonic_ns // _S
+        if second != self._log_second:
+            self._log_second, self._log_lines = second, 0
+        self._log_lines += 1
+        if self._log_lines <= _LOG_LINES_A_SECOND:
+            self._ring.put(BoardSays(event.level, event.text))
+        else:
+            self._account.log_lines_dropped += 1
 
     def _refused(self, refusal: Refusal) -> None:
         match refusal.code:
-            case RefusalCode.NOT_IN_THIS_STATE if self.was_online:
+            case RefusalCode.NOT_IN_THIS_STATE if self._counting:
                 raise LinkLostError(f"the board has forgotten its configuration ({refusal.text})")
             case RefusalCode.FAULT:
                 self._say("stalled", f"the board cannot count: {refusal.text}")
@@ -279,48 +310,55 @@ class Connection:
         if given != self._gate_ticks:
             raise BoardRefusedError(f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for")
         continues = self._numbering.continues(self.described.boot_id, self._newest_ticks)
-        self._numbering.started()
-        self._counting = self.was_online = True
-        self._last_frame_ns = self._now.monotonic_ns
+        self._numbering.started(self._now.monotonic_ns)
+        self._counting = True
+        self._last_frame_ns = self._answered_ns = self._now.monotonic_ns
         self._account.boot(self.described.boot_id).connections += 1
         self._ring.put(BoardOnline(*self.described, event.configuration, continues))
-        self._say_online()
 
     def _say_online(self) -> None:
         if self.described is not None:
             rate_hz = self._plate.counter.frame_rate_hz
-            told = f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"
-            self._say("online", f"{told}; {self._doubt}" if self._doubt else told)
+            told = [f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"]
+            if self._rate_doubt:
+                told.append(self._rate_doubt)
+            if self._deaf:
+                told.append(f"no ping was answered for {_DEAF_NS // _S} s: is the line to the board broken?")
+            self._say("online", "; ".join(told))
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
         number = self._pings_sent.to_bytes(8, "little")
+        for lost in [number for number, (sent_ns, _) in self._pings.items() if now_ns - sent_ns > _PING_LOST_NS]:
+            del self._pings[lost]
         if self._session.ping(number):
             self._pings_sent += 1
-            self._pings[number] = now_ns
+            self._pings[number] = (now_ns, self._newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
-        sent_ns = self._pings.pop(event.opaque, None)
-        if sent_ns is None or self.clock is None or self.described is None:
+        ping = self._pings.pop(event.opaque, None)
+        if ping is None or self.clock is None or self.described is None:
             return
-        for number in [number for number, at_ns in self._pings.items() if at_ns < sent_ns]:
+        sent_ns, known_ticks = ping
+        for number in [number for number, (at_ns, _) in self._pings.items() if at_ns < sent_ns]:
             del self._pings[number]  # boards answer in order: an earlier one will not be answered any more
-        if event.board_ticks < self._newest_ticks:
+        if event.board_ticks < known_ticks:
             raise LinkLostError(
                 f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
-                f"{self._newest_ticks} to {event.board_ticks}, as at a start"
+                f"{known_ticks} to {event.board_ticks}, as at a start"
             )
-        self._newest_ticks = event.board_ticks
+        self._newest_ticks = max(self._newest_ticks, event.board_ticks)
         now = self._now
+        self._answered_ns = now.monotonic_ns
         exchange = Exchange(sent_ns, event.board_ticks, now.monotonic_ns)
         self.clock.add(exchange, now.utc_less_monotonic_ns, boottime_less_monotonic_ns=now.boottime_less_monotonic_ns)
-        if self.clock.rate_beyond_tolerance is not None and not self._doubt:
+        if not self._rate_doubt and (measured := self.clock.rate_beyond_tolerance) is not None:
             # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
-            self._doubt = measured_misfit(self.described.description, *self.clock.rate_beyond_tolerance)
-            self._state.warn(self._doubt)
-            if self._state.state == "online":
-                self._say_online()
+            self._rate_doubt = measured_misfit(self.described.description, *measured)
+        self._deaf = False
+        if self._state.state == "online":
+            self._say_online()
         self._next_ping_ns = min(self._next_ping_ns, self.clock.ping_due_ns(now.monotonic_ns))
         # Only now: every frame can be stamped from the first one on.
         if self._session.state is HostState.DESCRIBED:
@@ -347,6 +385,7 @@ class Connection:
             self._account.messages_stale += 1
             return
         gap = accepted.gap
+        self.was_online = True
         self._last_frame_ns = self._now.monotonic_ns
         self._newest_ticks = max(self._newest_ticks, frame.board_ticks)
         boot = self._account.boots[-1]

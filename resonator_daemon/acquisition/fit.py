@@ -21,8 +21,9 @@ def gate_ticks(plate: Plate) -> int:
 
 
 def oscillator_hz(description: Description) -> NDArray[np.float64]:
-    """Return the frequency (tones,) against which a channelised board counts each tone."""
-    number = np.arange(description.tones, dtype=np.float64)
+    """Return the frequency (tones,) against which a channelised board counts each tone; of others nothing."""
+    channelised = description.counter_kind == CounterKind.CHANNELISED
+    number = np.arange(description.tones if channelised else 0, dtype=np.float64)
     return (description.oscillator_millihertz + number * description.oscillator_spacing_millihertz) / 1e3
 
 

@@ -7,10 +7,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
+WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent
+
 _READ_BYTES = 1 << 18  # about this much a call, so that a flood is handed on in pieces
 _PIECE_BYTES = 1 << 16
 _TERMINAL_BYTES = 2048  # a terminal with more waiting never gives less than this
-_WRITE_TIMEOUT_S = 1.0
 _SELECT_LIMIT = 1024  # descriptors that select can wait for
 _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
@@ -41,6 +42,10 @@ class Link(Protocol):
 
     def close(self) -> None:
         """Give the port back; never fails, and never waits for the board."""
+
+
+def took_no_bytes() -> LinkLostError:
+    return LinkLostError(f"the board took no bytes for {WRITE_TIMEOUT_S:g} s")
 
 
 class FileDescriptorLink:
@@ -80,11 +85,11 @@ class FileDescriptorLink:
 
     def write(self, data: bytes) -> None:
         self._check()
-        deadline = time.monotonic() + _WRITE_TIMEOUT_S
+        deadline = time.monotonic() + WRITE_TIMEOUT_S
         while data:
             left_s = deadline - time.monotonic()
             if left_s < 0 or not self._writable.poll(left_s * 1e3):
-                raise LinkLostError(f"the board took no bytes for {_WRITE_TIMEOUT_S:g} s")
+                raise took_no_bytes()
             try:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:

@@ -143,5 +143,5 @@ class LinkCourse:
         if connection.was_online:
             self._known = connection.described
         with self._lock:
-            connection.close()
             self.connection = None
+            connection.close()

@@ -21,7 +21,7 @@ class LinkState:
     def __init__(self, announce: Callable[[Arrival], None]) -> None:
         self._announce = announce
         self._present: LinkChange | None = None
-        self._outage_reason: str | None = None
+        self._outage_reasons: list[str] = []  # of the outage that goes on
 
     @property
     def state(self) -> str:
@@ -33,30 +33,36 @@ class LinkState:
         if before is not None and (state, reason) == (before.state, before.reason):
             return
         changed = before is None or state != before.state
-        if changed:
-            log.log(logging.INFO if state in ("starting", "online") else logging.WARNING, "link %s: %s", state, reason)
         if before is not None and before.state == "online" and changed:
-            self._outage_reason = reason
-        elif state == "lost" and self._outage_reason is not None:
-            self._outage_reason += f"; {reason}"
+            self._outage_reasons = [reason]
+        elif state == "lost" and self._outage_reasons:
+            if reason.startswith(self._outage_reasons[-1]):  # the same, told with its cause
+                self._outage_reasons.pop()
+            self._outage_reasons.append(reason)
         self._present = LinkChange(state, reason, utc_ns if changed or before is None else before.since_utc_ns)
         self._announce(self._present)
 
-    def warn(self, doubt: str) -> None:
-        """Tell the log what is odd about a link that goes on."""
-        log.warning("%s", doubt)
-
     def frame_came(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
-        """Tell of the outage that this frame has ended, if there was one."""
-        if self._outage_reason is None:
+        """Tell of the outage that this frame has ended, if there was one; frames that were only late are none."""
+        if self._outage_reasons:
+            if previous is not None and frames_lost:
+                self._announce(Outage(previous.utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
+            self._outage_reasons = []
+
+
+class LinkLog:
+    """Writes to the log what was said of a link: by whoever takes it, since a log may have to be waited for."""
+
+    def __init__(self) -> None:
+        self._state = self._reason = ""
+
+    def write(self, news: LinkChange | Outage) -> None:
+        if isinstance(news, Outage):
+            seconds = (news.end_utc_ns - news.start_utc_ns) * 1e-9
+            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, news.frames_lost, news.reason)
             return
-        if previous is not None:
-            outage = Outage(previous.utc_ns, this.utc_ns, frames_lost, self._outage_reason)
-            log.info(
-                "outage of %.3f s is over, %d frames lost: %s",
-                (this.monotonic_ns - previous.monotonic_ns) * 1e-9,
-                frames_lost,
-                self._outage_reason,
-            )
-            self._announce(outage)
-        self._outage_reason = None
+        doubt = news.state == self._state == "online" and len(news.reason) > len(self._reason)
+        if news.state != self._state or doubt:
+            well = news.state in ("starting", "online") and not doubt
+            log.log(logging.INFO if well else logging.WARNING, "link %s: %s", news.state, news.reason)
+        self._state, self._reason = news.state, news.reason

@@ -7,6 +7,7 @@ from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import Gap
 
 _HALF_RANGE = 1 << 31
+_QUEUED_NS = 30_000_000_000  # far beyond what any queue on the way can hold
 _CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock may differ: rates, and their drift
 
 
@@ -52,10 +53,12 @@ class FrameNumbering:
         self._overrun = False
         self._last: tuple[int, int, Instant] | None = None  # boot id, board ticks, time
         self._frames_of_run = 0
+        self._started_ns = 0
         self._resuming = False
 
-    def started(self) -> None:
+    def started(self, now_monotonic_ns: int) -> None:
         """Take note that the board began to count frames from 0."""
+        self._started_ns = now_monotonic_ns
         self._next_sequence = 0
         self._discarded_bytes = 0
         self._dropped_by_board = self._dropped_counted = 0
@@ -80,7 +83,7 @@ class FrameNumbering:
         return self._last is not None and self._last[0] == boot_id and board_ticks >= self._last[1]
 
     def accept(self, boot_id: int, sequence: int, board_ticks: int, time: Instant) -> Accepted | None:
-        """Return the frame's index and the gap before it; None for a frame that was there already.
+        """Return the frame's index and the gap before it; None for a frame that was there already or cannot be yet.
 
         Raises
         ------
@@ -88,7 +91,7 @@ class FrameNumbering:
             When its ticks are not where its number puts them; nothing has been counted then.
         """
         missing = (sequence - self._next_sequence) % (2 * _HALF_RANGE)
-        if missing >= _HALF_RANGE:
+        if missing >= _HALF_RANGE or self._cannot_be_missing(missing, time):
             return None
         self._check_spacing(missing, board_ticks)
         loss = self._causes(missing)
@@ -105,6 +108,10 @@ class FrameNumbering:
         self._frames_of_run += 1
         return Accepted(index, gap, previous)
 
+    def _cannot_be_missing(self, missing: int, time: Instant) -> bool:
+        """Tell whether a run has not had the time for as many frames before its first."""
+        return not self._frames_of_run and missing * self._gate_ns > time.monotonic_ns - self._started_ns + _QUEUED_NS
+
     def _check_spacing(self, missing: int, board_ticks: int) -> None:
         if self._frames_of_run and self._last is not None:
             spacing_ticks = board_ticks - self._last[1]
@@ -119,15 +126,12 @@ class FrameNumbering:
             return 0
         last_boot_id, last_ticks, last_time = self._last
         by_board = (board_ticks - last_ticks) / self._gate_ticks
-        by_host = (time.monotonic_ns - last_time.monotonic_ns) / self._gate_ns
+        by_host = (time.boottime_ns - last_time.boottime_ns) / self._gate_ns  # counts on while the host sleeps
         unsure = 1 + (last_time.uncertainty_ns + time.uncertainty_ns) / self._gate_ns
-        by_utc = (time.utc_ns - last_time.utc_ns) / self._gate_ns  # goes on while the host sleeps
         # The board's ticks are exact, if they went on through the outage: a boot id that came twice does not say so,
         # a clock that agrees does.
-        same_boot = boot_id == last_boot_id and any(
-            abs(by_board - gates) < unsure + _CLOCKS_AGREE * abs(gates) for gates in (by_host, by_utc)
-        )
-        return round(by_board if same_boot else by_host)
+        agrees = abs(by_board - by_host) < unsure + _CLOCKS_AGREE * abs(by_host)
+        return round(by_board if boot_id == last_boot_id and agrees else by_host)
 
     def _causes(self, missing: int) -> FrameLoss:
         overflow = min(missing, self._dropped_by_board - self._dropped_counted)

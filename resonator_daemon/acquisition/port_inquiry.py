@@ -8,7 +8,7 @@ from firmware_protocol.host import Described, HostEvent, HostSession, Located, P
 from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR
 from firmware_protocol.messages import Refusal
 from firmware_protocol.packets import ForeignVersion
-from resonator_daemon.acquisition.clock import Exchange
+from resonator_daemon.acquisition.clock import TOLERANCE_PPM, Exchange
 from resonator_daemon.acquisition.link import Link, LinkLostError
 
 _ANSWER_S = 3.0
@@ -16,7 +16,6 @@ _ASK_AGAIN_S = 0.3
 _PING_S = 0.05
 _PINGS = 20
 _POLL_S = 0.01
-_REFERENCE_TOLERANCE_PPM = 100.0  # of a plain crystal, and of the host's own
 
 
 class NoBoardError(Exception):
@@ -31,7 +30,8 @@ class TickRate(NamedTuple):
 
     @property
     def plausible(self) -> bool:
-        return abs(self.deviation_ppm) <= self.uncertainty_ppm + _REFERENCE_TOLERANCE_PPM
+        """Whether a running daemon might not flag it: it need not be further off than `TOLERANCE_PPM`."""
+        return abs(self.deviation_ppm) <= self.uncertainty_ppm + TOLERANCE_PPM
 
 
 class Inquiry(NamedTuple):

@@ -23,9 +23,10 @@ def look_up(host: str, port: int, timeout_s: float) -> Addresses:
     with _guard:
         answer = _under_way.get((host, port))
         if answer is None:
-            answer = _under_way[host, port] = Future()
+            answer = Future()
             # No pool: those of concurrent.futures are waited for when the process ends.
             threading.Thread(target=_resolve, args=(host, port, answer), name="look-up", daemon=True).start()
+            _under_way[host, port] = answer
     try:
         return answer.result(timeout_s)
     except TimeoutError:
@@ -42,5 +43,5 @@ def _resolve(host: str, port: int, answer: Future[Addresses]) -> None:
     try:
         found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
         answer.set_result([(family, address) for family, _, _, _, address in found])
-    except (OSError, UnicodeError) as error:
+    except Exception as error:  # noqa: BLE001 - raised where the answer is awaited, which would be for ever
         answer.set_exception(error)

@@ -11,7 +11,7 @@ from typing import IO, Self
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.acquisition.frames import BoardOnline
-from resonator_daemon.acquisition.host_time import read_host_time
+from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.recording_file import (
     BOARD,
     ENCODING,
@@ -36,7 +36,7 @@ _FLUSH_S = 1.0
 class Recorder:
     """A recording that is being written; a file that is there already is left alone.
 
-    After an error of the disk nothing more is written: `failure` says so, and what was written stays readable.
+    After an error, as of the disk, nothing more is written: `failure` says so, and what was written stays readable.
 
     Parameters
     ----------
@@ -97,12 +97,11 @@ class Recorder:
         """Have an event written; never waits."""
         size_bytes = _size_bytes(event)
         with self._lock:
+            if self._missing_events:
+                size_bytes += _EVENT_BYTES  # the word of them comes first
             if self._failure is None and self._waiting_bytes + size_bytes <= self._queue_bytes:
-                if self._missing_events:
-                    self._items.append(Skipped(event.now, self._missing_events, self._missing_bytes))
-                    self._missing_events = self._missing_bytes = 0
-                self._items.append(event)
-                self._waiting_bytes += size_bytes
+                self._tell_missing(event.now)
+                self._append(event)
             else:
                 self._skip(event)
 
@@ -117,6 +116,15 @@ class Recorder:
         self._closing.set()
         self._thread.join()
 
+    def _append(self, event: WireEvent) -> None:
+        self._items.append(event)
+        self._waiting_bytes += _size_bytes(event)
+
+    def _tell_missing(self, now: HostTime) -> None:
+        if self._missing_events:
+            self._append(Skipped(now, self._missing_events, self._missing_bytes))
+            self._missing_events = self._missing_bytes = 0
+
     def _skip(self, event: WireEvent) -> None:
         self._skipped_events += 1
         self._missing_events += 1
@@ -126,11 +134,12 @@ class Recorder:
         try:
             with self._file:
                 self._write(begun)
-        except OSError as error:
+        except Exception as error:  # noqa: BLE001 - whoever records must hear of it, or would take the file for whole
+            reason = (isinstance(error, OSError) and error.strerror) or repr(error)
             with self._lock:
-                self._failure = f"{self._path}: {error.strerror}: nothing more is recorded; what was written stays"
+                self._failure = f"{self._path}: {reason}: nothing more is recorded; what was written stays"
                 for item in self._items:
-                    if not isinstance(item, BoardOnline):
+                    if not isinstance(item, BoardOnline | Skipped):  # which were counted when they were skipped
                         self._skip(item)
                 self._items.clear()
 
@@ -144,9 +153,9 @@ class Recorder:
         while not closing:
             closing = self._closing.wait(_BATCH_S)
             with self._lock:
+                if closing:  # nothing comes after them
+                    self._tell_missing(read_host_time())
                 items, self._items = self._items, deque()
-                if closing and self._missing_events:  # nothing came after them
-                    items.append(Skipped(read_host_time(), self._missing_events, self._missing_bytes))
             for item in items:
                 if isinstance(item, BoardOnline):
                     writer.add_metadata(BOARD, _named(item))

@@ -2,6 +2,8 @@
 
 import hashlib
 import logging
+import os
+import stat
 import struct
 from collections.abc import Iterator
 from types import TracebackType
@@ -94,6 +96,8 @@ def open_recording(path: str, plate: Plate) -> Recording:
         No such file, no recording, of a newer version, or of a plate whose frames are others.
     """
     try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+            raise LinkUnavailableError(f"recording {path} is no regular file")
         file = open(path, "rb")  # noqa: SIM115 - the recording closes it
     except OSError as error:
         raise LinkUnavailableError(f"recording {path}: {error.strerror}") from error

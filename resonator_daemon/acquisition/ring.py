@@ -26,6 +26,7 @@ class Ring:
         self._wake = wake
         self._step_frames = step_frames
         self._lock = Lock()
+        self._ahead: list[Arrival] = []  # news and gaps, of when no frame before those in `_items` is left
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
         self._overflow = 0
@@ -50,9 +51,10 @@ class Ring:
     def take(self) -> list[Arrival]:
         """Return and remove all that is there."""
         with self._lock:
+            ahead, self._ahead = self._ahead, []
             items, self._items = self._items, deque()
             self._bytes = 0
-        return [arrival for _, arrival in items]
+        return [*ahead, *(arrival for _, arrival in items)]
 
     @property
     def loss(self) -> FrameLoss:
@@ -61,18 +63,17 @@ class Ring:
             return FrameLoss(ring_overflow=self._overflow)
 
     def _make_room(self) -> None:
-        news: list[Arrival] = []
+        ahead = self._ahead
         while self._bytes > self._limit_bytes:
             size_bytes, arrival = self._items.popleft()
             if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
                 self._bytes -= size_bytes
                 self._overflow += 1
                 arrival = Gap(arrival.index, FrameLoss(ring_overflow=1))
-            if isinstance(arrival, Gap) and news and isinstance(news[-1], Gap) and _adjoin(news[-1], arrival):
-                news[-1] = Gap(news[-1].first_index, news[-1].loss + arrival.loss)
+            if isinstance(arrival, Gap) and ahead and isinstance(ahead[-1], Gap) and _adjoin(ahead[-1], arrival):
+                ahead[-1] = Gap(ahead[-1].first_index, ahead[-1].loss + arrival.loss)
             else:
-                news.append(arrival)
-        self._items.extendleft((0, arrival) for arrival in reversed(news))
+                ahead.append(arrival)
 
 
 def _adjoin(gap: Gap, later: Gap) -> bool:

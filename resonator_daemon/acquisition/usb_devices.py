@@ -15,6 +15,8 @@ from resonator_daemon.acquisition.link import LinkUnavailableError
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
 
+FAILURES = (usb.core.USBError, NotImplementedError)  # the latter is what pyusb makes of LIBUSB_ERROR_NOT_SUPPORTED
+
 _GET_DESCRIPTOR = (0x80, 0x06)  # bmRequestType, bRequest
 _STRING, _ENGLISH = 0x0300, 0x0409
 _STRING_BYTES_MAX = 255
@@ -77,16 +79,25 @@ def present_boards() -> list[UsbBoard]:
     Raises
     ------
     LinkUnavailableError
-        The USB library is missing.
+        The USB library is missing, or cannot list what is there.
     """
     backend = usb_backend()
+    try:
+        devices = list(backend.enumerate_devices())
+    except FAILURES as error:
+        raise LinkUnavailableError(f"USB devices cannot be listed: {reason_of(error)}") from error
     boards = []
-    for device in backend.enumerate_devices():
+    for device in devices:
         try:
             boards += _boards_of(backend, device)
-        except usb.core.USBError:
+        except FAILURES:
             continue  # it went away meanwhile, or shows no descriptors: no board
     return sorted(boards, key=lambda board: (board.bus, board.address))
+
+
+def reason_of(error: Exception) -> str:
+    """Return libusb's own words for one of `FAILURES`."""
+    return str(getattr(error, "strerror", None) or error)
 
 
 def _boards_of(backend: Any, device: Any) -> list[UsbBoard]:
@@ -118,12 +129,12 @@ def _string(backend: Any, device: Any, index: int) -> str | None:
         return None
     try:
         handle = backend.open_device(device)
-    except usb.core.USBError:
+    except FAILURES:
         return None
     buffer = array("B", bytes(_STRING_BYTES_MAX))
     try:
         size = backend.ctrl_transfer(handle, *_GET_DESCRIPTOR, _STRING | index, _ENGLISH, buffer, _CONTROL_TIMEOUT_MS)
-    except usb.core.USBError:
+    except FAILURES:
         return None
     finally:
         backend.close_device(handle)

@@ -9,17 +9,16 @@ from typing import Any
 
 from usb.core import USBError, USBTimeoutError
 
-from resonator_daemon.acquisition.link import LinkLostError, LinkUnavailableError
+from firmware_protocol.layouts import PROTOCOL_MAJOR
+from resonator_daemon.acquisition.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, took_no_bytes
 from resonator_daemon.acquisition.port_holders import Holders, port_holders
-from resonator_daemon.acquisition.usb_devices import UsbBoard, present_boards, usb_backend
+from resonator_daemon.acquisition.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
 from resonator_daemon.acquisition.usb_transfers import BulkReader, Failure
 from resonator_daemon.config import UsbLink
 
 _ENDPOINT_OUT, _ENDPOINT_IN = 0x01, 0x81
 _BEGIN = (0x41, 0x01)  # bmRequestType, bRequest; vendor, to the interface
-_PROTOCOL_MAJOR = 1
 _BEGIN_TIMEOUT_MS = 1000
-_WRITE_TIMEOUT_S = 1.0
 _END_TRANSFERS_S = 0.5
 _HALTS_IN_A_ROW = 3  # after which the device is taken for one that cannot recover
 _WHAT_FAILED = {
@@ -42,7 +41,7 @@ def open_usb(target: UsbLink) -> "UsbBulkLink":
     backend = usb_backend()
     try:
         handle = backend.open_device(board.device)
-    except USBError as error:
+    except FAILURES as error:
         raise LinkUnavailableError(_why_not(board, error)) from error
     try:
         # Setting the configuration anew would be a light reset, and fails while other interfaces are in use.
@@ -50,7 +49,7 @@ def open_usb(target: UsbLink) -> "UsbBulkLink":
             backend.set_configuration(handle, board.configuration)
         backend.claim_interface(handle, board.interface)
         _begin(backend, handle, board)
-    except USBError as error:
+    except FAILURES as error:
         backend.close_device(handle)  # which releases what was claimed
         raise LinkUnavailableError(_why_not(board, error)) from error
     except LinkUnavailableError:
@@ -60,13 +59,7 @@ def open_usb(target: UsbLink) -> "UsbBulkLink":
 
 
 class UsbBulkLink:
-    """An open board. Where transfers stop for any reason but the board's going, they are taken up again and counted.
-
-    Attributes
-    ----------
-    halts
-        How often transfers had to be taken up again since the link was opened.
-    """
+    """An open board. Where transfers stop for any reason but the board's going, they are taken up again."""
 
     def __init__(self, backend: Any, handle: Any, board: UsbBoard, *, may_reset: bool) -> None:
         self._backend = backend
@@ -75,7 +68,6 @@ class UsbBulkLink:
         self._may_reset = may_reset
         self._lost: str | None = None
         self._halts_in_a_row = 0
-        self.halts = 0
         self._reader = BulkReader(backend, handle, _ENDPOINT_IN)
         self._reader.start()
 
@@ -102,17 +94,17 @@ class UsbBulkLink:
 
     def write(self, data: bytes) -> None:
         self._check()
-        deadline = time.monotonic() + _WRITE_TIMEOUT_S
+        deadline = time.monotonic() + WRITE_TIMEOUT_S
         while data:
             left_ms = int((deadline - time.monotonic()) * 1e3)
             if left_ms <= 0:  # libusb would take 0 for ever
-                raise LinkLostError(f"the board took no bytes for {_WRITE_TIMEOUT_S:g} s")
+                raise took_no_bytes()
             try:
                 data = data[self._write_some(data, left_ms) :]
             except USBTimeoutError:
                 continue
-            except USBError as error:
-                if error.errno != errno.EPIPE:
+            except FAILURES as error:
+                if _number(error) != errno.EPIPE:
                     raise self._lose(_unplugged(error)) from error
                 self._clear_halt(_ENDPOINT_OUT)
 
@@ -122,8 +114,12 @@ class UsbBulkLink:
         if not self._may_reset:
             return
         self._reader.stop(_END_TRANSFERS_S)
-        with suppress(USBError):  # it may be gone, or come back as another device: both are said below
+        try:
             self._backend.reset_device(self._handle)
+        except NotImplementedError as error:
+            raise self._lose(f"the device cannot be reset here ({error})") from error
+        except USBError:
+            pass  # it is gone, or comes back as another device: either way this link is over
         raise self._lose("the device was reset")
 
     def close(self) -> None:
@@ -132,7 +128,7 @@ class UsbBulkLink:
         handle, self._handle = self._handle, None
         self._lost = self._lost or "closed here"
         if self._reader.close(_END_TRANSFERS_S):
-            with suppress(USBError):
+            with suppress(*FAILURES):
                 self._backend.release_interface(handle, self._board.interface)
             self._backend.close_device(handle)
 
@@ -154,11 +150,10 @@ class UsbBulkLink:
         self._reader.start()
 
     def _clear_halt(self, endpoint: int) -> None:
-        self.halts += 1
         self._halts_in_a_row += 1
         try:
             self._backend.clear_halt(self._handle, endpoint)
-        except USBError as error:
+        except FAILURES as error:
             raise self._lose(_unplugged(error)) from error
 
     def _lose(self, reason: str) -> LinkLostError:
@@ -191,19 +186,19 @@ def _links(boards: list[UsbBoard]) -> str:
 
 def _begin(backend: Any, handle: Any, board: UsbBoard) -> None:
     try:
-        backend.ctrl_transfer(handle, *_BEGIN, _PROTOCOL_MAJOR, board.interface, array("B"), _BEGIN_TIMEOUT_MS)
+        backend.ctrl_transfer(handle, *_BEGIN, PROTOCOL_MAJOR, board.interface, array("B"), _BEGIN_TIMEOUT_MS)
     except USBTimeoutError as error:
         reason = f"{board.link} does not begin anew within {_BEGIN_TIMEOUT_MS} ms; plug it in again"
         raise LinkUnavailableError(reason) from error
     except USBError as error:
         if error.errno != errno.EPIPE:
             raise
-        reason = f"{board.link} refuses to begin with protocol {_PROTOCOL_MAJOR}; its firmware may speak another one"
+        reason = f"{board.link} refuses to begin with protocol {PROTOCOL_MAJOR}; its firmware may speak another one"
         raise LinkUnavailableError(reason) from error
 
 
-def _why_not(board: UsbBoard, error: USBError) -> str:
-    match error.errno:
+def _why_not(board: UsbBoard, error: Exception) -> str:
+    match _number(error):
         case errno.EACCES | errno.EPERM:
             return _not_permitted(board)
         case errno.EBUSY:
@@ -211,7 +206,7 @@ def _why_not(board: UsbBoard, error: USBError) -> str:
         case errno.ENODEV | errno.ENOENT:
             return f"{board.link} went away while it was opened"
         case _:
-            return f"{board.link} cannot be opened: {error.strerror}"
+            return f"{board.link} cannot be opened: {reason_of(error)}"
 
 
 def _not_permitted(board: UsbBoard) -> str:
@@ -228,5 +223,9 @@ def _others(holders: Holders) -> str:
     return str(others) or "another program"
 
 
-def _unplugged(error: USBError) -> str:
-    return f"unplugged ({error.strerror})"
+def _number(error: Exception) -> int | None:
+    return getattr(error, "errno", None)
+
+
+def _unplugged(error: Exception) -> str:
+    return f"unplugged ({reason_of(error)})"

@@ -9,7 +9,8 @@ from simulators.board import Outgoing
 from simulators.faults.account import FaultCounts
 from simulators.faults.plan import FaultPlan
 
-_TYPE_AT = 3  # in a packet
+TYPE_AT = 3  # in a packet
+
 _SEQUENCE_AT = slice(4, 8)
 _LONGEST_GARBAGE_BYTES = 64
 
@@ -55,7 +56,7 @@ class ByteFaults:
             damaged = damaged[cut:] + damaged[:cut]
             harm.chunks_reordered += 1
         damaged = self._lose(damaged, elapsed_s, harm)
-        kind, sequence = packet[_TYPE_AT], int.from_bytes(packet[_SEQUENCE_AT], "little")
+        kind, sequence = packet[TYPE_AT], int.from_bytes(packet[_SEQUENCE_AT], "little")
         if damaged != packet:
             harm.packets_hit += 1
             harm.parts_hit += kind == MessageType.FRAME_PART

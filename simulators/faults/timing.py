@@ -87,7 +87,7 @@ class Splitter:
         self._random = np.random.default_rng((seed, 3))
         self._split_bytes = plan.split_bytes
         self._bytes_per_ns = math.inf if plan.slow_reader_bytes_per_s is None else plan.slow_reader_bytes_per_s * 1e-9
-        self._most_bytes = max(1.0, self._bytes_per_ns * _ALLOWANCE_S * 1e9)
+        self._most_bytes = max(1.0, self._bytes_per_ns * _ALLOWANCE_S * 1e9) if self._bytes_per_ns else 0.0
         self._allowed_bytes = self._most_bytes
         self._counted_ns = 0
         self.unlimited = self._split_bytes is None and math.isinf(self._bytes_per_ns)
@@ -107,9 +107,14 @@ class Splitter:
         self._allowed_bytes -= size_bytes
 
     @property
+    def takes_more(self) -> bool:
+        """Whether the next byte may be written as soon as the link can be."""
+        return self._allowed_bytes >= 1.0
+
+    @property
     def next_ns(self) -> int | None:
         """When a slow reader takes more again; None while it does, and where it will never."""
-        if self._allowed_bytes >= 1.0 or not self._bytes_per_ns:
+        if self.takes_more or not self._bytes_per_ns:
             return None
         return self._counted_ns + math.ceil((1.0 - self._allowed_bytes) / self._bytes_per_ns)
 

@@ -85,11 +85,12 @@ class SimulatedBoard:
 class Bench:
     """One daemon's end over any number of connections, and the time."""
 
-    def __init__(self, board: SimulatedBoard, delay_ns: int = 0) -> None:
+    def __init__(self, board: SimulatedBoard, delay_ns: int = 0, step_ns: int = STEP_NS) -> None:
         self.board = board
         self.delay_ns = delay_ns  # from board to host
+        self.step_ns = step_ns
         self.now_ns = 10_000 * MS
-        self.utc_step_ns = 0
+        self.utc_step_ns = self.slept_ns = 0
         self.ring = Ring(64 << 20, lambda: None)
         self.numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
         self.total = LinkAccount()
@@ -117,12 +118,12 @@ class Bench:
         self.open()
 
     def host_time(self) -> HostTime:
-        return HostTime(self.now_ns, 10**18 + self.utc_step_ns, 0)
+        return HostTime(self.now_ns, 10**18 + self.utc_step_ns + self.slept_ns, self.slept_ns)
 
     def run(self, ms: float) -> None:
         """Let time pass; raises what the connection raises."""
-        for _ in range(round(ms * MS / STEP_NS)):
-            self.now_ns += STEP_NS
+        for _ in range(round(ms * MS / self.step_ns)):
+            self.now_ns += self.step_ns
             out = self.board.step(self.connection.data_to_send(), self.now_ns)
             if out:
                 self._on_the_way.append((self.now_ns + self.delay_ns, out))

@@ -116,3 +116,8 @@ def test_the_worst_oscillator_is_named() -> None:
     (sentence,) = misfits(replace(SKIN_BOARD, oscillator_spacing_millihertz=3_261_000), SKIN)
     assert "tone 3071" in sentence
     assert "33781 Hz" in sentence
+
+
+@pytest.mark.parametrize("tones", [0, 2**60])
+def test_tones_that_nobody_numbers_take_no_room(tones: int) -> None:
+    assert oscillator_hz(replace(QUARTZ_BOARD, tones=tones)).size == 0

@@ -14,13 +14,13 @@ FRAME_BYTES = 204
 
 def numbering() -> FrameNumbering:
     fresh = FrameNumbering(FRAME_BYTES, GATE_TICKS, GATE_NS)
-    fresh.started()
+    fresh.started(0)
     return fresh
 
 
 def at(gate: float, *, utc_step_ns: int = 0) -> Instant:
     now_ns = round(gate * GATE_NS)
-    return Instant(now_ns + utc_step_ns, 100, now_ns)
+    return Instant(now_ns + utc_step_ns, 100, now_ns, now_ns)
 
 
 def accept(
@@ -103,7 +103,7 @@ def test_a_frame_that_was_there_already_is_ignored() -> None:
 def test_an_outage_is_a_gap_and_no_shift_of_time() -> None:
     it = numbering()
     accept(it, 0)
-    it.started()
+    it.started(0)
     assert accept(it, 0, gate=500) == (500, Gap(1, FrameLoss(link_gap=499)))
     assert accept(it, 1, gate=501) == (501, None)
 
@@ -111,7 +111,7 @@ def test_an_outage_is_a_gap_and_no_shift_of_time() -> None:
 def test_after_a_reboot_the_hosts_clock_tells_the_outage() -> None:
     it = numbering()
     it.accept(1, 0, 10**12, at(0))
-    it.started()
+    it.started(0)
     accepted = it.accept(2, 0, GATE_TICKS, at(700.08, utc_step_ns=3_600 * 10**9))
     assert accepted is not None
     assert (accepted.index, accepted.gap) == (700, Gap(1, FrameLoss(link_gap=699)))
@@ -121,7 +121,7 @@ def test_after_a_reboot_the_hosts_clock_tells_the_outage() -> None:
 def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
     it = numbering()
     it.accept(1, 0, 10**12, at(0))
-    it.started()
+    it.started(0)
     assert not it.continues(1, GATE_TICKS)
     assert it.continues(1, 10**12 + 1)
     assert not it.continues(2, 10**12 + 1)
@@ -131,17 +131,19 @@ def test_a_boot_id_that_came_twice_does_not_make_the_ticks_go_on() -> None:
 def test_ticks_that_jumped_during_an_outage_do_not_tell_its_length() -> None:
     it = numbering()
     accept(it, 0)
-    it.started()
+    it.started(0)
     assert it.accept(1, 0, 10**9, at(700)) == Accepted(700, Gap(1, FrameLoss(link_gap=699)), at(0))
 
 
-def test_a_host_that_slept_believes_the_board() -> None:
+@pytest.mark.parametrize(("boot_id", "ticks"), [(1, 3_600_100 * GATE_TICKS), (2, 17)], ids=["same boot", "rebooted"])
+def test_a_host_that_slept_knows_how_long(boot_id: int, ticks: int) -> None:
     it = numbering()
     accept(it, 0)
-    it.started()
+    it.started(0)
     slept_ns = 3_600_000 * GATE_NS
-    awake = Instant(100 * GATE_NS + slept_ns, 100, 100 * GATE_NS)  # the monotonic clock stood still
-    accepted = it.accept(1, 0, 3_600_100 * GATE_TICKS, awake)
+    # The monotonic clock stood still, UTC was set meanwhile.
+    awake = Instant(0, 100, 100 * GATE_NS, 100 * GATE_NS + slept_ns)
+    accepted = it.accept(boot_id, 0, ticks, awake)
     assert accepted is not None
     assert accepted.index == 3_600_100
 
@@ -161,6 +163,13 @@ def test_frames_that_lie_otherwise_than_their_numbers_say_are_told() -> None:
 def test_frames_lost_right_after_the_return_are_not_counted_twice() -> None:
     it = numbering()
     accept(it, 0)
-    it.started()
+    it.started(0)
     it.discarded(FRAME_BYTES)
     assert accept(it, 1, gate=501) == (501, Gap(1, FrameLoss(damaged=1, link_gap=499)))
+
+
+def test_a_first_number_that_a_run_cannot_have_reached_is_no_loss() -> None:
+    it = numbering()
+    it.started(0)
+    assert it.accept(1, 2**31 - 5001, GATE_TICKS, at(1)) is None
+    assert it.accept(1, 20_000, 20_001 * GATE_TICKS, at(20_001)) is not None  # what a queue may have dropped

@@ -19,7 +19,7 @@ class Resolver:
     def __init__(self) -> None:
         self.asked: list[str] = []
         self.go_on = threading.Event()
-        self.error: OSError | None = None
+        self.error: Exception | None = None
 
     def getaddrinfo(self, host: str, port: int, **_: Any) -> list[Any]:
         self.asked.append(host)
@@ -54,8 +54,11 @@ def test_an_answer_that_is_late_serves_the_next_question(resolver: Resolver) -> 
     assert resolver.asked == ["slow.local"] * 2
 
 
-@pytest.mark.parametrize("error", [socket.gaierror(-2, "Name or service not known"), TimeoutError("resolver")])
-def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error: OSError) -> None:
+@pytest.mark.parametrize(
+    "error",
+    [socket.gaierror(-2, "Name or service not known"), TimeoutError("resolver"), ValueError("embedded null character")],
+)
+def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error: Exception) -> None:
     resolver.go_on.set()
     resolver.error = error
     with pytest.raises(type(error)) as raised:
@@ -63,3 +66,15 @@ def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error
     assert raised.value is error
     resolver.error = None
     look_up("none.local", 5000, AMPLE_S)
+
+
+def test_a_name_that_no_thread_could_look_up_is_asked_anew(resolver: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_more(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    resolver.go_on.set()
+    with monkeypatch.context() as full:
+        full.setattr(threading.Thread, "start", no_more)
+        with pytest.raises(RuntimeError, match="can't start new thread"):
+            look_up("board.local", 5000, AMPLE_S)
+    assert look_up("board.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"

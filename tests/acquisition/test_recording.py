@@ -20,6 +20,7 @@ from mcap.writer import Writer
 from recording_bench import PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
+from resonator_daemon.acquisition import recording
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
@@ -159,6 +160,23 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path
     assert recorder.skipped_events == 3
 
 
+def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # nothing is written before the end
+    path = tmp_path / "run.mcap"
+    events: list[WireEvent] = [Received(at(0), bytes(10_000)), *(Opened(at(number)) for number in range(1, 20))]
+    recorder = record(path, events, queue_bytes=10 * 300)
+    kept, _ = read(path)
+    assert kept[:-1] == [Skipped(at(1), 1, 10_000), *(Opened(at(number)) for number in range(1, 10))]
+    assert isinstance(kept[-1], Skipped)
+    assert kept[-1][1:] == (10, 0)
+    assert recorder.skipped_events == 11
+    assert recorder._waiting_bytes == 0  # or the bound would wander
+    path = tmp_path / "small.mcap"
+    record(path, events[:2], queue_bytes=500)  # room for one of the two
+    kept, _ = read(path)
+    assert [event[1:] for event in kept] == [(2, 10_000)]
+
+
 def test_room_comes_back_once_events_are_written(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     deadline = time.monotonic() + DEADLINE_S
@@ -197,6 +215,44 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Pat
     assert [event.now for event in events] == [at(number) for number in range(len(events))]
     assert 10 < len(events) < 20
     assert recorder.skipped_events >= 1
+
+
+def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(event: WireEvent) -> bytes:
+        if isinstance(event, Sent):
+            raise RuntimeError("LZ4 has no memory")
+        return encode(event)
+
+    monkeypatch.setattr(recording, "encode", broken)
+    path = tmp_path / "run.mcap"
+    recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
+    said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
+    assert recorder.failure == f"{path}: {said}"
+    recorder.put(Closed(at(2)))
+    assert recorder.skipped_events == 1
+
+
+def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck, go_on = threading.Event(), threading.Event()
+
+    def fail(event: WireEvent) -> bytes:
+        stuck.set()
+        go_on.wait(DEADLINE_S)
+        raise OSError("no number, no text")
+
+    monkeypatch.setattr(recording, "encode", fail)
+    path = tmp_path / "run.mcap"
+    with Recorder(path, PLATE, "tcp://board:1", queue_bytes=2_000) as recorder:
+        recorder.put(Opened(at(0)))
+        assert stuck.wait(DEADLINE_S)
+        recorder.put(Received(at(1), bytes(10_000)))
+        recorder.put(Closed(at(2)))
+        go_on.set()
+    assert recorder.failure is not None
+    assert "no number, no text" in recorder.failure
+    assert recorder.skipped_events == 2  # the large one and the one that waited behind it
 
 
 KILLED = """
@@ -303,7 +359,7 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     path.write_bytes(Random(5).randbytes(5000))
     with pytest.raises(LinkUnavailableError, match="is no recording"):
         open_recording(str(path), PLATE)
-    with pytest.raises(LinkUnavailableError, match="Is a directory"):
+    with pytest.raises(LinkUnavailableError, match="is no regular file"):
         open_recording(str(tmp_path), PLATE)
     for profile, name, metadata, said in (
         ("ros2", "recording", {"format": "1"}, "is an MCAP file, but not of this program"),

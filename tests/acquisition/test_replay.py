@@ -163,12 +163,11 @@ def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) ->
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
-    (change,) = reader.take()
+    sentence = f"recording {tmp_path / 'none.mcap'}: No such file or directory"
+    change, refused = reader.take()
     assert isinstance(change, LinkChange)
-    assert (change.state, change.reason) == (
-        "waiting",
-        f"recording {tmp_path / 'none.mcap'}: No such file or directory",
-    )
+    assert (change.state, change.reason) == ("refused", sentence)
+    assert refused == BoardRefused((sentence,))
 
 
 def last_reason(arrivals: list[Arrival]) -> str:

@@ -59,6 +59,25 @@ def test_gaps_that_adjoin_become_one() -> None:
     assert ring.take() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
 
 
+def test_gaps_apart_stay_apart() -> None:
+    ring = Ring(2 * FRAME_BYTES, lambda: None)
+    ring.put_frame(frame(0))
+    ring.put_frame(frame(5))
+    for index in range(6, 8):
+        ring.put_frame(frame(index))
+    assert ring.take()[:2] == [Gap(0, FrameLoss(ring_overflow=1)), Gap(5, FrameLoss(ring_overflow=1))]
+
+
+def test_news_before_frames_that_gave_way_stay_before_what_comes_later() -> None:
+    ring = Ring(2 * FRAME_BYTES, lambda: None)
+    for index in range(1000):
+        ring.put(BoardSays(20, str(index)))
+        ring.put_frame(frame(index))
+    taken = ring.take()
+    assert [news.text for news in taken if isinstance(news, BoardSays)] == [str(index) for index in range(1000)]
+    assert taken[-3:] == [frame(998), BoardSays(20, "999"), frame(999)]
+
+
 def fresh_single_tone(index: int) -> SingleToneFrame:
     """Return a frame that shares no object with another, as those from the link."""
     big = 2**40 + index

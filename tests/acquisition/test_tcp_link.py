@@ -122,7 +122,7 @@ def test_a_board_that_accepts_and_says_nothing_is_silence(connected: Connected) 
 
 
 def test_a_board_that_never_reads_ends_a_write(connected: Connected, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "_WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(link_module, "WRITE_TIMEOUT_S", 0.05)
     with pytest.raises(LinkLostError, match="took no bytes"):
         connected.link.write(bytes(32 << 20))
     connected.link.close()

@@ -19,7 +19,8 @@ from firmware_protocol.messages import (
 )
 
 numbers = st.integers(0, 2**64 - 1)
-short_text = st.text(max_size=60)
+# What steers a terminal or a line of a log is replaced, see below.
+short_text = st.text(st.characters(exclude_categories=("Cc", "Cf", "Cs", "Zl", "Zp")), max_size=60)
 
 
 @given(st.builds(Identity, short_text, short_text, short_text, numbers, numbers, numbers))
@@ -82,3 +83,9 @@ def test_any_payload_is_a_message_or_malformed(payload: bytes) -> None:
 def test_long_text_is_cut_at_a_character() -> None:
     decoded = decode_message(BoardLog, encode_message(BoardLog(30, "é" * 200)))
     assert decoded.text == "é" * 127
+
+
+@pytest.mark.parametrize("sign", ["\n", "\r", "\0", "\x1b", "\x7f", "\x9b", "\u2028", "\u202e"])
+def test_no_text_of_a_board_steers_a_terminal_or_begins_a_line(sign: str) -> None:
+    said = decode_message(BoardLog, encode_message(BoardLog(20, f"fine{sign}INFO link online")))
+    assert said.text == "fine\N{REPLACEMENT CHARACTER}INFO link online"

@@ -121,6 +121,15 @@ def test_a_slow_reader_gets_its_bytes_per_second_and_the_newest_frames() -> None
     assert not bench.output.waits_for_room  # a link that could be written would wake the emulator at once
 
 
+def test_a_reader_that_takes_nothing_wakes_nobody() -> None:
+    bench = Bench(queue_frames=3, slow_reader_bytes_per_s=0.0)
+    bench.pass_ms(10)
+    assert bench.link.writes == []
+    assert bench.output.frames_unsent == 0  # the answer to CONFIGURE is before them
+    assert not bench.output.waits_for_room
+    assert bench.output.next_ns is None
+
+
 def test_pieces_and_clumps_carry_the_same_bytes() -> None:
     plain, split, clumped = Bench(), Bench(split_bytes=5), Bench(clump_ms=16.0, split_bytes=1)
     for bench in (plain, split, clumped):

@@ -108,6 +108,7 @@ def test_a_slow_reader_takes_its_rate_and_not_a_byte_more(rate: float) -> None:
 
 def test_a_reader_that_takes_nothing_is_waited_for_by_nobody() -> None:
     stuck = Splitter(FaultPlan(slow_reader_bytes_per_s=0.0), 1)
-    stuck.wrote(stuck.piece_bytes(10, 0))
+    assert stuck.piece_bytes(10, 0) == 0
     assert stuck.piece_bytes(10, 10**15) == 0
+    assert not stuck.takes_more
     assert stuck.next_ns is None
