@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
-from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.fit import BoardRefusedError
 from resonator_daemon.acquisition.frames import Arrival, LinkChange, Outage, ReaderFailed
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError

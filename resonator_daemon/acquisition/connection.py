@@ -15,20 +15,17 @@ from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Ref
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
 from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.assembly import AssembledFrame, FrameAssembler
-from resonator_daemon.acquisition.clock import BoardClock, Exchange
-from resonator_daemon.acquisition.fit import gate_ticks, measured_misfit, misfits, strangers
+from resonator_daemon.acquisition.clock import BoardClock, Exchange, Instant
+from resonator_daemon.acquisition.fit import BoardRefusedError, gate_ticks, measured_misfit, misfits, strangers
 from resonator_daemon.acquisition.frames import (
     BoardOnline,
-    BoardRefused,
     BoardSays,
-    ChannelisedFrame,
-    SingleToneFrame,
 )
 from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.intake import FrameIntake
 from resonator_daemon.acquisition.link import LinkLostError
 from resonator_daemon.acquisition.link_state import LinkState
-from resonator_daemon.acquisition.numbering import BrokenSpacingError, FrameNumbering
+from resonator_daemon.acquisition.numbering import Accepted, FrameNumbering
 from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.plate import Plate
 
@@ -43,15 +40,6 @@ _PING_LOST_NS = 5 * _S
 _SLEPT_NS = 50 * _MS
 _DEAF_NS = 10 * _S  # without an answer, though frames come
 _LOG_LINES_A_SECOND = 20
-_FRAME_AGE_NS = 30 * _S  # far beyond what any buffer on the way can hold
-
-
-class BoardRefusedError(Exception):
-    """The board can never serve this plate, or speaks another protocol."""
-
-    def __init__(self, *problems: str, other_protocol: bool = False) -> None:
-        super().__init__("; ".join(problems))
-        self.refused = BoardRefused(problems, other_protocol)
 
 
 class Connection:
@@ -82,18 +70,15 @@ class Connection:
         self._account = account
         self._state = state
         self._gate_ticks = gate_ticks(plate)
-        self._single_tone = plate.counter.kind == "single-tone"
         self._session = HostSession()
-        self._assembler = FrameAssembler(len(plate.tones.f0_hz))
+        self._intake = FrameIntake(plate, numbering, ring, account)
         self._pings: dict[bytes, tuple[int, int]] = {}  # when it left, and the newest ticks that were known then
         self._pings_sent = 0
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
         self._now = opened
         self._opened_ns = opened.monotonic_ns
-        self._last_frame_ns = opened.monotonic_ns
         self._next_ask_ns = opened.monotonic_ns + _ASK_AGAIN_NS
         self._next_ping_ns = 0
-        self._newest_ticks = 0
         self._clock_counts = (0, 0)  # outliers and restarts of clocks that are gone
         self._counting = False
         self._log_second = self._log_lines = 0
@@ -148,7 +133,7 @@ class Connection:
         self._asleep_ns = now.boottime_less_monotonic_ns
         if self._counting:
             # A reader that comes late finds much to read, and the frames in it: that is no silence.
-            if idle or now_ns - self._last_frame_ns > self._silence_ns + _STUCK_NS:
+            if idle or now_ns - self._intake.last_frame_ns > self._silence_ns + _STUCK_NS:
                 self._watch_silence(now_ns)
             if now_ns - self._answered_ns > _DEAF_NS and not self._deaf and self._state.state == "online":
                 self._deaf = True
@@ -172,7 +157,7 @@ class Connection:
         if self.clock is not None:
             dues.append(self._next_ping_ns)
         if self._counting:
-            noticed_ns = self._last_frame_ns + self._silence_ns + 1
+            noticed_ns = self._intake.last_frame_ns + self._silence_ns + 1
             dues.append(noticed_ns + _REOPEN_NS if self._state.state == "stalled" else noticed_ns)
         return min(dues)
 
@@ -182,7 +167,7 @@ class Connection:
 
     def close(self) -> None:
         """Hand on what was begun and close the books of this connection."""
-        self._flush_assembler()
+        self._flush_intake()
         self.add_to(self._account)
         self._account.bytes_discarded += self._account.bytes_waiting
         self._account.bytes_waiting = 0
@@ -198,7 +183,7 @@ class Connection:
         account.bytes_waiting += session.waiting_bytes
         account.messages_stale += session.messages.stale
         account.messages_malformed += session.messages.malformed
-        account.messages_unknown += session.messages.unknown + self._assembler.misfits
+        account.messages_unknown += session.messages.unknown + self._intake.misfits
         outliers, restarts = self._clock_counts
         clock = self.clock
         account.clock_outliers += outliers + (clock.outliers if clock else 0)
@@ -209,13 +194,9 @@ class Connection:
 
     def _handle(self, event: HostEvent) -> None:
         match event:
-            case Frame() if self._single_tone:
-                self._frame(event)
-            case FramePart() if not self._single_tone:
-                for frame in self._assembler.add(event):
-                    self._frame(frame)
             case Frame() | FramePart():
-                self._account.messages_malformed += 1  # of the other kind of counter
+                if self.clock is not None and self.described is not None:
+                    self._frames_came(self._intake.take(event, self.clock, self.described.boot_id, self._now))
             case Pong():
                 if self._session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
                     self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
@@ -239,15 +220,12 @@ class Connection:
                 problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(problem, other_protocol=True)
 
-    def _flush_assembler(self) -> None:
-        for frame in self._assembler.flush():
-            try:
-                self._frame(frame)
-            except (BoardRefusedError, LinkLostError):  # its connection is over anyway
-                self._account.messages_malformed += 1
+    def _flush_intake(self) -> None:
+        if self.clock is not None and self.described is not None:
+            self._frames_came(self._intake.flush(self.clock, self.described.boot_id, self._now))
 
     def _rebooted(self) -> None:
-        self._flush_assembler()  # what it holds belongs to the boot, and the clock, before
+        self._flush_intake()  # what it holds belongs to the boot, and the clock, before
         self._say("lost", "the board started anew")
         if self.clock is not None:
             outliers, restarts = self._clock_counts
@@ -299,7 +277,7 @@ class Connection:
         self.described = event
         self._pings.clear()
         self._pings_sent = 0
-        self._newest_ticks = 0
+        self._intake.newest_ticks = 0
         self.clock = BoardClock(event.description.reference_millihertz)
         self._ping(self.clock)
 
@@ -309,10 +287,10 @@ class Connection:
         given = event.configuration.gate_ticks
         if given != self._gate_ticks:
             raise BoardRefusedError(f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for")
-        continues = self._numbering.continues(self.described.boot_id, self._newest_ticks)
+        continues = self._numbering.continues(self.described.boot_id, self._intake.newest_ticks)
         self._numbering.started(self._now.monotonic_ns)
         self._counting = True
-        self._last_frame_ns = self._answered_ns = self._now.monotonic_ns
+        self._intake.last_frame_ns = self._answered_ns = self._now.monotonic_ns
         self._account.boot(self.described.boot_id).connections += 1
         self._ring.put(BoardOnline(*self.described, event.configuration, continues))
 
@@ -333,7 +311,7 @@ class Connection:
             del self._pings[lost]
         if self._session.ping(number):
             self._pings_sent += 1
-            self._pings[number] = (now_ns, self._newest_ticks)
+            self._pings[number] = (now_ns, self._intake.newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
@@ -348,7 +326,7 @@ class Connection:
                 f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
                 f"{known_ticks} to {event.board_ticks}, as at a start"
             )
-        self._newest_ticks = max(self._newest_ticks, event.board_ticks)
+        self._intake.newest_ticks = max(self._intake.newest_ticks, event.board_ticks)
         now = self._now
         self._answered_ns = now.monotonic_ns
         exchange = Exchange(sent_ns, event.board_ticks, now.monotonic_ns)
@@ -366,57 +344,15 @@ class Connection:
         elif self._state.state == "stalled":
             self._session.resume()
 
-    def _frame(self, frame: Frame | AssembledFrame) -> None:
-        if self.clock is None or self.described is None:
-            return
-        middle = self.clock.at(frame.board_ticks - self._gate_ticks // 2)
-        if not -_FRAME_AGE_NS < self._now.monotonic_ns - middle.monotonic_ns < _FRAME_AGE_NS:
-            self._account.messages_malformed += 1  # ticks that this boot has not reached, or long left behind
-            return
-        boot_id = self.described.boot_id
-        try:
-            accepted = self._numbering.accept(boot_id, frame.sequence, frame.board_ticks, middle)
-        except BrokenSpacingError as error:
-            spacing = f"{error.spacing_ticks} ticks from frame to frame, {error.gate_ticks} were configured"
-            if error.from_the_start:
-                raise BoardRefusedError(f"the board does not keep its gate: {spacing}") from error
-            raise LinkLostError(f"the board's clock jumped: {spacing}") from error
-        if accepted is None:
-            self._account.messages_stale += 1
-            return
-        gap = accepted.gap
-        self.was_online = True
-        self._last_frame_ns = self._now.monotonic_ns
-        self._newest_ticks = max(self._newest_ticks, frame.board_ticks)
-        boot = self._account.boots[-1]
-        boot.frames += 1
-        self._account.frames += 1
-        if gap is not None:
-            self._account.lost += gap.loss
-            boot.lost += gap.loss
-            self._ring.put(gap)
-        if self._state.state != "online":
-            self._say_online()
-        self._state.frame_came(accepted.previous, middle, gap.loss.total if gap else 0)
-        if isinstance(frame, Frame):
-            self._ring.put_frame(SingleToneFrame(accepted.index, frame.board_ticks, middle, frame.payload))
-        else:
-            self._account.parts_lost += frame.parts - frame.parts_seen
-            self._account.frames_incomplete += frame.parts_seen < frame.parts
-            self._ring.put_frame(
-                ChannelisedFrame(
-                    accepted.index,
-                    frame.board_ticks,
-                    middle,
-                    frame.phase_turn32,
-                    frame.offset_hz16,
-                    frame.sigma_code,
-                    frame.known,
-                )
-            )
+    def _frames_came(self, taken: list[tuple[Accepted, Instant]]) -> None:
+        for accepted, middle in taken:
+            self.was_online = True
+            if self._state.state != "online":
+                self._say_online()
+            self._state.frame_came(accepted.previous, middle, accepted.gap.loss.total if accepted.gap else 0)
 
     def _watch_silence(self, now_ns: int) -> None:
-        silent_ns = now_ns - self._last_frame_ns
+        silent_ns = now_ns - self._intake.last_frame_ns
         if silent_ns > self._silence_ns + _REOPEN_NS:
             raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
         if silent_ns > self._silence_ns and self._state.state != "stalled":

@@ -8,11 +8,20 @@ from numpy.typing import NDArray
 from firmware_protocol.host import Described
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.acquisition.frames import BoardRefused
 from resonator_daemon.plate import Plate
 
 _KINDS = {CounterKind.SINGLE_TONE: "single-tone", CounterKind.CHANNELISED: "channelised"}
 _REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured
 _OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
+
+
+class BoardRefusedError(Exception):
+    """The board can never serve this plate, or speaks another protocol."""
+
+    def __init__(self, *problems: str, other_protocol: bool = False) -> None:
+        super().__init__("; ".join(problems))
+        self.refused = BoardRefused(problems, other_protocol)
 
 
 def gate_ticks(plate: Plate) -> int:

@@ -4,7 +4,7 @@ import logging
 import time
 from collections.abc import Callable
 
-from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.fit import BoardRefusedError
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkLostError
 from resonator_daemon.acquisition.link_course import LinkCourse

@@ -14,7 +14,7 @@ from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause, encode_message
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
-from resonator_daemon.acquisition.connection import BoardRefusedError
+from resonator_daemon.acquisition.fit import BoardRefusedError
 from resonator_daemon.acquisition.frames import BoardOnline, BoardSays, Outage
 from resonator_daemon.acquisition.link import LinkLostError
 
