@@ -4,6 +4,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 
+from listener import check_indices
+
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described
 from firmware_protocol.messages import CounterKind, Description, Identity
@@ -154,15 +156,7 @@ class Bench:
         return [(arrival.state, arrival.reason) for arrival in self.arrivals if isinstance(arrival, LinkChange)]
 
     def check_indices(self) -> None:
-        """Every index is a frame or in a gap, in order and once."""
-        expected = 0
-        for arrival in self.arrivals:
-            if isinstance(arrival, Gap):
-                assert arrival.first_index == expected
-                expected += arrival.loss.total
-            elif isinstance(arrival, SingleToneFrame):
-                assert arrival.index == expected
-                expected += 1
+        check_indices(self.arrivals)
 
 
 def board(**changes: object) -> SimulatedBoard:

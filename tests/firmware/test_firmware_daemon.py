@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from firmware_listener import Listener
+from firmware_listener import FirmwareListener
 from switch import Switch
 
 pytestmark = pytest.mark.firmware
@@ -12,8 +12,8 @@ GATE_TICKS = 1_000_000
 
 
 def test_frames_are_in_order_and_their_ticks_even(switch: Switch) -> None:
-    with Listener(switch.link) as it:
-        it.wait_for_frames(1500)
+    with FirmwareListener(switch.link) as it:
+        it.wait_for_more_frames(1500)
         account = it.reader.account()
         it.check_accounts()
     assert it.boards[0].identity.serial_number == "FW-0001"
@@ -24,13 +24,13 @@ def test_frames_are_in_order_and_their_ticks_even(switch: Switch) -> None:
 
 
 def test_a_board_that_is_switched_off_and_on_is_another_boot_and_an_outage(switch: Switch) -> None:
-    with Listener(switch.link) as it:
-        it.wait_for_frames(300)
+    with FirmwareListener(switch.link) as it:
+        it.wait_for_more_frames(300)
         switch.board.power_off()
-        it.wait_for(lambda: it.states[-1][0] not in ("online", "stalled"))
+        it.wait_for(lambda _: it.states[-1][0] not in ("online", "stalled"))
         seen = len(it.frames)
         switch.board.power_on()
-        it.wait_for_frames(300)
+        it.wait_for_more_frames(300)
         it.check_accounts()
         account = it.reader.account()
     first, second = it.boards
@@ -46,11 +46,11 @@ def test_a_board_that_is_switched_off_and_on_is_another_boot_and_an_outage(switc
 
 
 def test_a_reset_in_the_middle_of_a_run_is_noticed_by_its_boot_id(switch: Switch) -> None:
-    with Listener(switch.link) as it:
-        it.wait_for_frames(300)
+    with FirmwareListener(switch.link) as it:
+        it.wait_for_more_frames(300)
         switch.board.reset()
-        it.wait_for(lambda: len(it.boards) == 2)
-        it.wait_for_frames(300)
+        it.wait_for(lambda _: len(it.boards) == 2)
+        it.wait_for_more_frames(300)
         it.check_accounts()
     first, second = it.boards
     assert first.boot_id != second.boot_id
@@ -60,10 +60,10 @@ def test_a_reset_in_the_middle_of_a_run_is_noticed_by_its_boot_id(switch: Switch
 @pytest.mark.parametrize("switch", ["tcp"], indirect=True)
 def test_a_second_daemon_after_the_first(switch: Switch) -> None:
     """The board was left running or told to stop: either way the next host begins with frame 0."""
-    with Listener(switch.link) as first:
-        first.wait_for_frames(100)
-    with Listener(switch.link) as second:
-        second.wait_for_frames(100)
+    with FirmwareListener(switch.link) as first:
+        first.wait_for_more_frames(100)
+    with FirmwareListener(switch.link) as second:
+        second.wait_for_more_frames(100)
         second.check_accounts()
         assert second.reader.account().lost.link_gap == 0
     assert first.boards[0].boot_id == second.boards[0].boot_id
