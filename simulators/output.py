@@ -35,7 +35,7 @@ class Output:
     @property
     def frames_unsent(self) -> int:
         """Frames that left the board and not the link."""
-        return self._line.frames + (self._lot is not None and self._lot.is_frame)
+        return self._line.frames + (self._lot.frames if self._lot is not None else 0)
 
     @property
     def waits_for_room(self) -> bool:
@@ -87,11 +87,11 @@ class Output:
             if self._after_cut is not None and outgoing.is_frame:
                 whole = b"".join(outgoing.packets)
                 harm = FaultCounts(frame_sequences_cut=[] if sequence is None else [sequence])
-                self._line.put(Lot(whole[: len(whole) // 2], is_frame=False, harm=harm), now_ns)
+                self._line.put(Lot(whole[: len(whole) // 2], frames=0, harm=harm), now_ns)
                 self._end_board()
                 continue
             data, harm_done = self._faults.damage(outgoing, elapsed_s)
-            self._line.put(Lot(data, outgoing.is_frame, harm_done), now_ns, sequence)
+            self._line.put(Lot(data, int(outgoing.is_frame), harm_done), now_ns, sequence)
 
     def _end_board(self) -> None:
         if self._after_cut is not None:
@@ -108,7 +108,7 @@ class Output:
         self.bytes_sent += written
         self._unsent = self._unsent[written:]
         if not self._unsent and self._lot is not None:
-            self.frames_sent += self._lot.is_frame
+            self.frames_sent += self._lot.frames
             if self._lot.harm is not None:
                 self.counts.add(self._lot.harm)
             self._lot = None

@@ -42,6 +42,7 @@ _POLL_S = 0.02  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
 _JITTER = (0.75, 1.25)  # so that several daemons do not knock together
 _REFUSED_S = 5.0
+_PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
 _FEW_BYTES, _GATHER_S = 64, 250e-6
 _RESET_EVERY = 3  # openings in a row without a frame
 
@@ -181,15 +182,15 @@ class BoardReader:
             while not self._stopping:
                 self._send(link, now)
                 due_s = (course.due_ns() - time.monotonic_ns()) * 1e-9
-                data = link.read(min(max(0.0, due_s), _POLL_S))
+                pieces = self._read(link, min(max(0.0, due_s), _POLL_S))
                 if link.overruns != overruns:
                     overruns = link.overruns
                     course.apply(Overrun(read_host_time()))
-                if data:
-                    course.apply(Received(read_host_time(), data))
+                for piece in pieces:
+                    course.apply(piece)
                 now = read_host_time()
-                course.apply(Tended(now, idle=not data))
-                if 0 < len(data) < _FEW_BYTES and course.within_packet:
+                course.apply(Tended(now, idle=not pieces))
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and course.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)
             self._say_goodbye(link)
@@ -204,6 +205,16 @@ class BoardReader:
             was_online = course.was_online
             course.apply(Closed(read_host_time()))
         return was_online
+
+    def _read(self, link: Link, timeout_s: float) -> list[Received]:
+        """Read what comes within the time; while an answer is awaited all that is there, each piece with its time."""
+        pieces: list[Received] = []
+        while len(pieces) < _PIECES and (data := link.read(timeout_s)):
+            pieces.append(Received(read_host_time(), data))
+            if not self._course.awaits_answer or len(data) < _FEW_BYTES:
+                break  # so few are the last of what there was, or a line hands them on one by one
+            timeout_s = _QUICK_S
+        return pieces
 
     def _say_goodbye(self, link: Link) -> None:
         now = read_host_time()

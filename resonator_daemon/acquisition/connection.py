@@ -109,6 +109,11 @@ class Connection:
         return self._session.data_to_send()
 
     @property
+    def awaits_answer(self) -> bool:
+        """Whether a ping is on its way."""
+        return bool(self._pings)
+
+    @property
     def within_packet(self) -> bool:
         """Whether the last bytes that were received end in the middle of a packet."""
         return self._session.waiting_bytes > 0

@@ -102,6 +102,11 @@ class LinkCourse:
         return self._opened().due_ns()
 
     @property
+    def awaits_answer(self) -> bool:
+        """Whether a ping is on its way: the sooner its answer is read, the better the time is known."""
+        return self._opened().awaits_answer
+
+    @property
     def within_packet(self) -> bool:
         """Whether the last bytes that were received end in the middle of a packet."""
         return self._opened().within_packet

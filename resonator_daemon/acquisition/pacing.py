@@ -4,10 +4,10 @@ import math
 
 _TARGET_NS = 100_000
 _NEAR_BEST = 1.2
-_LEARNING = 400  # exchanges: 8 s of them
+_LEARNING = 800  # exchanges: 8 s of them
 _REMEMBERED_NS = 30_000_000_000
 # A span above 16 ms, so that the spread covers the period of whatever collects answers: 1, 5, 10 or 16 ms.
-_RAPID_NS, _RAPID_SPAN_NS = 11_500_000, 17_000_000
+_RAPID_NS, _RAPID_SPAN_NS = 1_500_000, 17_000_000
 _CALM_NS, _CALM_SPAN_NS = 961_500_000, 17_000_000
 _GOLDEN_64 = 0x9E3779B97F4A7C15
 
@@ -15,7 +15,7 @@ _GOLDEN_64 = 0x9E3779B97F4A7C15
 class PingPacing:
     """Follows what the last exchanges were worth.
 
-    An uncertainty above 100 us asks for pings every 20 ms, unless they no longer help: a link of constant 2 ms each way
+    An uncertainty above 100 us asks for pings every 10 ms, unless they no longer help: a link of constant 2 ms each way
     will never do better, and is not pinged for it.
     """
 

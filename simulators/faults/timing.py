@@ -17,7 +17,7 @@ class Lot(NamedTuple):
     """What goes out at once, and what was done to it."""
 
     data: bytes
-    is_frame: bool
+    frames: int  # in it; 0 of an answer
     harm: FaultCounts | None = None
 
 
@@ -46,7 +46,7 @@ class Line:
             self._due.append(lot)
             return
         due_ns = now_ns + self._delay_ns
-        rate, late_ns = self._late[lot.is_frame]
+        rate, late_ns = self._late[lot.frames > 0]
         if rate > 0.0 and self._random.random() < rate:
             due_ns += late_ns
             lot = lot._replace(harm=_counted_late(lot, frame_sequence))
@@ -62,9 +62,15 @@ class Line:
         """Remove and return what goes out next, None where nothing is due."""
         if self._due:
             return self._due.popleft()
-        if self._held and self._held[0][0] <= now_ns:
-            return heapq.heappop(self._held)[2]
-        return None
+        if not (self._held and self._held[0][0] <= now_ns):
+            return None
+        lot = heapq.heappop(self._held)[2]
+        if self._clump_ns:  # as one transfer of the adapter
+            clump = [lot]
+            while self._held and self._held[0][0] <= now_ns:
+                clump.append(heapq.heappop(self._held)[2])
+            lot = _joined(clump) if len(clump) > 1 else lot
+        return lot
 
     @property
     def next_due_ns(self) -> int | None:
@@ -73,7 +79,7 @@ class Line:
     @property
     def frames(self) -> int:
         """Frames that are held."""
-        return sum(lot.is_frame for lot in self._due) + sum(lot.is_frame for _, _, lot in self._held)
+        return sum(lot.frames for lot in self._due) + sum(lot.frames for _, _, lot in self._held)
 
     def clear(self) -> None:
         self._due.clear()
@@ -119,11 +125,19 @@ class Splitter:
         return self._counted_ns + math.ceil((1.0 - self._allowed_bytes) / self._bytes_per_ns)
 
 
+def _joined(lots: list[Lot]) -> Lot:
+    harm = FaultCounts()
+    for lot in lots:
+        if lot.harm is not None:
+            harm.add(lot.harm)
+    return Lot(b"".join(lot.data for lot in lots), sum(lot.frames for lot in lots), harm)
+
+
 def _counted_late(lot: Lot, frame_sequence: int | None) -> FaultCounts:
     harm = FaultCounts()
     if lot.harm is not None:
         harm.add(lot.harm)
-    if lot.is_frame:
+    if lot.frames:
         harm.frames_delayed += 1
     else:
         harm.answers_delayed += 1

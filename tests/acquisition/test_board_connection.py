@@ -54,7 +54,7 @@ def test_frames_carry_the_middle_of_their_gate() -> None:
 def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
     bench = online()
     bench.board.silent = True
-    bench.run(53)
+    bench.run(51)  # the last frame came within the millisecond before
     assert bench.states[-1][0] == "online"
     bench.run(3)
     assert bench.states[-1] == ("stalled", "the port is open and no frame comes")
@@ -124,7 +124,7 @@ def test_a_stalled_link_is_not_looked_after_all_the_time() -> None:
         bench.now_ns = max(bench.now_ns + MS // 100, min(bench.connection.due_ns(), end_ns))
         bench.connection.data_to_send()
         bench.connection.tend(bench.host_time(), idle=True)
-    assert turns < 100
+    assert turns < 300  # pings among them
 
 
 def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer() -> None:

@@ -29,8 +29,8 @@ def test_pings_fall_evenly_on_every_grid(pacing: PingPacing, grid_ms: int) -> No
     assert max(eighths) < 165
 
 
-def test_it_begins_at_fifty_a_second_and_calms_down_to_one() -> None:
-    for pacing, mean_ns, span_ns in ((PingPacing(), 20 * MS, 9 * MS), (calm(), 970 * MS, 9 * MS)):
+def test_it_begins_at_a_hundred_a_second_and_calms_down_to_one() -> None:
+    for pacing, mean_ns, span_ns in ((PingPacing(), 10 * MS, 9 * MS), (calm(), 970 * MS, 9 * MS)):
         times = leaving_times(pacing, 1000)
         periods = [b - a for a, b in itertools.pairwise(times)]
         assert sum(periods) / len(periods) == pytest.approx(mean_ns, rel=0.02)
@@ -52,10 +52,10 @@ def test_above_100_us_it_is_rapid() -> None:
 
 def test_what_a_link_cannot_do_is_not_asked_of_it() -> None:
     pacing = PingPacing()
-    for number in range(1, 500):
-        pacing.learnt(number * 20 * MS, 2e6, number)
-        assert rapid(pacing) == (number < 400)
-    pacing.learnt(11 * S, 2.5e6, 500)  # but what it could a moment ago
+    for number in range(1, 1000):
+        pacing.learnt(number * 10 * MS, 2e6, number)
+        assert rapid(pacing) == (number < 800)
+    pacing.learnt(11 * S, 2.5e6, 1000)  # but what it could a moment ago
     assert rapid(pacing)
 
 

@@ -21,7 +21,7 @@ def lots_due(held: Line, now_ns: int) -> list[bytes]:
 def test_without_faults_everything_is_due_at_once_in_its_order() -> None:
     straight = line()
     for number in range(5):
-        straight.put(Lot(bytes([number]), is_frame=True), 0)
+        straight.put(Lot(bytes([number]), frames=1), 0)
     assert straight.frames == 5
     assert straight.has_due(0)
     assert straight.next_due_ns is None
@@ -31,25 +31,43 @@ def test_without_faults_everything_is_due_at_once_in_its_order() -> None:
 
 def test_a_delay_is_the_same_for_all() -> None:
     delayed = line(delay_ms=10.0)
-    delayed.put(Lot(b"a", is_frame=True), 0)
-    delayed.put(Lot(b"b", is_frame=False), 3 * MS)
+    delayed.put(Lot(b"a", frames=1), 0)
+    delayed.put(Lot(b"b", frames=0), 3 * MS)
     assert lots_due(delayed, 10 * MS - 1) == []
     assert delayed.next_due_ns == 10 * MS
     assert (delayed.frames, delayed.has_due(10 * MS)) == (1, True)
     assert lots_due(delayed, 10 * MS) == [b"a"]
     assert lots_due(delayed, 13 * MS) == [b"b"]
-    delayed.put(Lot(b"c", is_frame=True), 20 * MS)
+    delayed.put(Lot(b"c", frames=1), 20 * MS)
     delayed.clear()
     assert (delayed.frames, delayed.next_due_ns, lots_due(delayed, 99 * MS)) == (0, None, [])
 
 
-def test_clumps_leave_at_multiples_of_their_time() -> None:
+def test_clumps_leave_whole_at_multiples_of_their_time() -> None:
     clumped = line(clump_ms=16.0, delay_ms=2.0)
     for now_ms in range(40):
-        clumped.put(Lot(bytes([now_ms]), is_frame=True), now_ms * MS)
+        clumped.put(Lot(bytes([now_ms]), frames=1), now_ms * MS)
     leave = {now_ms: lots_due(clumped, now_ms * MS) for now_ms in range(0, 49)}
-    assert {now_ms: len(lots) for now_ms, lots in leave.items() if lots} == {16: 15, 32: 16, 48: 9}
+    assert {now_ms: [len(lot) for lot in lots] for now_ms, lots in leave.items() if lots} == {
+        16: [15],
+        32: [16],
+        48: [9],
+    }
     assert b"".join(b"".join(lots) for lots in leave.values()) == bytes(range(40))
+    assert clumped.frames == 0
+
+
+def test_a_clump_keeps_its_accounts() -> None:
+    clumped = line(clump_ms=16.0)
+    for number in range(4):
+        harm = FaultCounts(bits_flipped=number) if number else None
+        clumped.put(Lot(b"ab", frames=number % 2, harm=harm), MS)
+    assert clumped.frames == 2
+    lot = clumped.take(16 * MS)
+    assert lot is not None
+    assert lot.frames == 2
+    assert lot.harm is not None
+    assert lot.harm.bits_flipped == 6
 
 
 @pytest.mark.parametrize("kind", ["answer", "frame"])
