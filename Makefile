@@ -90,7 +90,7 @@ bench: .venv/peers-stamp  ## figures as tables: demo, wire, clock, measurement, 
 	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for benchmark in codec wire_cost usb_throughput blocked_loop clock; do run $$benchmark; done
+	for benchmark in codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done

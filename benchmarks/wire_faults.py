@@ -3,9 +3,6 @@
 Run it with `make bench`, or `python benchmarks/wire_faults.py [SECONDS]`. Exit code 1 when anything disagrees.
 """
 
-import json
-import signal
-import subprocess
 import sys
 import tempfile
 import time
@@ -13,8 +10,11 @@ from pathlib import Path
 from threading import Event
 from typing import Any
 
+from emulated_board import emulated_board
+
+from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import ChannelisedFrame, LinkAccount, LinkChange, SingleToneFrame
+from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
 
@@ -23,35 +23,27 @@ CASES = (("quartz16", 1e-5), ("skin32", 1e-7))
 
 def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tuple[LinkAccount, int, dict[str, Any]]:
     """Read a damaged link for some time; return the account, the index of the last frame, and the emulator's report."""
-    link = ("--pty", str(folder / "board")) if plate == "quartz16" else ("--tcp", "127.0.0.1:0")
-    command = [sys.executable, "-m", "resonator_daemon.cli", "emulate", "--plate", plate, *link, "--json"]
-    emulator = subprocess.Popen(
-        [*command, "--faults", f"bit_error_rate={bit_error_rate:g}"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    assert emulator.stdout is not None  # noqa: S101 - it is a pipe
-    woken = Event()
-    reader = BoardReader(parse_link(json.loads(emulator.stdout.readline())["link"]), load_plate(plate), woken.set)
-    reader.start()
-    end = time.monotonic() + seconds
     last_index = -1
-    stopped = False
-    while True:
+    woken = Event()
+
+    def take() -> list[Arrival]:
+        nonlocal last_index
         woken.wait(0.5)
         woken.clear()
         arrivals = reader.take()
         for arrival in arrivals:
             if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
                 last_index = arrival.index
-        if not stopped and time.monotonic() > end:
-            emulator.send_signal(signal.SIGINT)
-            stopped = True
-        if stopped and any(isinstance(arrival, LinkChange) and arrival.state != "online" for arrival in arrivals):
-            break
-    report = json.loads(emulator.stdout.read().splitlines()[-1])
-    emulator.wait()
+        return arrivals
+
+    with emulated_board(plate, folder, "--faults", f"bit_error_rate={bit_error_rate:g}") as (link, report):
+        reader = BoardReader(parse_link(link), load_plate(plate), woken.set)
+        reader.start()
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            take()
+    while not any(isinstance(arrival, LinkChange) and arrival.state != "online" for arrival in take()):
+        pass  # what was still on its way
     reader.stop()
     return reader.account(), last_index, report
 

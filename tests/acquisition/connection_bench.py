@@ -162,3 +162,11 @@ class Bench:
 def board(**changes: object) -> SimulatedBoard:
     """Return a board whose description differs in this."""
     return SimulatedBoard(description=replace(DESCRIPTION, **changes))  # type: ignore[arg-type]
+
+
+def online(**changes: object) -> Bench:
+    """Return a bench whose board, described so, has been counting for a while."""
+    bench = Bench(board(**changes))
+    bench.run(200)
+    assert bench.states[-1][0] == "online"
+    return bench

@@ -402,7 +402,7 @@ def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> 
     assert sum(reads) / len(reads) > 10
 
 
-def test_time_is_known_to_200_us_through_clumps_and_late_answers(tmp_path: Path) -> None:
+def test_time_is_within_its_bound_through_clumps_and_late_answers(tmp_path: Path) -> None:
     """The truth has the host's time of each gate, by the emulator's own clock."""
     port, truth = tmp_path / "board", tmp_path / "truth.jsonl"
     faults = parse_faults("clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50")
