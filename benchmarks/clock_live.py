@@ -36,7 +36,7 @@ def play(faults: str) -> tuple[np.ndarray, np.ndarray]:
         options = ("--faults", faults, "--truth", str(truth))
         with emulated_board("quartz16", Path(folder), *options) as (link, _):
             woken, frames = threading.Event(), []
-            reader = BoardReader(parse_link(link), plate, woken.set, step_frames=5)
+            reader = BoardReader(parse_link(link), plate, woken.set, step_frames=(5,))
             reader.start()
             while len(frames) < FRAMES:
                 woken.wait(1.0)

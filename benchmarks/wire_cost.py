@@ -141,7 +141,7 @@ def reader_cost(seconds: int) -> float:
     """Return what the daemon's whole reader takes of a core: thread, clock, numbers, ring."""
     with tempfile.TemporaryDirectory() as folder, emulated_board("quartz16", Path(folder)) as (link, _):
         woken = threading.Event()
-        reader = BoardReader(parse_link(link), load_plate("quartz16"), woken.set, step_frames=5)
+        reader = BoardReader(parse_link(link), load_plate("quartz16"), woken.set, step_frames=(5,))
         reader.start()
         while reader.account().frames < 6 * FRAME_RATE_HZ:  # beyond the pings of the first seconds
             woken.wait(1.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
@@ -147,6 +147,33 @@ class HostSession:
         self.bytes = self._decoder.counts
         self.messages = MessageCounts()
         self._pending: Request | None = self._requests.send(MessageType.IDENTIFY)  # which the state waits for
+
+    @classmethod
+    def running(cls, described: Described, configuration: Configuration, number: int) -> Self:
+        """Return a session in the middle of a run that another began; `number` is that of the other's last request."""
+        session = cls()
+        session._requests.forget()
+        session._requests.number = number
+        session._requests.credit_bytes = max(LEAST_CREDIT_BYTES, described.identity.credit_bytes)
+        session._pending = None
+        session._identity, session._boot_id = described.identity, described.boot_id
+        session._configuration = configuration
+        session.state = HostState.RUNNING
+        return session
+
+    @property
+    def number(self) -> int:
+        """The number of the last request; set it where another session's requests go out instead of this one's."""
+        return self._requests.number
+
+    @number.setter
+    def number(self, number: int) -> None:
+        self._requests.number = number
+
+    @property
+    def configuration(self) -> Configuration:
+        """What the board has accepted; there is none before Started."""
+        return self._configuration
 
     @property
     def waiting_bytes(self) -> int:

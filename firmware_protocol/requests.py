@@ -19,11 +19,11 @@ class Request(NamedTuple):
 class Requests:
     """Numbers requests, sends them while the board has room and keeps the others in order until it has.
 
-    `credit_bytes` is what the packets of unanswered requests may take together.
+    `credit_bytes` is what the packets of unanswered requests may take together, `number` that of the last request.
     """
 
     def __init__(self) -> None:
-        self._number = 0
+        self.number = 0
         self._outgoing = bytearray()
         self._unanswered: deque[Request] = deque()
         self._waiting: deque[Request] = deque()
@@ -44,8 +44,8 @@ class Requests:
         """Send a request as soon as there is room. One of the same type that still waits gives way to it."""
         for waiting in [waiting for waiting in self._waiting if waiting.type is request_type]:
             self._waiting.remove(waiting)
-        self._number = (self._number + 1) & 0xFFFFFFFF
-        request = Request(self._number, request_type, encode_packet(request_type, self._number, payload))
+        self.number = (self.number + 1) & 0xFFFFFFFF
+        request = Request(self.number, request_type, encode_packet(request_type, self.number, payload))
         self._waiting.append(request)
         self._send_waiting()
         return request

@@ -81,7 +81,9 @@ class _Sitting:
         self._output = output
         self._recorder = Recorder(output, config.plate, str(config.link))
         self._arrived = threading.Event()
-        self._reader = BoardReader(config.link, config.plate, self._arrived.set, step_frames=64, tap=self._recorder.put)
+        self._reader = BoardReader(
+            config.link, config.plate, self._arrived.set, step_frames=(64,), tap=self._recorder.put
+        )
         self._board: BoardOnline | None = None
         self._link = ""  # what was said of it last
         self._first_frame_s: float | None = None

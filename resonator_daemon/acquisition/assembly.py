@@ -45,6 +45,11 @@ class FrameAssembler:
         self._open: AssembledFrame | None = None
         self.misfits = 0
 
+    @property
+    def begun(self) -> bool:
+        """Whether parts of a frame are here and others are to come."""
+        return self._open is not None
+
     def add(self, part: FramePart) -> list[AssembledFrame]:
         """Take a part; return the frames that are over: an incomplete one before it, its own if now complete."""
         done = []

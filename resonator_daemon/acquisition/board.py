@@ -3,13 +3,13 @@
 import random
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
 from resonator_daemon.acquisition.fit import BoardRefusedError
-from resonator_daemon.acquisition.frames import Arrival, LinkChange, Outage, ReaderFailed
+from resonator_daemon.acquisition.frames import Arrival, BoardLocated, LinkChange, Outage, ReaderFailed
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.acquisition.link_course import LinkCourse
@@ -23,6 +23,7 @@ from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.acquisition.wire_events import (
     Closed,
     Goodbye,
+    Locate,
     Lost,
     Opened,
     Overrun,
@@ -63,7 +64,7 @@ class BoardReader:
     wake
         Called from the reader's thread when `take` has something to give.
     step_frames
-        How many frames are of use together; `wake` waits for them.
+        How many frames are of use together: `wake` waits until there are a multiple of any of these numbers.
     ring_bytes
         Bound of the memory of frames that nobody takes.
     tap
@@ -76,7 +77,7 @@ class BoardReader:
         plate: Plate,
         wake: Callable[[], None],
         *,
-        step_frames: int = 1,
+        step_frames: Sequence[int] = (1,),
         ring_bytes: int = RING_BYTES,
         tap: Callable[[WireEvent], None] = _to_nobody,
     ) -> None:
@@ -89,6 +90,9 @@ class BoardReader:
         self._watch = PortWatch(target)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
         self._port: PortIdentity | None = None
+        self._locating = threading.Lock()
+        self._told_located: list[Callable[[str | None], None]] = []  # whoever waits for an answer
+        self._to_locate = self._link_open = False
 
     def start(self) -> None:
         if not isinstance(self._target, ReplayLink):  # there it was said when it was recorded
@@ -108,11 +112,34 @@ class BoardReader:
         for arrival in arrivals:
             if isinstance(arrival, LinkChange | Outage):
                 self._log.write(arrival)
+            elif isinstance(arrival, BoardLocated):
+                with self._locating:
+                    told, self._told_located = self._told_located, []
+                for done in told:
+                    done(arrival.refused)
         return arrivals
+
+    def locate(self, done: Callable[[str | None], None]) -> None:
+        """Have the board make itself seen while it counts on; from any thread.
+
+        `take` calls `done`, in any case unless the reader is stopped before: with why the board does not, or None where
+        it does.
+        """
+        with self._locating:
+            self._told_located.append(done)
+            self._to_locate = self._link_open
+            if self._link_open:
+                return
+        replayed = isinstance(self._target, ReplayLink)
+        self._ring.put(BoardLocated("a recording has no board" if replayed else "no board is connected"))
 
     def account(self) -> LinkAccount:
         """Return where every byte and frame went, as of now."""
         return self._course.account()
+
+    def wake_at(self, step_frames: Sequence[int]) -> None:
+        """Have `wake` called at the ends of other steps from now on."""
+        self._ring.step_frames = step_frames
 
     @property
     def lost(self) -> FrameLoss:
@@ -178,9 +205,14 @@ class BoardReader:
         now = read_host_time()
         course.apply(Opened(now))
         overruns = 0
+        self._link_open = True
         try:
             while not self._stopping:
                 self._send(link, now)
+                if self._to_locate:
+                    self._to_locate = False
+                    course.apply(Locate(now))
+                    self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
                 due_s = (course.due_ns() - time.monotonic_ns()) * 1e-9
                 pieces = self._read(link, min(max(0.0, due_s), _POLL_S))
                 if link.overruns != overruns:
@@ -203,7 +235,12 @@ class BoardReader:
             raise
         finally:
             was_online = course.was_online
+            with self._locating:
+                self._link_open = False
+                unasked, self._to_locate = self._to_locate, False
             course.apply(Closed(read_host_time()))
+            if unasked:
+                self._ring.put(BoardLocated("the link was closed before the board was asked"))
         return was_online
 
     def _read(self, link: Link, timeout_s: float) -> list[Received]:

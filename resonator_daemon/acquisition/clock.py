@@ -7,10 +7,10 @@ See docs/time.md.
 
 import math
 from collections import deque
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from resonator_daemon.acquisition.pacing import PingPacing
-from resonator_daemon.acquisition.tick_bounds import RATE_WANDER_PER_S, TickBounds
+from resonator_daemon.acquisition.tick_bounds import RATE_WANDER_PER_S, BoundsStanding, TickBounds
 
 _RATE_KNOWN_PPM = 10.0
 _CRYSTAL_RATES = (-200e-6, 200e-6)
@@ -41,7 +41,9 @@ class Instant(NamedTuple):
     boottime_ns: int = 0  # goes on while the host sleeps
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
+    """From nominal board time to host time, drawn at one exchange; a rate is what a nominal second has too many."""
+
     nominal_ns: int
     monotonic_ns: int
     uncertainty_ns: float
@@ -53,6 +55,19 @@ class _Bounds(NamedTuple):
     nominal_ns: int
     least_ns: int
     most_ns: int
+
+
+class ClockStanding(NamedTuple):
+    """All that a clock knows of a boot, but for when the next ping should leave."""
+
+    origin: Exchange
+    agreed: BoundsStanding
+    rival: BoundsStanding | None
+    votes: int
+    utc_less_monotonic_ns: int
+    boottime_less_monotonic_ns: int
+    asleep_ns: int
+    lines: tuple[Line, ...]
 
 
 class BoardClock:
@@ -81,12 +96,43 @@ class BoardClock:
         self._votes = 0
         self._boottime_less_monotonic_ns = 0
         self._asleep_ns = 0
-        self._line: _Line | None = None
-        self._lines: deque[_Line] = deque(maxlen=_LINES_KEPT)
+        self._line: Line | None = None
+        self._lines: deque[Line] = deque(maxlen=_LINES_KEPT)
         self._pacing = PingPacing()
         self.utc_less_monotonic_ns = 0
         self.outliers = 0
         self.restarts = 0
+
+    @property
+    def standing(self) -> ClockStanding | None:
+        """What is known now, for `resumed`; None before the first exchange."""
+        if self._origin is None or self._agreed is None:
+            return None
+        return ClockStanding(
+            self._origin,
+            self._agreed.standing,
+            self._rival.standing if self._rival is not None else None,
+            self._votes,
+            self.utc_less_monotonic_ns,
+            self._boottime_less_monotonic_ns,
+            self._asleep_ns,
+            tuple(self._lines),
+        )
+
+    @classmethod
+    def resumed(cls, reference_millihertz: int, standing: ClockStanding) -> Self:
+        """Return a clock that knows what another knew; it has counted no outliers."""
+        clock = cls(reference_millihertz)
+        clock._origin = standing.origin
+        clock._agreed = TickBounds.resumed(standing.agreed)
+        clock._rival = TickBounds.resumed(standing.rival) if standing.rival is not None else None
+        clock._votes = standing.votes
+        clock.utc_less_monotonic_ns = standing.utc_less_monotonic_ns
+        clock._boottime_less_monotonic_ns = standing.boottime_less_monotonic_ns
+        clock._asleep_ns = standing.asleep_ns
+        clock._lines.extend(standing.lines)
+        clock._line = clock._draw(standing.origin, clock._agreed)
+        return clock
 
     @property
     def known(self) -> bool:
@@ -186,7 +232,7 @@ class BoardClock:
         self.restarts += 1
         return self._begin(self._rival)
 
-    def _draw(self, origin: Exchange, bounds: TickBounds) -> _Line:
+    def _draw(self, origin: Exchange, bounds: TickBounds) -> Line:
         """Return the middle of the lines that a crystal may follow, and what is in doubt about it."""
         lines = bounds.narrowed(_CRYSTAL_RATES) or bounds.lines
         middle_ns = (lines.least_ns + lines.most_ns) / 2
@@ -196,7 +242,7 @@ class BoardClock:
             other = self._rival.lines
             less_ns = other.excess_ns - lines.excess_ns - middle_ns - (other.nominal_ns - lines.nominal_ns) * rate
             uncertainty_ns = max(uncertainty_ns, abs(less_ns + other.least_ns), abs(less_ns + other.most_ns))
-        return _Line(
+        return Line(
             lines.nominal_ns,
             origin.sent_monotonic_ns + lines.nominal_ns + lines.excess_ns + round(middle_ns),
             uncertainty_ns,

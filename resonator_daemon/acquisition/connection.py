@@ -1,32 +1,24 @@
 """One opening of a link: the handshake with the board, its clock, its frames, and the timers that keep it going."""
 
-from firmware_protocol.host import (
-    Described,
-    Frame,
-    FramePart,
-    HostEvent,
-    HostSession,
-    Pong,
-    Rebooted,
-    Started,
-)
+from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Located, Pong, Rebooted, Started
 from firmware_protocol.layouts import PROTOCOL_MAJOR
-from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode, ResetCause
+from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
 from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.acquisition.board_news import LogLines, after
 from resonator_daemon.acquisition.clock import BoardClock, Exchange, Instant
 from resonator_daemon.acquisition.fit import BoardRefusedError, gate_ticks, measured_misfit, misfits, strangers
-from resonator_daemon.acquisition.frames import (
-    BoardOnline,
-    BoardSays,
-)
+from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.intake import FrameIntake
 from resonator_daemon.acquisition.link import LinkLostError
 from resonator_daemon.acquisition.link_state import LinkState
+from resonator_daemon.acquisition.locating import Locating
 from resonator_daemon.acquisition.numbering import Accepted, FrameNumbering
+from resonator_daemon.acquisition.pinging import Pings
 from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.acquisition.standing import Running
 from resonator_daemon.plate import Plate
 
 _MS = 1_000_000
@@ -36,10 +28,8 @@ _HANDSHAKE_NS = 3 * _S
 _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _REOPEN_NS = 1 * _S  # of silence beyond what was noticed
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
-_PING_LOST_NS = 5 * _S
 _SLEPT_NS = 50 * _MS
 _DEAF_NS = 10 * _S  # without an answer, though frames come
-_LOG_LINES_A_SECOND = 20
 
 
 class Connection:
@@ -72,8 +62,9 @@ class Connection:
         self._gate_ticks = gate_ticks(plate)
         self._session = HostSession()
         self._intake = FrameIntake(plate, numbering, ring, account)
-        self._pings: dict[bytes, tuple[int, int]] = {}  # when it left, and the newest ticks that were known then
-        self._pings_sent = 0
+        self._pings = Pings()
+        self._locating = Locating(ring)
+        self._log_lines = LogLines(ring, account)
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
         self._now = opened
         self._opened_ns = opened.monotonic_ns
@@ -81,11 +72,11 @@ class Connection:
         self._next_ping_ns = 0
         self._clock_counts = (0, 0)  # outliers and restarts of clocks that are gone
         self._counting = False
-        self._log_second = self._log_lines = 0
         self._answered_ns = opened.monotonic_ns
         self._asleep_ns = opened.boottime_less_monotonic_ns
         self._rate_doubt = ""  # what is odd about the board's ticks, though it can be read
         self._deaf = False  # it does not answer, though it sends
+        self._damaged_bytes = 0
         self.described: Described | None = None
         self.clock: BoardClock | None = None
         self.was_online = False
@@ -111,12 +102,60 @@ class Connection:
     @property
     def awaits_answer(self) -> bool:
         """Whether a ping is on its way."""
-        return bool(self._pings)
+        return self._pings.await_answer
 
     @property
     def within_packet(self) -> bool:
         """Whether the last bytes that were received end in the middle of a packet."""
         return self._session.waiting_bytes > 0
+
+    @property
+    def follows(self) -> bool:
+        """Whether what went out is told by `sent` instead of made here."""
+        return self._pings.follow
+
+    def standing(self) -> Running | None:
+        """Return what another connection needs to go on from here; None where it could not, as within a packet."""
+        session = self._session
+        underway = session.waiting_bytes or self._intake.frame_begun or self._damaged_bytes != session.bytes.discarded
+        if self.described is None or not self._counting or underway or session.state is not HostState.RUNNING:
+            return None
+        clock = self.clock.standing if self.clock is not None else None
+        if clock is None or self._state.state != "online" or not self._numbering.settled:
+            return None
+        return Running(
+            self.described,
+            session.configuration,
+            session.number,
+            self._answered_ns,
+            self._rate_doubt,
+            self._intake.newest_ticks,
+            clock,
+            self._pings.standing,
+        )
+
+    def join(self, running: Running) -> None:
+        """Go on where another connection stood: it pings the board, and `sent` tells of that."""
+        described = self.described = running.described
+        self._pings.follow_another(running.pings)
+        self._session = HostSession.running(described, running.configuration, running.request_number)
+        self.clock = BoardClock.resumed(described.description.reference_millihertz, running.clock)
+        self._intake.newest_ticks = running.newest_ticks
+        self._answered_ns = running.answered_ns
+        self._rate_doubt = running.rate_doubt
+        self._deaf = self._now.monotonic_ns - self._answered_ns > _DEAF_NS
+        self._intake.last_frame_ns = self._now.monotonic_ns
+        self._counting = self.was_online = True
+        self._account.boot(described.boot_id).connections += 1
+        self._ring.put(BoardOnline(*described, running.configuration, continues=False))
+
+    def sent(self, data: bytes, now: HostTime) -> None:
+        """Take what the connection that is followed has sent."""
+        self._pings.sent(self._session, data, now, self._intake.newest_ticks)
+
+    def locate(self, now: HostTime) -> None:
+        """Ask the board to make itself seen; BoardLocated follows in any case."""
+        self._locating.ask(self._session, now.monotonic_ns)
 
     def overrun(self) -> None:
         """Take note that the host's driver lost bytes of this link."""
@@ -153,12 +192,15 @@ class Connection:
         elif now_ns >= self._next_ask_ns:
             self._session.ask_again()
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
+        self._locating.tend(self._session, now_ns)  # after what takes all unanswered requests for lost
         if self.clock is not None and now_ns >= self._next_ping_ns:
             self._ping(self.clock)
 
     def due_ns(self) -> int:
         """Return the monotonic time at which `tend` has something to do."""
         dues = [self._next_ask_ns]
+        if self._locating.due_ns is not None:
+            dues.append(self._locating.due_ns)
         if self.clock is not None:
             dues.append(self._next_ping_ns)
         if self._counting:
@@ -173,6 +215,7 @@ class Connection:
     def close(self) -> None:
         """Hand on what was begun and close the books of this connection."""
         self._flush_intake()
+        self._locating.close()
         self.add_to(self._account)
         self._account.bytes_discarded += self._account.bytes_waiting
         self._account.bytes_waiting = 0
@@ -211,12 +254,15 @@ class Connection:
                 self._describe(event)
             case Started():
                 self._start(event)
+            case Located():
+                self._locating.take(event)
             case Damage():
+                self._damaged_bytes += event.size_bytes
                 self._numbering.discarded(event.size_bytes)
             case BoardStatus():
                 self._numbering.dropped_by_board(event.frames_dropped)
             case BoardLog():
-                self._board_says(event)
+                self._log_lines.take(event, self._now.monotonic_ns)
             case Rebooted():
                 self._rebooted()
             case Refusal():
@@ -240,16 +286,6 @@ class Connection:
             self._opened_ns = self._now.monotonic_ns
         self._counting = False
         self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
-
-    def _board_says(self, event: BoardLog) -> None:
-        second = self._now.monotonic_ns // _S
-        if second != self._log_second:
-            self._log_second, self._log_lines = second, 0
-        self._log_lines += 1
-        if self._log_lines <= _LOG_LINES_A_SECOND:
-            self._ring.put(BoardSays(event.level, event.text))
-        else:
-            self._account.log_lines_dropped += 1
 
     def _refused(self, refusal: Refusal) -> None:
         match refusal.code:
@@ -277,11 +313,10 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._say("lost", f"the board started anew{_after(identity.reset_cause)}")
+            self._say("lost", f"the board started anew{after(identity.reset_cause)}")
         self._say("starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured")
         self.described = event
-        self._pings.clear()
-        self._pings_sent = 0
+        self._pings.restart()
         self._intake.newest_ticks = 0
         self.clock = BoardClock(event.description.reference_millihertz)
         self._ping(self.clock)
@@ -311,30 +346,22 @@ class Connection:
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
-        number = self._pings_sent.to_bytes(8, "little")
-        for lost in [number for number, (sent_ns, _) in self._pings.items() if now_ns - sent_ns > _PING_LOST_NS]:
-            del self._pings[lost]
-        if self._session.ping(number):
-            self._pings_sent += 1
-            self._pings[number] = (now_ns, self._intake.newest_ticks)
+        self._pings.make(self._session, now_ns, self._intake.newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
-        ping = self._pings.pop(event.opaque, None)
+        ping = self._pings.take(event.opaque)
         if ping is None or self.clock is None or self.described is None:
             return
-        sent_ns, known_ticks = ping
-        for number in [number for number, (at_ns, _) in self._pings.items() if at_ns < sent_ns]:
-            del self._pings[number]  # boards answer in order: an earlier one will not be answered any more
-        if event.board_ticks < known_ticks:
+        if event.board_ticks < ping.known_ticks:
             raise LinkLostError(
                 f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
-                f"{known_ticks} to {event.board_ticks}, as at a start"
+                f"{ping.known_ticks} to {event.board_ticks}, as at a start"
             )
         self._intake.newest_ticks = max(self._intake.newest_ticks, event.board_ticks)
         now = self._now
         self._answered_ns = now.monotonic_ns
-        exchange = Exchange(sent_ns, event.board_ticks, now.monotonic_ns)
+        exchange = Exchange(ping.sent_ns, event.board_ticks, now.monotonic_ns)
         self.clock.add(exchange, now.utc_less_monotonic_ns, boottime_less_monotonic_ns=now.boottime_less_monotonic_ns)
         if not self._rate_doubt and (measured := self.clock.rate_beyond_tolerance) is not None:
             # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
@@ -363,19 +390,3 @@ class Connection:
         if silent_ns > self._silence_ns and self._state.state != "stalled":
             self._say("stalled", "the port is open and no frame comes")
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on
-
-
-def _after(reset_cause: int | None) -> str:
-    match reset_cause:
-        case ResetCause.POWER_ON:
-            return ", switched on"
-        case ResetCause.BROWN_OUT:
-            return " after a brown-out: look at its supply"
-        case ResetCause.WATCHDOG:
-            return ", by its watchdog"
-        case ResetCause.SOFTWARE:
-            return ", by its software"
-        case ResetCause.RESET_PIN:
-            return ", by its reset pin"
-        case _:
-            return ""

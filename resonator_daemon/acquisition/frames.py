@@ -109,6 +109,13 @@ class BoardSays:
 
 
 @dataclass(frozen=True, slots=True)
+class BoardLocated:
+    """The board makes itself seen, or says why it does not; None where it does."""
+
+    refused: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class ReaderFailed:
     """The reader ended by a mistake of ours; nothing will arrive any more."""
 
@@ -124,5 +131,6 @@ Arrival = (
     | LinkChange
     | Outage
     | BoardSays
+    | BoardLocated
     | ReaderFailed
 )

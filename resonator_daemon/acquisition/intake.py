@@ -37,6 +37,11 @@ class FrameIntake:
         """Parts of frames that had no place in theirs."""
         return self._assembler.misfits
 
+    @property
+    def frame_begun(self) -> bool:
+        """Whether a frame has come in part."""
+        return self._assembler.begun
+
     def take(
         self, event: Frame | FramePart, clock: BoardClock, boot_id: int, now: HostTime
     ) -> list[tuple[Accepted, Instant]]:

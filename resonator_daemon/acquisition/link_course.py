@@ -12,9 +12,11 @@ from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_state import LinkState
 from resonator_daemon.acquisition.numbering import FrameNumbering
 from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.acquisition.standing import CourseStanding
 from resonator_daemon.acquisition.wire_events import (
     Closed,
     Goodbye,
+    Locate,
     Lost,
     Opened,
     Overrun,
@@ -23,11 +25,14 @@ from resonator_daemon.acquisition.wire_events import (
     Said,
     Sent,
     Skipped,
+    Standing,
     Tended,
     WireEvent,
 )
 from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import Plate
+
+_STANDING_EVERY_NS = 100_000_000
 
 
 class LinkCourse:
@@ -38,7 +43,7 @@ class LinkCourse:
     ring
         Takes the frames and the news.
     tap
-        Is handed each event before anything follows from it.
+        Is handed each event before anything follows from it; about every 100 ms it is told how the link stands.
     """
 
     def __init__(self, plate: Plate, ring: Ring, tap: Callable[[WireEvent], None]) -> None:
@@ -52,6 +57,7 @@ class LinkCourse:
         self._account = LinkAccount()
         self._known: Described | None = None
         self._state = LinkState(ring.put)
+        self._standing_due_ns = 0
         self.connection: Connection | None = None
 
     def apply(self, event: WireEvent) -> None:
@@ -64,10 +70,13 @@ class LinkCourse:
         ValueError
             An event of an open link, and none is open; or `Opened`, and one is.
         """
+        if isinstance(event, Received) and event.now.monotonic_ns >= self._standing_due_ns:
+            self._tell_standing(event.now)
         self._tap(event)
         match event:
             case Said():
                 self._state.say(event.state, event.reason, event.now.utc_ns)
+                self._tell_standing(event.now)
             case Opened():
                 self._open(event.now)
             case Received():
@@ -90,7 +99,14 @@ class LinkCourse:
                 self._ring.put(BoardRefused(event.problems, event.other_protocol))
             case Closed():
                 self._close()
-            case Sent() | Skipped():
+                self._tell_standing(event.now)
+            case Sent():
+                self._opened().sent(event.data, event.now)
+            case Locate():
+                self._opened().locate(event.now)
+            case Standing():
+                self._join(event)
+            case Skipped():
                 pass
 
     def data_to_send(self) -> bytes:
@@ -105,6 +121,11 @@ class LinkCourse:
     def awaits_answer(self) -> bool:
         """Whether a ping is on its way: the sooner its answer is read, the better the time is known."""
         return self._opened().awaits_answer
+
+    @property
+    def follows(self) -> bool:
+        """Whether the link was joined while it was open: what goes out is told, and not made."""
+        return self._opened().follows
 
     @property
     def within_packet(self) -> bool:
@@ -142,6 +163,25 @@ class LinkCourse:
         with self._lock:
             self.connection = connection
             self._account.connections += 1
+
+    def _tell_standing(self, now: HostTime) -> None:
+        """Tell the tap how the link stands, unless a packet, a frame or a handshake is under way."""
+        running = self.connection.standing() if self.connection is not None else None
+        if running is None and self.connection is not None:
+            return
+        standing = CourseStanding(self._state.standing, self._numbering.standing, self._known, running)
+        self._tap(Standing(now, standing))
+        self._standing_due_ns = now.monotonic_ns + _STANDING_EVERY_NS
+
+    def _join(self, standing: Standing) -> None:
+        if self.connection is not None:
+            raise ValueError("the link is open already")
+        state, numbers, self._known, running = standing.course
+        self._numbering.join(numbers)
+        self._state.join(state)
+        if running is not None:
+            self._open(standing.now)
+            self._opened().join(running)
 
     def _close(self) -> None:
         connection = self._opened()

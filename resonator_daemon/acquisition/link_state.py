@@ -2,11 +2,21 @@
 
 import logging
 from collections.abc import Callable
+from typing import NamedTuple
 
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import Arrival, LinkChange, Outage
 
 log = logging.getLogger(__name__)
+
+
+class StateStanding(NamedTuple):
+    """What was said of a link last, "" where nothing was, and of the outage that goes on."""
+
+    state: str
+    reason: str
+    since_utc_ns: int
+    outage_reasons: tuple[str, ...]
 
 
 class LinkState:
@@ -26,6 +36,19 @@ class LinkState:
     @property
     def state(self) -> str:
         return self._present.state if self._present else ""
+
+    @property
+    def standing(self) -> StateStanding:
+        """What is said now, for `join`."""
+        present = self._present or LinkChange("", "", 0)
+        return StateStanding(present.state, present.reason, present.since_utc_ns, tuple(self._outage_reasons))
+
+    def join(self, standing: StateStanding) -> None:
+        """Go on from what was said of the link by another."""
+        self._outage_reasons = list(standing.outage_reasons)
+        if standing.state:
+            self._present = LinkChange(standing.state, standing.reason, standing.since_utc_ns)
+            self._announce(self._present)
 
     def say(self, state: str, reason: str, utc_ns: int) -> None:
         """Announce a state, unless it was said already; a reason alone may change."""

@@ -1,6 +1,7 @@
 """Numbers frames without a break, and tells by which cause the missing ones were lost."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from resonator_daemon.acquisition.account import FrameLoss
 from resonator_daemon.acquisition.clock import Instant
@@ -8,6 +9,7 @@ from resonator_daemon.acquisition.frames import Gap
 
 _HALF_RANGE = 1 << 31
 _QUEUED_NS = 30_000_000_000  # far beyond what any queue on the way can hold
+_SETTLED_FRAMES = 2  # from the second on, their spacing has been looked at
 _CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock may differ: rates, and their drift
 
 
@@ -18,6 +20,15 @@ class Accepted:
     index: int
     gap: Gap | None
     previous: Instant | None
+
+
+class NumberStanding(NamedTuple):
+    """What the numbers of later frames follow from; `last`: boot id, board ticks and time of the last frame."""
+
+    next_index: int
+    next_sequence: int
+    dropped_by_board: int
+    last: tuple[int, int, Instant] | None
 
 
 class BrokenSpacingError(Exception):
@@ -65,6 +76,25 @@ class FrameNumbering:
         self._overrun = False
         self._frames_of_run = 0
         self._resuming = self._last is not None
+
+    @property
+    def settled(self) -> bool:
+        """Whether a run is well under way, and no frame is yet to tell what was lost before it."""
+        undecided = self._discarded_bytes or self._overrun or self._dropped_by_board != self._dropped_counted
+        return self._frames_of_run >= _SETTLED_FRAMES and not undecided
+
+    @property
+    def standing(self) -> NumberStanding:
+        """Where the numbers stand, for `join`; within a run only while `settled`."""
+        return NumberStanding(self._next_index, self._next_sequence, self._dropped_by_board, self._last)
+
+    def join(self, standing: NumberStanding) -> None:
+        """Go on from where another's numbers stood."""
+        self._next_index, self._next_sequence = standing.next_index, standing.next_sequence
+        self._dropped_by_board = self._dropped_counted = standing.dropped_by_board
+        self._last = standing.last
+        self._discarded_bytes, self._overrun, self._resuming = 0, False, False
+        self._frames_of_run = _SETTLED_FRAMES
 
     def discarded(self, size_bytes: int) -> None:
         """Take note of damaged bytes; the next frame tells whether frames were among them."""

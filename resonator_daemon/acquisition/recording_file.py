@@ -1,18 +1,20 @@
 """The file of a recording: an MCAP container with one message for each event on a link; read in order."""
 
 import hashlib
+import json
 import logging
 import os
 import stat
 import struct
 from collections.abc import Iterator
 from types import TracebackType
-from typing import IO, Self
+from typing import IO, Final, NamedTuple, Self
 
 from mcap.exceptions import McapError
 from mcap.records import Channel, Header, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
 
+from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.wire_events import WireEvent, decode
 from resonator_daemon.plate import Plate
@@ -25,9 +27,48 @@ TOPIC = "wire"
 ENCODING = "application/octet-stream"
 RECORDING, BOARD = "recording", "board"  # metadata of the file
 
+MARKS = "marks"
+MARK_ENCODING = "json"
+# One of the schemas that viewers of such files show as lines of text, in their place in time.
+MARK_SCHEMA, MARK_SCHEMA_ENCODING = "foxglove.Log", "jsonschema"
+MARK_SCHEMA_DATA: Final = {
+    "title": MARK_SCHEMA,
+    "type": "object",
+    "properties": {
+        "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
+        "level": {"type": "integer"},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+    },
+}
+_INFO_LEVEL = 2
+
 _MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
 # What mcap, lz4 and `decode` raise about bytes that they cannot read.
-_DAMAGE = (McapError, ValueError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
+_DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
+
+
+class Mark(NamedTuple):
+    """What somebody had to say at that time; nothing on the link follows from it."""
+
+    now: HostTime
+    text: str
+
+
+def encode_mark(mark: Mark) -> bytes:
+    """Return the mark as a line of a log."""
+    sec, nsec = divmod(mark.now.utc_ns, 10**9)
+    line = {
+        "timestamp": {"sec": sec, "nsec": nsec},
+        "level": _INFO_LEVEL,
+        "message": mark.text,
+        "name": "mark",
+        "file": "",
+        "line": 0,
+    }
+    return json.dumps(line).encode()
 
 
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
@@ -73,12 +114,16 @@ class Recording:
         self._file.close()
 
     def events(self) -> Iterator[WireEvent]:
-        """Give the events in order, up to the end or to the first damage."""
-        channel = None
+        """Give the events in order, up to the end or to the first damage; marks among them go to the log."""
+        channel = marks = None
         try:
             for record in self._records:
                 if isinstance(record, Channel) and record.topic == TOPIC:
                     channel = record.id
+                elif isinstance(record, Channel) and record.topic == MARKS:
+                    marks = record.id
+                elif isinstance(record, Message) and record.channel_id == marks:
+                    log.info("%s: mark: %s", self.path, json.loads(record.data)["message"])
                 elif isinstance(record, Message) and record.channel_id == channel:
                     yield decode(record.data, record.publish_time, record.log_time)
         except _DAMAGE as error:

@@ -12,6 +12,7 @@ from resonator_daemon.acquisition.recording_file import Recording
 from resonator_daemon.acquisition.wire_events import (
     Closed,
     Goodbye,
+    Locate,
     Lost,
     Opened,
     Overrun,
@@ -20,6 +21,7 @@ from resonator_daemon.acquisition.wire_events import (
     Said,
     Sent,
     Skipped,
+    Standing,
     Tended,
     WireEvent,
 )
@@ -100,6 +102,7 @@ class _Comparison:
         self._course = course
         self._raised: BoardRefusedError | LinkLostError | None = None
         self._begun: HostTime | None = None
+        self._reading = False
         self.differences = 0
         self.first = ""
 
@@ -111,6 +114,11 @@ class _Comparison:
                 self._course.apply(event)
                 if isinstance(event, Skipped):
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
+            case Standing():
+                if self._course.connection is not None:
+                    self._differ(event, "the link stands open already")
+                    self.close(event.now)
+                self._course.apply(event)
             case Opened():
                 if self._course.connection is not None:
                     self._differ(event, "the link is opened twice")
@@ -128,9 +136,11 @@ class _Comparison:
             case Sent():
                 self._course.apply(event)
                 self._compare_sent(event, event.data)
-            case Received() | Tended() | Overrun() | Goodbye():
-                if isinstance(event, Received) or (isinstance(event, Tended) and event.idle):
-                    self._compare_sent(event, b"")  # it was sent before the link was read again
+            case Received() | Tended() | Overrun() | Goodbye() | Locate():
+                # It was sent before the link was read again; one reading may have come in pieces.
+                if (isinstance(event, Received) and not self._reading) or (isinstance(event, Tended) and event.idle):
+                    self._compare_sent(event, b"")
+                self._reading = isinstance(event, Received)
                 try:
                     self._course.apply(event)
                 except (BoardRefusedError, LinkLostError) as error:
@@ -143,6 +153,8 @@ class _Comparison:
             self._course.apply(Closed(now))
 
     def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
+        if self._course.follows:
+            return
         wanted = self._course.data_to_send()
         if wanted != sent:
             self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")

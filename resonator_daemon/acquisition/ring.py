@@ -1,7 +1,7 @@
 """The ring between the reader thread and everything behind it: bounded in bytes, and what does not fit is counted."""
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from threading import Lock
 
 from resonator_daemon.acquisition.account import FrameLoss
@@ -18,13 +18,14 @@ class Ring:
     wake
         Called, from the writing thread, when news was put in, or a frame that completes a step.
     step_frames
-        Frames that are of no use one by one: those whose index, counted from 1, is a multiple of it complete a step.
+        Frames that are of no use one by one: those whose index, counted from 1, is a multiple of any of these numbers
+        complete a step. It may be replaced at any time.
     """
 
-    def __init__(self, limit_bytes: int, wake: Callable[[], None], step_frames: int = 1) -> None:
+    def __init__(self, limit_bytes: int, wake: Callable[[], None], step_frames: Sequence[int] = (1,)) -> None:
         self._limit_bytes = limit_bytes
         self._wake = wake
-        self._step_frames = step_frames
+        self.step_frames = step_frames
         self._lock = Lock()
         self._ahead: list[Arrival] = []  # news and gaps, of when no frame before those in `_items` is left
         self._items: deque[tuple[int, Arrival]] = deque()
@@ -45,7 +46,8 @@ class Ring:
             self._bytes += size_bytes
             if self._bytes > self._limit_bytes:
                 self._make_room()
-        if (frame.index + 1) % self._step_frames == 0:
+        count = frame.index + 1
+        if any(count % step == 0 for step in self.step_frames):
             self._wake()
 
     def take(self) -> list[Arrival]:

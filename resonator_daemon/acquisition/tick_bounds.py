@@ -8,7 +8,7 @@ straight line, which moves no point into or out of a convex hull: a bound once d
 vertices that are left say what thousands of exchanges said.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 RATE_WANDER_PER_S = 0.5e-6  # a bare crystal in a draught or under a warming hand
 _NS = 1_000_000_000
@@ -35,6 +35,16 @@ class Lines(NamedTuple):
     most_rate: float
 
 
+class BoundsStanding(NamedTuple):
+    """All that bounds know: the vertices of both hulls, and what `TickBounds` derives from them."""
+
+    rates: tuple[float, float]
+    floor: tuple[Point, ...]
+    ceiling: tuple[Point, ...]
+    lines: Lines
+    exchanges: int
+
+
 class TickBounds:
     """Bounds that agree with each other; there is at least one.
 
@@ -52,6 +62,19 @@ class TickBounds:
         self._ceiling = [Point(nominal_ns, -most_ns)]  # upside down, so that one hull routine serves both
         self.lines = Lines(nominal_ns, least_ns, 0.0, float(most_ns - least_ns), *rates)
         self.count = 1
+
+    @property
+    def standing(self) -> BoundsStanding:
+        """What is known now, for `resumed`."""
+        return BoundsStanding(self._rates, tuple(self._floor), tuple(self._ceiling), self.lines, self.count)
+
+    @classmethod
+    def resumed(cls, standing: BoundsStanding) -> Self:
+        """Return bounds that know what others knew."""
+        bounds = cls(standing.rates, *standing.floor[-1], standing.ceiling[-1].excess_ns)
+        bounds._floor, bounds._ceiling = list(standing.floor), list(standing.ceiling)
+        bounds.lines, bounds.count = standing.lines, standing.exchanges
+        return bounds
 
     def add(self, nominal_ns: int, least_ns: int, most_ns: int) -> bool:
         """Take the bounds of one exchange; return False, and change nothing, where they contradict the others."""

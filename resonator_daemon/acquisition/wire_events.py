@@ -4,7 +4,10 @@ import json
 import struct
 from typing import NamedTuple
 
+from pydantic import TypeAdapter
+
 from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.standing import CourseStanding
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
 
@@ -85,9 +88,22 @@ class Skipped(NamedTuple):
     size_bytes: int
 
 
+class Standing(NamedTuple):
+    """How the link stands before anything that comes at `now` or later; a recording may begin with it."""
+
+    now: HostTime
+    course: CourseStanding
+
+
+class Locate(NamedTuple):
+    """The board on the open link was to make itself seen."""
+
+    now: HostTime
+
+
 WireEvent = (
-    Said | Opened | Received | Tended | Sent | Overrun | Goodbye | Lost | Refused | Closed | Skipped
-)  # fmt: skip
+    Said | Opened | Received | Tended | Sent | Overrun | Goodbye | Lost | Refused | Closed | Skipped | Standing | Locate
+)
 
 # A kind's place is its number in files: new ones are appended.
 _KINDS: tuple[type[WireEvent], ...] = (
@@ -102,7 +118,10 @@ _KINDS: tuple[type[WireEvent], ...] = (
     Refused,
     Closed,
     Skipped,
+    Standing,
+    Locate,
 )
+_STANDING = TypeAdapter(CourseStanding)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 
@@ -114,8 +133,11 @@ def encode(event: WireEvent) -> bytes:
             return head + event.data
         case Tended():
             return head + bytes([event.idle])
-        case Opened() | Overrun() | Goodbye() | Closed():
+        case Opened() | Overrun() | Goodbye() | Closed() | Locate():
             return head
+        case Standing():
+            text = json.dumps(_STANDING.dump_python(event.course, mode="json"), ensure_ascii=False)
+            return head + text.encode(errors="replace")  # reasons may name paths that are no text
         case Said() | Lost() | Refused() | Skipped():
             return head + json.dumps(event[1:]).encode()
 
@@ -140,8 +162,10 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
         return kind(now, body)
     if kind is Tended:
         return Tended(now, body == b"\1")
-    if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed:
+    if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed or kind is Locate:
         return kind(now)
+    if kind is Standing:
+        return Standing(now, _STANDING.validate_json(body))
     match kind, json.loads(body):
         case (_, [str() as state, str() as reason]) if kind is Said:
             return Said(now, state, reason)

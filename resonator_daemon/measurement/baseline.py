@@ -28,12 +28,10 @@ class CommonMode:
         """Take the noise of a reading and what no reading tells, `floor_std`; both relative, one standard deviation."""
         if needed < 1:
             raise ValueError(f"{needed} readings needed, at least 1")
-        if not (reading_std > 0 and math.isfinite(reading_std)):
-            raise ValueError(f"reading_std {reading_std} must be finite and above 0")
         if not (floor_std >= 0 and math.isfinite(floor_std)):
             raise ValueError(f"floor_std {floor_std} must be finite and not below 0")
         self._needed = needed
-        self._reading_variance = reading_std**2
+        self.expect(reading_std)
         self._floor_variance = floor_std**2
         self._walks = RandomWalks(channels)
         self._count = [0] * channels
@@ -41,6 +39,12 @@ class CommonMode:
     def reset(self) -> None:
         self._walks.reset()
         self._count = [0] * len(self._count)
+
+    def expect(self, reading_std: float) -> None:
+        """Take the noise of the readings from here, as of another window; what was learnt stays."""
+        if not (reading_std > 0 and math.isfinite(reading_std)):
+            raise ValueError(f"reading_std {reading_std} must be finite and above 0")
+        self._reading_variance = reading_std**2
 
     def update(self, readings: Sequence[float], elapsed_s: float) -> None:
         """Take one reading of g per channel, NaN for a channel that was not heard untouched.

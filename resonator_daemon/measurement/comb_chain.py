@@ -95,9 +95,13 @@ class CombChain:
         self._rejections = 0
         self._touched = False
 
+    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
+        """Release every contact, as when frames have stopped coming; what is still touched then begins anew."""
+        return self._tracker.close(self._last[1], reason) if self._last else ()
+
     def restart(self) -> tuple[ContactEvent, ...]:
         """Forget the drift and every contact: the board has booted or is configured anew."""
-        events = self._tracker.close(self._last[1], "the board started anew") if self._last else ()
+        events = self.end_contacts("the board started anew")
         self._frames.clear()
         self._drift.reset()
         self._errors.reset()
@@ -115,6 +119,19 @@ class CombChain:
             return "sites are touched"
         self._drift.tare(self._shifts.shift, self._shifts.variance)
         return ""
+
+    def set_window(self, window_frames: int, step_frames: int) -> None:
+        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
+
+        Raises
+        ------
+        ValueError
+            A step of less than one frame, or of more than the window.
+        """
+        if not 1 <= step_frames <= window_frames:
+            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+        self._step_frames = step_frames
+        self._frames = deque(self._frames, maxlen=window_frames)
 
     @property
     def compensation(self) -> Compensation:

@@ -75,9 +75,6 @@ class SingleToneChain:
         self._pilot_hz = pilot_hz
         self._reference_hz = reference_hz
         self._gate_s = gate_s
-        self._step_frames = step_frames
-        self._window_frames = window_frames
-        self._onset_frames = min(ONSET_FRAMES, window_frames)
         self._windows = [SlidingWindow(window_frames, reference_hz, band_hz) for _ in range(channels)]
         reading_std = oscillator_std(window_frames * gate_s)
         self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
@@ -92,7 +89,7 @@ class SingleToneChain:
         shifted_hz = 2.0 * float(np.abs(sites.sensitivity).max()) * sites.force_max_newton * sites.f0_hz.max(axis=0)
         codes_hz = np.diff(np.sort(sites.f0_hz, axis=0), axis=0)
         apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
-        self._distance_hz = np.maximum(apart_hz - shifted_hz, 1.0 / (window_frames * gate_s))
+        self._apart_hz = apart_hz - shifted_hz
         self._latch = OverloadLatch()
         self._errors = SiteErrors(sites)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
@@ -105,10 +102,15 @@ class SingleToneChain:
         self._evaluated_ticks: int | None = None
         self._pilot: tuple[float, ...] = (math.nan,) * channels  # g by the pilot in the last reading
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
+        self._measure_over(window_frames, step_frames)
+
+    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
+        """Release every contact, as when frames have stopped coming; what is still touched then begins anew."""
+        return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
         """Forget the baseline and every contact: the board has booted or is configured anew."""
-        events = self._tracker.close(self._last[1], "the board started anew") if self._last else ()
+        events = self.end_contacts("the board started anew")
         for window in self._windows:
             window.restart()
         self._common_mode.reset()
@@ -125,6 +127,27 @@ class SingleToneChain:
             return "the pilot is not heard on all channels: the plate is touched, or channels are silent"
         self._common_mode.tare(self._pilot)
         return ""
+
+    def set_window(self, window_frames: int, step_frames: int) -> None:
+        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
+
+        Raises
+        ------
+        ValueError
+            A step of less than one frame, or of more than the window.
+        """
+        if not 1 <= step_frames <= window_frames:
+            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+        for window in self._windows:
+            window.resize(window_frames)
+        self._common_mode.expect(oscillator_std(window_frames * self._gate_s))
+        self._measure_over(window_frames, step_frames)
+
+    def _measure_over(self, window_frames: int, step_frames: int) -> None:
+        self._step_frames = step_frames
+        self._window_frames = window_frames
+        self._onset_frames = min(ONSET_FRAMES, window_frames)
+        self._distance_hz = np.maximum(self._apart_hz, 1.0 / (window_frames * self._gate_s))
 
     @property
     def compensation(self) -> Compensation:

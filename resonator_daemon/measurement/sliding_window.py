@@ -31,6 +31,14 @@ class SlidingWindow:
         self._clear()
         self.fault = None
 
+    def resize(self, frames: int) -> None:
+        """Hold so many gates from here; of those held now the newest stay."""
+        if frames < 1:
+            raise ValueError(f"window of {frames} frames, at least 1")
+        self._parts = deque(self._parts, maxlen=frames)
+        self._gate_hz = deque(self._gate_hz, maxlen=frames)
+        self._residual_ticks2 = deque(self._residual_ticks2, maxlen=frames)
+
     def push(self, record: SingleToneRecord) -> str | None:
         """Take one gate's record; returns why it is not usable, else None.
 

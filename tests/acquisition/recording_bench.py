@@ -1,10 +1,12 @@
 """What happened on an emulated board's link, recorded to a file and replayed as fast as it goes."""
 
+import json
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 import numpy as np
+from mcap.reader import make_reader
 
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import RING_BYTES
@@ -57,3 +59,14 @@ def same(one: object, other: object) -> bool:
     if is_dataclass(one):
         return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
     return one == other
+
+
+def marks(path: Path) -> list[tuple[int, str]]:
+    """Return times and texts of the marks, as any reader of such files finds them."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[])
+        return [
+            (message.log_time, json.loads(message.data)["message"])
+            for schema, channel, message in reader.iter_messages(topics=["marks"])
+            if schema is not None and (schema.name, channel.message_encoding) == ("foxglove.Log", "json")
+        ]

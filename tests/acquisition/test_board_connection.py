@@ -143,7 +143,7 @@ def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_
     bench.run(30_000)
     assert bench.states[-1][0] == "online"
     assert bench.states[-1][1].endswith("no ping was answered for 10 s: is the line to the board broken?")
-    assert len(bench.connection._pings) < 1000
+    assert len(bench.connection._pings._on_the_way) < 1000
     del bench.board.session.receive
     bench.run(3000)
     assert "no ping" not in bench.states[-1][1]

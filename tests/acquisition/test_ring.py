@@ -19,7 +19,7 @@ def frame(index: int) -> SingleToneFrame:
 
 def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
     wakes = []
-    ring = Ring(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=3)
+    ring = Ring(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=(3,))
     for index in range(2):
         ring.put_frame(frame(index))
     assert wakes == []
@@ -111,3 +111,15 @@ def test_the_bound_is_one_of_memory(fresh: object) -> None:
         tracemalloc.stop()
     assert ring.loss.total > 0
     assert 0.7 * limit_bytes < after - before <= 1.05 * limit_bytes
+
+
+def test_ends_of_several_steps_wake_and_may_be_replaced() -> None:
+    wakes: list[int] = []
+    ring = Ring(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
+    for index in range(10):
+        ring.put_frame(frame(index))
+    assert wakes == [2, 4, 5, 6, 8, 10]
+    ring.step_frames = (7,)
+    for index in range(10, 30):
+        ring.put_frame(frame(index))
+    assert wakes[6:] == [14, 21, 28]

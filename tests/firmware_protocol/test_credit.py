@@ -176,7 +176,7 @@ def identity_with_credit(field: bytes) -> bytes:
 
 def test_numbers_wrap() -> None:
     requests = Requests()
-    requests._number = 0xFFFFFFFE
+    requests.number = 0xFFFFFFFE
     assert [requests.send(MessageType.PING).number for _ in range(3)] == [0xFFFFFFFF, 0, 1]
 
 
