@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
-from urllib.parse import SplitResult, parse_qsl, quote, unquote, urlsplit
+from urllib.parse import parse_qsl, quote
 
 from pydantic import (
     AfterValidator,
@@ -26,17 +27,21 @@ from pydantic_core import InitErrorDetails
 from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
 from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.errors import ConfigError
+from resonator_daemon.mqtt_settings import Mqtt as Mqtt
+from resonator_daemon.mqtt_settings import split_url
+from resonator_daemon.mqtt_settings import topic_level as topic_level
+from resonator_daemon.places import state_directory
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.toml_file import Number, Table, check_with, finding, load_model, nearest, read_toml
 
 _BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
-_MQTT_PORT = 1883
+DECODER = "decoder"  # level of the topics of decoder processes, which no plate can have as a name
 _EXAMPLE = """\
 name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number
 plate = "quartz16"                       # a shipped plate or a path, relative to this file
 link = "serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000"   # or tcp://host:port, usb:1209:0001?serial=0042
 [mqtt]
-url = "mqtt://127.0.0.1:1883"            # mqtt://user:password@host:port
+url = "mqtt://127.0.0.1:1883"            # mqtts:// for TLS; username, password_file and certificates: docs/security.md
 prefix = "resonator"
 [measurement]
 window_ms = 10
@@ -45,6 +50,8 @@ step_ms = 5                              # publishing rate of forces and contact
 method = "open-plane"                    # fourier, off
 contact_physics = true
 friction_coefficient = "unknown"         # or a number
+[commands]
+allow = ["tare"]                         # of subscribers; those that change nothing are always obeyed
 """
 
 
@@ -108,7 +115,7 @@ def parse_link(text: object) -> LinkTarget:
         case "serial":
             return _serial_link(rest)
         case "tcp":
-            url = _split(text)
+            url = split_url(text)
             if not url.hostname or url.port is None or url.netloc.count("@") or url.path or url.query or url.fragment:
                 raise ValueError("must be tcp://host:port, nothing more")
             return TcpLink(url.hostname, url.port)
@@ -158,41 +165,28 @@ def _options(query: str, allowed: list[str]) -> dict[str, str]:
     return dict(pairs)
 
 
-def _split(url: str) -> SplitResult:
-    """Split a URL; ValueError, without the password in it, where host or port cannot be read."""
-    try:
-        parts = urlsplit(url)
-        if url.isprintable() and " " not in url and parts.port != 0:
-            return parts
-    except ValueError:
-        pass
-    raise ValueError(
-        "host and port (1 to 65535) cannot be read; write signs such as # / @ in a password as %23 %2F %40"
-    )
+def plate_name(text: str) -> str:
+    """Return the text if plates can publish under it; ValueError says why not."""
+    if text == DECODER:
+        raise ValueError("is the topic of decoder processes; choose another")
+    return topic_level(text)
 
 
-def topic_level(text: str) -> str:
-    """Return the text if it can be one level of an MQTT topic; ValueError says why not."""
-    if not text.isprintable() or not text or any(sign in text for sign in " /+#") or text.startswith("$"):
-        raise ValueError(
-            "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
-        )
-    return text
+def _directory(value: object, info: ValidationInfo) -> Path:
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise ValueError("must be a string: a directory, relative to this file or absolute")
+    return (info.context or Path()) / value
 
 
-def _topic(text: str) -> str:
-    for level in text.split("/"):
-        topic_level(level)
-    return text
-
-
-def _broker_url(text: str) -> str:
-    url = _split(text)
-    if url.scheme == "mqtts":
-        raise ValueError("mqtts: (TLS) is not available in this version; use mqtt://host:port")
-    if url.scheme != "mqtt" or not url.hostname or url.path not in ("", "/") or url.query or url.fragment:
-        raise ValueError("must be mqtt://host:port or mqtt://user:password@host:port")
-    return text
+def _plates(names: tuple[str, ...]) -> tuple[str, ...]:
+    if "+" in names and len(names) > 1:
+        raise ValueError('"+" stands for all plates; name them or give it alone')
+    if len(set(names)) < len(names):
+        raise ValueError("must not name a plate twice")
+    for name in names:
+        if name != "+":
+            plate_name(name)
+    return names
 
 
 def _friction(value: object) -> object:
@@ -203,29 +197,21 @@ def _friction(value: object) -> object:
     return value
 
 
-class Mqtt(Table):
-    """Where to publish."""
+Verb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
 
-    url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = f"mqtt://127.0.0.1:{_MQTT_PORT}"
-    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = "resonator"
 
-    @property
-    def host(self) -> str:
-        return urlsplit(self.url).hostname or ""
+class Commands(Table):
+    """What subscribers may have the daemon do; `ping`, `health` and `snapshot`, which change nothing, always."""
 
-    @property
-    def port(self) -> int:
-        return urlsplit(self.url).port or _MQTT_PORT
+    allow: tuple[Verb, ...] = ()
 
-    @property
-    def username(self) -> str | None:
-        name = urlsplit(self.url).username
-        return None if name is None else unquote(name)
 
-    @property
-    def password(self) -> str | None:
-        password = urlsplit(self.url).password
-        return None if password is None else unquote(password)
+class Recording(Table):
+    """Where recordings go that a command starts."""
+
+    directory: Annotated[Path, BeforeValidator(_directory)] = Field(
+        default_factory=lambda: state_directory() / "recordings"
+    )
 
 
 class Measurement(Table):
@@ -249,6 +235,21 @@ class Decoding(Table):
     method: Literal["open-plane", "fourier", "off"] = "open-plane"
     contact_physics: StrictBool = True
     friction_coefficient: Annotated[Annotated[Number, Field(ge=0.001, le=10)] | None, BeforeValidator(_friction)] = None
+    uncertainty: StrictBool = True  # in `decoded`, the standard deviation of the traction
+    displacement: StrictBool = True  # in `decoded`, too
+    apart: StrictBool = False  # the daemon publishes signals alone, `resonatord decode` takes them on
+    plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = ()  # of decoders that share them; else `name`
+    group: Annotated[Annotated[str, AfterValidator(topic_level)] | None, Field(validate_default=True)] = None
+
+    @field_validator("group")
+    @classmethod
+    def _group_shares_plates(cls, group: str | None, info: ValidationInfo) -> str | None:
+        plates = info.data.get("plates")
+        if plates and group is None:
+            raise ValueError("missing; decoders of the same group share the plates, each frame goes to one of them")
+        if plates == () and group is not None:
+            raise ValueError('shares plates that are named in decoding.plates, as plates = ["+"]; there are none')
+        return group
 
 
 def _plate(value: object, info: ValidationInfo) -> Plate:
@@ -265,12 +266,14 @@ def _plate(value: object, info: ValidationInfo) -> Plate:
 class Config(Table):
     """One board: its plate, its link, and what to do with its counts."""
 
-    name: Annotated[str, Field(max_length=100), AfterValidator(topic_level)] | None = None  # default: serial number
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = None  # default: serial number
     plate: Annotated[Plate, PlainValidator(_plate)]
     link: Annotated[LinkTarget, PlainValidator(parse_link)]
     mqtt: Mqtt = Mqtt()
     measurement: Annotated[Measurement, Field(validate_default=True)] = Measurement()
     decoding: Decoding = Decoding()
+    commands: Commands = Commands()
+    recording: Recording = Field(default_factory=Recording)
 
     @field_validator("link")
     @classmethod
@@ -310,7 +313,7 @@ class Config(Table):
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
                 "tractions are those of the linear map"
             )
-        return tuple(filter(None, notes))
+        return (*filter(None, notes), *self.mqtt.notes)
 
 
 def load_config(path: Path) -> Config:
@@ -322,6 +325,23 @@ def load_config(path: Path) -> Config:
         One message for each finding, those of the plate file among them.
     """
     return load_model(Config, read_toml(path), context=path.parent)
+
+
+class _Subscriber(Table):
+    mqtt: Mqtt = Mqtt()
+
+
+def load_broker(path: Path) -> Mqtt:
+    """Load the table [mqtt] of any configuration; what else is there is passed over.
+
+    Raises
+    ------
+    ConfigError
+        One message for each finding.
+    """
+    file = read_toml(path)
+    content = {key: value for key, value in file.content.items() if key in _Subscriber.model_fields}
+    return load_model(_Subscriber, replace(file, content=content), context=path.parent).mqtt
 
 
 def example_config() -> str:
@@ -351,17 +371,18 @@ def _check_load(plate: Plate, baud: int) -> None:
         )
 
 
-def _timing_findings(table: dict[str, Any], plate: Plate | None) -> list[InitErrorDetails]:
-    """Check window and step, where both are numbers, against each other and against the plate's frames."""
-    spans = {key: table.get(key, getattr(Measurement(), key)) for key in ("window_ms", "step_ms")}
-    spans = {key: value for key, value in spans.items() if type(value) in (int, float) and 0 < value <= 1000}
-    findings = []
-    if len(spans) == 2 and spans["step_ms"] > spans["window_ms"]:
-        sentence = f"must be at most window_ms = {spans['window_ms']:g}, or counts would be lost between windows"
-        findings.append(finding(("step_ms",), spans["step_ms"], sentence))
+def timing_problems(spans_ms: Mapping[str, float], plate: Plate | None) -> list[tuple[str, float, str]]:
+    """Return key, value and what is wrong of `window_ms` and `step_ms`, against each other and the plate's frames.
+
+    A span that is not given is not looked at, nor is the plate.
+    """
+    problems = []
+    if len(spans_ms) == 2 and spans_ms["step_ms"] > spans_ms["window_ms"]:
+        sentence = f"must be at most window_ms = {spans_ms['window_ms']:g}, or counts would be lost between windows"
+        problems.append(("step_ms", spans_ms["step_ms"], sentence))
     if plate and plate.skin is None:
         period_ms = 1e3 / plate.counter.frame_rate_hz
-        for key, value in spans.items():
+        for key, value in spans_ms.items():
             frames = value / period_ms
             if abs(frames - round(frames)) > 1e-6 * frames or round(frames) == 0:
                 below = max(1, math.floor(frames))
@@ -369,5 +390,11 @@ def _timing_findings(table: dict[str, Any], plate: Plate | None) -> list[InitErr
                     f"must be a whole number of frame periods of {period_ms:g} ms ({plate.counter.frame_rate_hz:g} "
                     f"frames/s of plate {plate.name!r}); near: {below * period_ms:g} or {(below + 1) * period_ms:g}"
                 )
-                findings.append(finding((key,), value, sentence))
-    return findings
+                problems.append((key, value, sentence))
+    return problems
+
+
+def _timing_findings(table: dict[str, Any], plate: Plate | None) -> list[InitErrorDetails]:
+    spans_ms = {key: table.get(key, getattr(Measurement(), key)) for key in ("window_ms", "step_ms")}
+    spans_ms = {key: value for key, value in spans_ms.items() if type(value) in (int, float) and 0 < value <= 1000}
+    return [finding((key,), value, sentence) for key, value, sentence in timing_problems(spans_ms, plate)]

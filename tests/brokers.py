@@ -23,22 +23,19 @@ def free_port() -> int:
 class Mosquitto:
     """A Mosquitto that forgets everything when killed, and comes back on the same port."""
 
-    def __init__(self, directory: Path, *settings: str) -> None:
+    def __init__(self, directory: Path, *settings: str, config: str | None = None) -> None:
+        """One listener with these settings, or the whole of a configuration, which names its own."""
         self._command = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/sbin") or "mosquitto"
         self._config = directory / "mosquitto.conf"
         self._process: subprocess.Popen[str] | None = None
         port = free_port()
         self.url = f"mqtt://127.0.0.1:{port}"
+        self.tls_url = f"mqtts://localhost:{port}"
         settings = settings or ("allow_anonymous true",)
-        always = (
-            "set_tcp_nodelay true",
-            "user root",
-            "log_dest stderr",
-            "log_type error",
-            "log_type information",
-            "connection_messages false",
-        )
-        self._config.write_text("\n".join((f"listener {port} 127.0.0.1", *always, *settings)) + "\n")
+        always = ("user root", "log_dest stderr", "log_type error", "log_type information", "connection_messages false")
+        if config is None:
+            config = "\n".join((f"listener {port} 127.0.0.1", "set_tcp_nodelay true", *settings))
+        self._config.write_text("\n".join((config, *always)) + "\n")
 
     async def start(self) -> None:
         self._launch()

@@ -8,19 +8,18 @@ import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.publishing.payloads import Decoded, Message, Signals
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
 
 _TAG_ARRAY: Final = 40  # multi-dimensional array, row-major: [shape, elements]
 _TAG_FLOAT32: Final = 85  # typed array of little-endian IEEE 754 binary32
 _DIMENSIONS_MAX: Final = 3
-_CBOR: Final = (Signals, Decoded)
 
 MessageT = TypeVar("MessageT", bound=Message)
 
 
 def encode(message: Message) -> bytes:
     """Return the payload as published: CBOR for Signals and Decoded, JSON for all others."""
-    if isinstance(message, _CBOR):
+    if isinstance(message, WITH_ARRAYS):
         return cbor2.dumps(message.model_dump(), default=_write_array)
     return message.model_dump_json().encode()
 
@@ -33,7 +32,7 @@ def decode(kind: type[MessageT], payload: bytes) -> MessageT:
     ValueError
         The payload is not a well-formed message of this kind.
     """
-    if not issubclass(kind, _CBOR):
+    if not issubclass(kind, WITH_ARRAYS):
         return kind.model_validate_json(payload)
     stream = io.BytesIO(payload)
     try:

@@ -3,140 +3,263 @@
 import asyncio
 import json
 import logging
-from collections import deque
-from collections.abc import Callable, Mapping
+import re
+from collections import Counter, deque
+from collections.abc import Callable, Collection, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Final, NamedTuple
 
-COMMANDS: Final = "cmd/+"
-PAYLOAD_BYTES_MAX: Final = 16 * 1024
-WAITING_MAX: Final = 16
-VERB_LENGTH_MAX: Final = 64
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails
+
+from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.publishing.strict_json import read_object
+from resonator_daemon.publishing.token_bucket import TokenBucket
+from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb
+from resonator_daemon.toml_file import nearest
+
+WAITING_MAX: Final = 32
+AT_ONCE: Final = 20
+PER_SECOND: Final = 10.0
+COMPLAINTS_AT_ONCE: Final = 5  # answers that say no more than "too many"
+COMPLAINTS_PER_SECOND: Final = 1.0
+WARN_AGAIN_S: Final = 60.0
+DEFERRED_S: Final = 8.0  # less than `requests.ANSWER_S`
 RESPONSE_TOPIC_BYTES_MAX: Final = 1024
 CORRELATION_BYTES_MAX: Final = 1024
 
+_FINDINGS_MAX: Final = 5
+_SHOWN_LENGTH_MAX: Final = 80
+_TEXT_LENGTH_MAX: Final = 1000
+_WORD: Final = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
 log = logging.getLogger(__name__)
 
-Answer = Mapping[str, Any]
-Respond = Callable[[Answer], None]
-Handler = Callable[[str, dict[str, Any], Respond], None]
-
-
-class Incoming(NamedTuple):
-    """A message as it came; the last two are MQTT 5's, None where the sender gave none."""
-
-    topic: str
-    payload: bytes
-    retained: bool
-    response_topic: str | None
-    correlation: bytes | None
-
-
-class Outgoing(NamedTuple):
-    """An answer on its way."""
-
-    topic: str
-    payload: bytes
-    correlation: bytes | None
+# The request is of the type that VERBS names; a coroutine where the answer needs longer.
+Handler = Callable[[Any], Answer | Coroutine[Any, Any, Answer]]
 
 
 class CommandRefusedError(Exception):
     """Raised by a handler instead of an answer: what is wrong, by a word for programs and a sentence for people."""
 
-    def __init__(self, code: str, message: str, hint: str = "") -> None:
+    def __init__(self, code: ErrorCode, message: str, hint: str = "") -> None:
         super().__init__(message)
         self.code, self.message, self.hint = code, message, hint
 
 
+class _Asked(NamedTuple):
+    """A command with the place for its answer."""
+
+    verb: str
+    payload: bytes
+    topic: str
+    correlation: bytes | None
+    strange_topic: str | None  # where the answer was asked for and does not go
+
+
 class Commands:
-    """Hands commands to one handler, one with each turn of the event loop; to be used from the loop's thread only.
+    """Hands commands to their handlers, one with each turn of the event loop; to be used from the loop's thread only.
 
     Parameters
     ----------
     base
         Topics' beginning, prefix and name.
-    handler
-        Called with verb, payload and the function that answers, at once or later; may raise CommandRefusedError.
+    handlers
+        What does each verb, by its name in VERBS. Called with the request; returns the answer, or a coroutine that
+        does, and may raise CommandRefusedError. Whatever else it raises is answered with `failed`.
+    allowed
+        Verbs that may change something.
     send
-        Takes the answer.
+        Takes the answers.
+    clock
+        In seconds; the event loop's where not given.
+    deferred_s
+        After which a coroutine that has not answered is answered for; it is left to end.
     """
 
-    def __init__(self, base: str, handler: Handler, send: Callable[[Outgoing], None]) -> None:
+    def __init__(
+        self,
+        base: str,
+        handlers: Mapping[str, Handler],
+        allowed: Collection[str],
+        send: Callable[[Outgoing], None],
+        *,
+        clock: Callable[[], float] | None = None,
+        deferred_s: float = DEFERRED_S,
+    ) -> None:
         self._base = base
-        self._handler = handler
+        self._handlers = handlers
+        self._allowed = allowed
         self._send = send
-        self._waiting: deque[Incoming] = deque()
+        self._loop = asyncio.get_running_loop()
+        self._deferred_s = deferred_s
+        self._bucket = TokenBucket(AT_ONCE, PER_SECOND, clock or self._loop.time)
+        self._complaints = TokenBucket(COMPLAINTS_AT_ONCE, COMPLAINTS_PER_SECOND, clock or self._loop.time)
+        self._warnings = TokenBucket(1, 1 / WARN_AGAIN_S, clock or self._loop.time)
+        self._waiting: deque[_Asked] = deque()
+        self._work: set[asyncio.Task[Answer]] = set()
+        self._finishing: set[asyncio.Task[None]] = set()
+        self._logged: set[tuple[str, type[Exception]]] = set()
+        self.counts: Counter[str] = Counter()  # commands by what became of them: done, an error's code, unanswered
 
     @property
     def topic_filter(self) -> str:
-        return f"{self._base}/{COMMANDS}"
+        return f"{self._base}/cmd/+"
 
     def take(self, message: Incoming) -> None:
         """Take a message; returns at once. What was retained is old, and nobody waits for its answer: passed over."""
         if message.retained:
             return
-        if len(self._waiting) >= WAITING_MAX:
-            self._answer(message, _refusal("busy", f"{WAITING_MAX} commands wait already", "send it again later"))
-            return
-        if not self._waiting:
-            asyncio.get_running_loop().call_soon(self._handle_next)
-        self._waiting.append(message)
+        asked = self._asked(message)
+        if not self._bucket.take():
+            self._complain(asked)
+        elif len(self._waiting) + len(self._finishing) >= WAITING_MAX:
+            self._refuse(asked, "busy", f"{WAITING_MAX} commands wait already", "send it again later")
+        else:
+            if not self._waiting:
+                self._loop.call_soon(self._handle_next)
+            self._waiting.append(asked)
 
-    def _handle_next(self) -> None:
-        message = self._waiting[0]
-        try:
-            self._handle(message)
-        except CommandRefusedError as refused:
-            self._answer(message, _refusal(refused.code, refused.message, refused.hint))
-        finally:
-            self._waiting.popleft()
-            if self._waiting:
-                asyncio.get_running_loop().call_soon(self._handle_next)
+    async def close(self) -> None:
+        """Give up what waits, without an answer."""
+        self._waiting.clear()
+        for work in self._work:
+            work.cancel()
+        await asyncio.gather(*self._finishing)
 
-    def _handle(self, message: Incoming) -> None:
-        if (topic := message.response_topic) is not None and not self._may_answer_to(topic):
-            raise CommandRefusedError(
-                "response_topic",
-                f"answers do not go to {topic[:80]!a}",
-                f"use a topic outside {self._base.partition('/')[0]}/, or below {self._base}/rsp/",
-            )
-        verb = _verb(message)
-        payload = _payload(message.payload)
-        self._handler(verb, payload, lambda answer: self._answer(message, answer))
-
-    def _answer(self, message: Incoming, answer: Answer) -> None:
-        verb = _verb(message)
+    def _asked(self, message: Incoming) -> _Asked:
+        word = message.topic.removeprefix(f"{self._base}/cmd/")
+        verb = word if _WORD.fullmatch(word) else "unknown"
         topic, correlation = message.response_topic, message.correlation
-        if topic is None or not self._may_answer_to(topic):
-            topic = f"{self._base}/rsp/{verb}"
         if correlation is not None and len(correlation) > CORRELATION_BYTES_MAX:
             correlation = None
-        self._send(Outgoing(topic, json.dumps({"verb": verb, **answer}, allow_nan=False).encode(), correlation))
+        if topic is None:
+            return _Asked(verb, message.payload, f"{self._base}/rsp/{verb}", correlation, None)
+        if not self._may_answer_to(topic):
+            return _Asked(verb, message.payload, f"{self._base}/rsp/{verb}", correlation, topic)
+        return _Asked(verb, message.payload, topic, correlation, None)
 
     def _may_answer_to(self, topic: str) -> bool:
         """Whether a topic can be published to and is none of a daemon's own, which others believe."""
         sound = topic and topic.isprintable() and len(topic.encode()) <= RESPONSE_TOPIC_BYTES_MAX
         if not sound or any(sign in topic for sign in "+#") or topic.startswith("$"):
             return False
-        own = f"{self._base.rpartition('/')[0]}/"
-        return topic.startswith(f"{self._base}/rsp/") or not topic.startswith(own)
+        prefix = self._base.rpartition("/")[0]
+        return topic.startswith(f"{self._base}/rsp/") or not f"{topic}/".startswith(f"{prefix}/")
+
+    def _complain(self, asked: _Asked) -> None:
+        """Answer some of a flood, but not each: a flood of answers would be no better."""
+        if self._complaints.take():
+            more = f"more than {AT_ONCE} commands at once, or {PER_SECOND:g} a second"
+            self._refuse(asked, "too_many", more, "send them more slowly; some get no answer at all")
+            return
+        self.counts["unanswered"] += 1
+        if self._warnings.take():
+            log.warning("commands come faster than %g a second: some are passed over", PER_SECOND)
+
+    def _handle_next(self) -> None:
+        if not self._waiting:  # closed meanwhile
+            return
+        asked = self._waiting.popleft()
+        if self._waiting:
+            self._loop.call_soon(self._handle_next)
+        with self._refusing(asked):
+            outcome = self._begin(asked)
+            if isinstance(outcome, Answer):
+                self._answer(asked, outcome)
+            else:
+                work = self._loop.create_task(outcome, name=f"command {asked.verb}")
+                self._work.add(work)
+                work.add_done_callback(self._work.discard)
+                finishing = self._loop.create_task(self._finish(asked, work), name=f"answer to {asked.verb}")
+                self._finishing.add(finishing)
+                finishing.add_done_callback(self._finishing.discard)
+
+    def _begin(self, asked: _Asked) -> Answer | Coroutine[Any, Any, Answer]:
+        if asked.strange_topic is not None:
+            raise CommandRefusedError(
+                "response_topic",
+                f"answers do not go to {asked.strange_topic[:_SHOWN_LENGTH_MAX]!a}",
+                f"use a topic outside {self._base.rpartition('/')[0]}/, or below {self._base}/rsp/",
+            )
+        verb, handler = VERBS.get(asked.verb), self._handlers.get(asked.verb)
+        if verb is None or handler is None:
+            raise CommandRefusedError(
+                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, list(self._handlers))
+            )
+        if verb.changes and asked.verb not in self._allowed:
+            raise CommandRefusedError(
+                "not_permitted",
+                f"{asked.verb} is not permitted",
+                f'add "{asked.verb}" to allow in [commands] of the daemon\'s configuration, and start it again',
+            )
+        return handler(_request(verb, asked.payload))
+
+    async def _finish(self, asked: _Asked, work: asyncio.Task[Answer]) -> None:
+        """Answer when the work is done, or when it takes too long; it keeps its place among those that wait."""
+        await asyncio.wait({work}, timeout=self._deferred_s)
+        if not work.done():
+            late = f"not done within {self._deferred_s:g} s, and may still be done"
+            self._refuse(asked, "timeout", late, "ask for health or state before sending it again")
+            await asyncio.wait({work})
+            if not work.cancelled() and (error := work.exception()) is not None:
+                log.warning("command %s, too late for an answer: %s", asked.verb, error)
+        elif not work.cancelled():
+            with self._refusing(asked):
+                self._answer(asked, work.result())
+
+    @contextmanager
+    def _refusing(self, asked: _Asked) -> Iterator[None]:
+        try:
+            yield
+        except CommandRefusedError as refused:
+            self._refuse(asked, refused.code, refused.message, refused.hint)
+        except Exception as error:  # a stranger's command must not end the daemon, whatever it meets
+            kind = (asked.verb, type(error))
+            if kind not in self._logged:
+                self._logged.add(kind)
+                log.error("command %s failed; further such failures are not logged", asked.verb, exc_info=error)
+            self._refuse(asked, "failed", f"{asked.verb} failed in the daemon", "see its log")
+
+    def _answer(self, asked: _Asked, answer: Answer) -> None:
+        self._send(Outgoing(asked.topic, answer.model_dump_json().encode(), asked.correlation))
+        self.counts["done"] += 1
+
+    def _refuse(self, asked: _Asked, code: ErrorCode, message: str, hint: str = "") -> None:
+        problem = Problem(code=code, message=message[:_TEXT_LENGTH_MAX], hint=hint[:_TEXT_LENGTH_MAX])
+        refusal = Refusal(verb=asked.verb, error=problem)
+        # In ASCII, which takes any text: a path may hold what UTF-8 does not.
+        self._send(Outgoing(asked.topic, json.dumps(refusal.model_dump()).encode(), asked.correlation))
+        self.counts[code] += 1
 
 
-def _verb(message: Incoming) -> str:
-    verb = message.topic.rpartition("/")[2]
-    return verb if verb.isprintable() and len(verb) <= VERB_LENGTH_MAX else "unknown"
-
-
-def _payload(data: bytes) -> dict[str, Any]:
-    if len(data) > PAYLOAD_BYTES_MAX:
-        raise CommandRefusedError("payload", f"payload of {len(data)} bytes, at most {PAYLOAD_BYTES_MAX}")
+def _request(verb: Verb, payload: bytes) -> Request:
     try:
-        payload = json.loads(data or b"{}")
-    except (ValueError, RecursionError):
-        payload = None
-    if not isinstance(payload, dict):
-        raise CommandRefusedError("payload", "the payload is no JSON object", "send {} where nothing is to be said")
-    return payload
+        return verb.request.model_validate(read_object(payload))
+    except ValidationError as error:
+        findings = error.errors(include_url=False)[:_FINDINGS_MAX]
+        raise CommandRefusedError(
+            "payload", "; ".join(_sentence(verb, found) for found in findings), "docs/mqtt.md and the topic schema tell"
+        ) from None
+    except ValueError as error:
+        raise CommandRefusedError("payload", str(error), "send {} where nothing is to be said") from None
 
 
-def _refusal(code: str, message: str, hint: str = "") -> Answer:
-    return {"ok": False, "error": {"code": code, "message": message, "hint": hint}}
+def _sentence(verb: Verb, error: ErrorDetails) -> str:
+    where = ".".join(_shown(key) if isinstance(key, str) else str(key) for key in error["loc"])
+    match error["type"]:
+        case "extra_forbidden":
+            known = list(verb.request.model_fields)
+            return f"{where}: unknown key; {nearest(str(error['loc'][-1]), known) if known else 'there are none'}"
+        case "missing":
+            return f"{where}: missing; give a value"
+        case "value_error":
+            return f"{where}: got {_shown(error['input'])}; {error['ctx']['error']}"
+        case _:
+            message = error["msg"].replace("Input should be", "must be", 1).replace("String should", "must", 1)
+            return f"{where}: got {_shown(error['input'])}; {message}"
+
+
+def _shown(value: object) -> str:
+    text = value if isinstance(value, str) and _WORD.fullmatch(value) else json.dumps(value)
+    return text if len(text) <= _SHOWN_LENGTH_MAX else f"{text[: _SHOWN_LENGTH_MAX - 3]}..."

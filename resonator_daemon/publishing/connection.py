@@ -3,47 +3,66 @@
 import asyncio
 import contextlib
 import logging
-import random
-import re
 import socket
 import threading
 from collections.abc import Awaitable, Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import aiomqtt
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.commands import Incoming
+from resonator_daemon.publishing import refusals
+from resonator_daemon.publishing.backoff import Backoff
+from resonator_daemon.publishing.broker_limits import BrokerLimits, limits_of
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.packed_properties import PackedProperties, pack
+from resonator_daemon.publishing.tls import make_tls
 
 KEEPALIVE_S: Final = 5
 CONNECT_TIMEOUT_S: Final = 5.0
-PUBLISH_TIMEOUT_S: Final = 5.0
+PUBLISH_TIMEOUT_S: Final = 5.0  # without anything that moves
+ACKNOWLEDGE_TIMEOUT_S: Final = 20.0  # of one message, while others move
 FIRST_PAUSE_S: Final = 0.1
-LONGEST_PAUSE_S: Final = 1.0
+LONGEST_PAUSE_S: Final = 0.6  # a broker that is back has all states within a second
+REFUSED_PAUSE_S: Final = 30.0  # longest one, of who is refused: brokers log and ban those who ask too often
 STABLE_S: Final = 5.0  # a connection that lasted longer was a good one: the next attempts may come fast again
 
 _UNSPECIFIED: Final = 128  # what the library makes of a connection that ended without a word
-_UNSUPPORTED_VERSION: Final = 132
 _NO_DELAY: Final = (socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else Nagle and delayed ACK add 40 ms now and then
+# Else the system takes megabytes that a slow broker has not asked for, and what matters waits behind them.
+_UNSENT_BYTES_MAX: Final = (socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, 128 * 1024)
 
 log = logging.getLogger(__name__)
 _library_log = logging.getLogger(f"{__name__}.aiomqtt")
 _library_log.setLevel(logging.CRITICAL)  # it logs each failure where it happens; here it is once per change
 
-OnPublished = Callable[[int, bool], None]
+OnPublished = Callable[[int, object, bool], None]
 OnMessage = Callable[[Incoming], None]
-OnDenied = Callable[[str], None]
+OnDenied = Callable[[str, str], None]
+
+
+class InFlight(NamedTuple):
+    """A message on its way."""
+
+    qos: int
+    since_s: float
+    token: object  # the sender's
 
 
 class BrokerClient(aiomqtt.Client):
     """An aiomqtt client that writes at once and tells exactly what became of each message.
 
     `send` takes the place of `publish`: it neither waits nor queues, and the number of system calls per message is
-    one instead of six. `on_published(qos, refused)` is called when a QoS 0 message is written to the socket in full,
-    and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`, and
-    `on_denied(reason)` is called when the broker refuses what was listened to.
+    one instead of six. `on_published(qos, token, refused)` is called when a QoS 0 message is written to the socket in
+    full, and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`, and
+    `on_denied(topic_filter, reason)` is called when the broker refuses what was listened to.
+
+    Attributes
+    ----------
+    limits
+        What the broker said it takes, once connected.
+    at_once
+        The first attempt to connect since the last connection ended.
     """
 
     def __init__(
@@ -60,19 +79,23 @@ class BrokerClient(aiomqtt.Client):
         super().__init__(
             broker.host,
             broker.port,
-            username=broker.username,
-            password=broker.password,
             protocol=version,
             identifier=identifier,
             will=will,
             keepalive=KEEPALIVE_S,
             timeout=CONNECT_TIMEOUT_S,
-            socket_options=(_NO_DELAY,),
+            socket_options=(_NO_DELAY, _UNSENT_BYTES_MAX),
             logger=_library_log,
         )
-        self.in_flight: dict[int, tuple[int, float]] = {}  # by message id: QoS, and when it was sent
+        self._broker = broker
+        self._client.connect_timeout = CONNECT_TIMEOUT_S
+        self.in_flight: dict[int, InFlight] = {}  # by message id
         self.unacknowledged = 0
         self.version = version
+        self.limits = BrokerLimits()
+        self.at_once = False
+        self._progress_s = 0.0
+        self._listened: dict[int, str] = {}  # filters by message id
         self._tell_published = on_published
         self._tell_message = on_message
         self._tell_denied = on_denied
@@ -103,9 +126,12 @@ class BrokerClient(aiomqtt.Client):
 
     @property
     def overdue(self) -> bool:
-        """Whether a message has been on its way for too long: a broker that is frozen, or gone without a word."""
+        """Whether nothing has moved for too long: a broker that is frozen, or gone without a word."""
         oldest = next(iter(self.in_flight.values()), None)
-        return oldest is not None and self._loop.time() - oldest[1] > PUBLISH_TIMEOUT_S
+        if oldest is None:
+            return False
+        now_s = self._loop.time()
+        return now_s - self._progress_s > PUBLISH_TIMEOUT_S or now_s - oldest.since_s > ACKNOWLEDGE_TIMEOUT_S
 
     def send(
         self,
@@ -116,25 +142,34 @@ class BrokerClient(aiomqtt.Client):
         retain: bool = False,
         correlation: bytes | None = None,
         response_topic: str | None = None,
+        properties: PackedProperties | None = None,
+        token: object = None,
     ) -> None:
-        """Write a message; only while `writable`. The last two are left out where the broker does not speak MQTT 5."""
-        properties = None
-        if self.version is aiomqtt.ProtocolVersion.V5 and (correlation or response_topic):
-            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
-            if correlation is not None:
-                properties.CorrelationData = correlation
-            if response_topic is not None:
-                properties.ResponseTopic = response_topic
+        """Write a message; only while `writable`.
+
+        Properties are left out where the broker does not speak MQTT 5; those given packed go before the two others.
+        """
+        if self.version is not aiomqtt.ProtocolVersion.V5:
+            properties = None
+        elif properties is None and (correlation is not None or response_topic is not None):
+            properties = pack(correlation=correlation, response_topic=response_topic)
         self._sending = True
-        info = self._client.publish(topic, payload, qos, retain, properties)
-        self._sending = False
-        self.in_flight[info.mid] = (qos, self._loop.time())
+        try:
+            info = self._client.publish(topic, payload, qos, retain, properties)
+        finally:
+            self._sending = False
+        now_s = self._loop.time()
+        if not self.in_flight:
+            self._progress_s = now_s
+        self.in_flight[info.mid] = InFlight(qos, now_s, token)
         self.unacknowledged += qos
         self._flush()
 
-    def listen(self, topic_filter: str) -> None:
-        """Ask for messages, QoS 1, without waiting for the broker's word."""
-        self._client.subscribe(topic_filter, 1)
+    def listen(self, topic_filter: str, qos: int = 1) -> None:
+        """Ask for messages without waiting for the broker's word."""
+        _, number = self._client.subscribe(topic_filter, qos)
+        if number is not None:
+            self._listened[number] = topic_filter
 
     def abort(self) -> None:
         """End the connection without a farewell: the broker publishes the last will."""
@@ -147,12 +182,37 @@ class BrokerClient(aiomqtt.Client):
         if self.lost.done():
             self.lost.exception()  # else asyncio complains that nobody looked
 
+    def _client_connect(self) -> None:
+        """Connect; in a thread of its own, as names are looked up, and files read that may have changed."""
+        try:
+            if self._broker.username is not None:
+                self._client.username_pw_set(self._broker.username, self._broker.password)
+            if self._broker.tls:
+                self._client.tls_set_context(make_tls(self._broker))
+            super()._client_connect()
+        except OSError as error:
+            raise refusals.of_opening(error, self._broker) from None
+
+    def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
+        if not self._connected.done():  # else the library would wait for an answer that cannot come
+            self._connected.set_exception(refusals.of_silent_end(reason.value, self.version, self._broker))
+        super()._on_disconnect(client, userdata, flags, reason, properties)
+
+    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
+        self.limits = limits_of(properties)
+        super()._on_connect(client, userdata, flags, reason, properties)
+
+    def _write_on(self) -> None:
+        """Write what is left, as the socket takes some again."""
+        self._progress_s = self._loop.time()
+        self._flush()
+
     def _flush(self) -> None:
         self._client.loop_write()
         connection = self._client.socket()
         if isinstance(connection, socket.socket) and self._client.want_write() and self._writer is None:
             self._writer = connection
-            self._loop.add_writer(connection, self._flush)
+            self._loop.add_writer(connection, self._write_on)
 
     def _want_write(self, *_: Any) -> None:
         if threading.get_ident() != self._thread:  # CONNECT is queued by the thread that connects
@@ -166,17 +226,20 @@ class BrokerClient(aiomqtt.Client):
             self._writer = None
 
     def _published(self, _client: object, _userdata: object, mid: int, reason: Any, _properties: object) -> None:
-        qos, _ = self.in_flight.pop(mid, (None, None))
-        if qos is not None and self._tell_published is not None:
-            self.unacknowledged -= qos
-            self._tell_published(qos, reason.is_failure)
+        message = self.in_flight.pop(mid, None)
+        if message is not None:
+            self._progress_s = self._loop.time()
+            self.unacknowledged -= message.qos
+            if self._tell_published is not None:
+                self._tell_published(message.qos, message.token, reason.is_failure)
 
     def _subscribed(
-        self, _client: object, _userdata: object, _mid: int, reasons: list[Any], _properties: object
+        self, _client: object, _userdata: object, mid: int, reasons: list[Any], _properties: object
     ) -> None:
+        topic_filter = self._listened.pop(mid, "")
         denied = [str(reason) for reason in reasons if reason.is_failure]
         if denied and self._tell_denied is not None:
-            self._tell_denied(denied[0])
+            self._tell_denied(topic_filter, denied[0])
 
     def _received(self, _client: object, _userdata: object, message: Any) -> None:
         if self._tell_message is not None:
@@ -198,7 +261,7 @@ async def keep_connected(
     `closing` the client takes its leave; in every other case the broker publishes its last will.
     """
     loop = asyncio.get_running_loop()
-    pause_s = FIRST_PAUSE_S
+    pauses = Backoff(FIRST_PAUSE_S)
     version: aiomqtt.ProtocolVersion | None = None
     said = ""
 
@@ -208,7 +271,11 @@ async def keep_connected(
             log.log(level, "broker %s:%d: %s", broker.host, broker.port, text)
         said = text
 
+    attempts = 0
     while not closing.done():
+        attempts += 1
+        longest_pause_s = LONGEST_PAUSE_S
+        accepted = False
         try:
             version = version or await _find_version(broker, closing)
             if version is None:
@@ -216,6 +283,8 @@ async def keep_connected(
             client = await _open(make_client(version), closing)
             if client is None:
                 return
+            accepted = True
+            client.at_once, attempts = attempts == 1, 0
             connected_s = loop.time()
             say(logging.INFO, f"connected, MQTT {'5' if version is aiomqtt.ProtocolVersion.V5 else '3.1.1'}")
             try:
@@ -225,13 +294,17 @@ async def keep_connected(
             finally:
                 client.abort()
                 if loop.time() - connected_s > STABLE_S:
-                    pause_s = FIRST_PAUSE_S
-        except (aiomqtt.MqttError, OSError) as error:
-            version = None  # another broker may answer next time
-            said_by_broker = _code(error) != _UNSPECIFIED
+                    pauses.start_anew()
+        except (aiomqtt.MqttError, OSError) as caught:
+            error = refusals.of_answer(caught, broker)
+            refused = isinstance(error, refusals.RefusalError)
+            if refused:
+                longest_pause_s = REFUSED_PAUSE_S
+            if broker.username is None or version is aiomqtt.ProtocolVersion.V311 or not (accepted or refused):
+                version = None  # another broker may answer next time; else spared the question without a name
+            said_by_broker = refusals.code_of(error) != _UNSPECIFIED
             say(logging.WARNING, f"{error if said_by_broker else 'connection lost'}; trying again")
-        await asyncio.wait([closing], timeout=pause_s * random.uniform(0.5, 1.0))
-        pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
+        await asyncio.wait([closing], timeout=pauses.next_s(longest_pause_s))
 
 
 async def _serve_until_over(
@@ -251,12 +324,6 @@ async def _serve_until_over(
         raise aiomqtt.MqttError("connection lost")
 
 
-def _code(error: Exception) -> int | None:
-    reason = getattr(error, "rc", None)
-    code: int | None = getattr(reason, "value", reason)
-    return code
-
-
 async def _find_version(broker: Mqtt, closing: asyncio.Future[None]) -> aiomqtt.ProtocolVersion | None:
     """Ask for MQTT 5 with the plainest connection there is; None when closing comes first.
 
@@ -265,11 +332,13 @@ async def _find_version(broker: Mqtt, closing: asyncio.Future[None]) -> aiomqtt.
     one of MQTT 5, "not authorised" too.
     """
     try:
-        anonymous = broker.model_copy(update={"url": re.sub("//.*@", "//", broker.url)})
-        probe = await _open(BrokerClient(anonymous, aiomqtt.ProtocolVersion.V5), closing)
+        probe = await _open(BrokerClient(broker.anonymous(), aiomqtt.ProtocolVersion.V5), closing)
     except aiomqtt.MqttCodeError as refusal:
-        if _code(refusal) == _UNSUPPORTED_VERSION:
+        if refusals.code_of(refusal) == refusals.UNSUPPORTED_VERSION:
             return aiomqtt.ProtocolVersion.V311
+    except refusals.NoAnswerError:
+        if broker.username is None:
+            raise
     else:
         if probe is None:
             return None

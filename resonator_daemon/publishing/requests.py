@@ -9,8 +9,8 @@ import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.publishing.commands import Incoming
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import full_topic
 
 REACH_S: Final = 5.0
@@ -25,6 +25,12 @@ class BrokerUnreachableError(OperatorError):
 
 class NoAnswerError(OperatorError):
     """The daemon does not answer."""
+
+    exit_code = ExitCode.FAILED
+
+
+class DeniedError(OperatorError):
+    """The broker's access rules do not let this user ask, or hear the answer."""
 
     exit_code = ExitCode.FAILED
 
@@ -51,10 +57,15 @@ async def request(
 ) -> dict[str, Any]:
     """Send a command to the daemon of this name; return its answer.
 
+    A connection that ends meanwhile is made anew and the command sent again: the daemon may get it twice. Without
+    MQTT 5 the answer to another who asks the same at the same time counts, too.
+
     Raises
     ------
     BrokerUnreachableError
         Nobody listens at the broker's address.
+    DeniedError
+        The broker said that it does not let this user do that; without MQTT 5 it cannot say so of the command.
     NoAnswerError
         No answer came in time.
     """
@@ -63,38 +74,47 @@ async def request(
     closing: asyncio.Future[None] = loop.create_future()
     answer: asyncio.Future[dict[str, Any]] = loop.create_future()
     number = secrets.token_hex(8)
-    own_topic = full_topic(broker.prefix, name, f"rsp/{verb}/{number}")
+    command_topic = full_topic(broker.prefix, name, f"cmd/{verb}")
     common_topic = full_topic(broker.prefix, name, f"rsp/{verb}")
+    own_topic = f"{common_topic}/{number}"
 
     def take(message: Incoming) -> None:
         try:
             content = json.loads(message.payload)
         except ValueError:
             return
-        if isinstance(content, dict) and not message.retained and not answer.done():
+        is_answer = isinstance(content, dict) and content.get("verb") == verb and not message.retained
+        if is_answer and not answer.done():
             answer.set_result(content)
 
+    def denied(topic: str) -> None:
+        if not answer.done():
+            answer.set_exception(DeniedError(f"the broker denies {topic}; see its access rules for this user"))
+
     async def serve(client: BrokerClient) -> None:
-        has_own = client.version is aiomqtt.ProtocolVersion.V5
-        await client.subscribe(own_topic if has_own else common_topic, qos=1)
+        client.listen(own_topic if client.version is aiomqtt.ProtocolVersion.V5 else common_topic)
         client.send(
-            full_topic(broker.prefix, name, f"cmd/{verb}"),
-            json.dumps(payload).encode(),
-            qos=1,
-            correlation=number.encode(),
-            response_topic=own_topic,
+            command_topic, json.dumps(payload).encode(), qos=1, correlation=number.encode(), response_topic=own_topic
         )
         await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
-    connection = asyncio.create_task(
-        keep_connected(broker, lambda version: BrokerClient(broker, version, on_message=take), serve, closing)
-    )
+    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
+        return BrokerClient(
+            broker,
+            version,
+            on_published=lambda _qos, _token, refused: denied(command_topic) if refused else None,
+            on_message=take,
+            on_denied=lambda topic_filter, _reason: denied(topic_filter),
+        )
+
+    connection = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
     try:
         async with asyncio.timeout(answer_s):
             return await answer
     except TimeoutError:
-        where = full_topic(broker.prefix, name, f"cmd/{verb}")
-        raise NoAnswerError(f"no answer to {where} within {answer_s:g} s; is `resonatord run` running?") from None
+        raise NoAnswerError(
+            f"no answer to {command_topic} within {answer_s:g} s; is `resonatord run` running?"
+        ) from None
     finally:
         closing.set_result(None)
         await connection

@@ -10,8 +10,8 @@ import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.commands import Incoming
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import TOPICS, Topic, full_topic, split_topic
 
@@ -19,9 +19,11 @@ RECEIVED_MAX: Final = 1024  # a reader that does not keep up loses the oldest
 
 log = logging.getLogger(__name__)
 
+_BY_PATH: Final = TOPICS | {topic.slow_path: topic for topic in TOPICS.values() if topic.slow_hz is not None}
+
 
 class Received(NamedTuple):
-    """A message, from which plate and on which topic below it."""
+    """A message, from which plate and on which topic below it; of a decimated copy the topic that it was taken from."""
 
     plate: str
     path: str
@@ -29,11 +31,12 @@ class Received(NamedTuple):
 
 
 async def subscribe(
-    broker: Mqtt, topics: Collection[Topic[Message]] = tuple(TOPICS.values())
+    broker: Mqtt, topics: Collection[Topic[Message]] = tuple(TOPICS.values()), *, full_rate: bool = True
 ) -> AsyncGenerator[Received]:
     """Yield messages of all plates below the broker's prefix as they come, the retained ones first, for ever.
 
-    Messages that cannot be read are passed over and logged. To stop, close the iterator (contextlib.aclosing).
+    Without `full_rate`, of topics that have a decimated copy that is taken instead. Messages that cannot be read are
+    passed over and logged. To stop, close the iterator (contextlib.aclosing).
     """
     arrived = asyncio.Event()
     received: deque[tuple[str, bytes]] = deque(maxlen=RECEIVED_MAX)
@@ -49,7 +52,8 @@ async def subscribe(
     async def serve(client: BrokerClient) -> None:
         # Retained topics last: whoever has seen a state misses nothing of what is sent from then on.
         for topic in sorted(topics, key=lambda topic: topic.retained):
-            await client.subscribe(full_topic(broker.prefix, "+", topic.path), qos=topic.qos)
+            path = topic.path if full_rate or topic.slow_hz is None else topic.slow_path
+            await client.subscribe(full_topic(broker.prefix, "+", path), qos=topic.qos)
         # Not for ever: up to Python 3.11, a cancellation that meets the acknowledgement of a subscription is lost.
         await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
@@ -70,8 +74,9 @@ async def subscribe(
 
 def _read(prefix: str, topic: str, payload: bytes) -> Received | None:
     plate, path = split_topic(prefix, topic)
+    kind = _BY_PATH[path]
     try:
-        return Received(plate, path, decode(TOPICS[path].payload, payload))
+        return Received(plate, kind.path, decode(kind.payload, payload))
     except ValueError as error:
         log.warning("%s: message cannot be read: %s", topic, error)
         return None

@@ -1,13 +1,16 @@
-"""The topics below `prefix/name/`: what each carries, with which quality of service, and whether it is retained."""
+"""The topics below `prefix/name/`: what each carries, how it is sent, and how often at most to people."""
 
 from dataclasses import dataclass
 from typing import Final, Generic, Literal, TypeVar
 
 from resonator_daemon.publishing.payloads import (
+    WITH_ARRAYS,
     ContactEvent,
     Contacts,
     Decoded,
     DecodedSummary,
+    DecoderHealth,
+    DecoderState,
     Forces,
     Health,
     Info,
@@ -16,30 +19,58 @@ from resonator_daemon.publishing.payloads import (
     State,
 )
 
+SCHEMA_VERSION: Final = "1.0"  # of all payloads; minor: keys were added, major: anything else was changed
+JSON: Final = "application/json"
+CBOR: Final = "application/cbor"
+
 MessageT = TypeVar("MessageT", bound=Message)
 
 
 @dataclass(frozen=True)
 class Topic(Generic[MessageT]):
-    """One topic; with QoS 1 the broker acknowledges each message, with QoS 0 it is sent once or dropped."""
+    """One topic; with QoS 1 the broker acknowledges each message, with QoS 0 it is sent once or dropped.
+
+    Attributes
+    ----------
+    slow_hz
+        Rate of a decimated copy beside it, on `slow_path`; None where there is none.
+    expiry_s
+        After which a message is of no use to anyone, told to the broker with MQTT 5; None where it stays true.
+    """
 
     path: str
     payload: type[MessageT]
     qos: Literal[0, 1] = 0
     retained: bool = False
+    slow_hz: int | None = None
+    expiry_s: int | None = None
 
+    @property
+    def slow_path(self) -> str:
+        return f"{self.path}/{self.slow_hz}hz"
+
+    @property
+    def content_type(self) -> str:
+        return CBOR if self.payload in WITH_ARRAYS else JSON
+
+
+_STREAM_EXPIRY_S: Final = 10
+_HEALTH_EXPIRY_S: Final = 60
+_DECODER_EXPIRY_S: Final = 3600  # of a decoder that is gone, by when nobody asks for it any more
 
 STATE_DAEMON: Final = Topic("state/daemon", State, qos=1, retained=True)
 STATE_LINK: Final = Topic("state/link", State, qos=1, retained=True)
 STATE_SENSOR: Final = Topic("state/sensor", State, qos=1, retained=True)
 INFO: Final = Topic("info", Info, qos=1, retained=True)
 CONTACT_EVENT: Final = Topic("contacts/event", ContactEvent, qos=1)
-FORCES: Final = Topic("forces", Forces)
-CONTACTS: Final = Topic("contacts", Contacts)
-SIGNALS: Final = Topic("signals", Signals)
-DECODED: Final = Topic("decoded", Decoded)
-DECODED_SUMMARY: Final = Topic("decoded/summary", DecodedSummary)
-HEALTH: Final = Topic("health", Health)
+FORCES: Final = Topic("forces", Forces, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+CONTACTS: Final = Topic("contacts", Contacts, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+SIGNALS: Final = Topic("signals", Signals, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
+DECODED: Final = Topic("decoded", Decoded, slow_hz=5, expiry_s=_STREAM_EXPIRY_S)
+DECODED_SUMMARY: Final = Topic("decoded/summary", DecodedSummary, slow_hz=20, expiry_s=_STREAM_EXPIRY_S)
+HEALTH: Final = Topic("health", Health, expiry_s=_HEALTH_EXPIRY_S)
+
+SCHEMA_PATH: Final = "schema"  # retained, QoS 1: the AsyncAPI document of all of this, JSON without a header
 
 TOPICS: Final[dict[str, Topic[Message]]] = {
     topic.path: topic  # type: ignore[misc]
@@ -57,6 +88,10 @@ TOPICS: Final[dict[str, Topic[Message]]] = {
         HEALTH,
     )
 }
+
+# Of a decoder process, below `prefix/decoder/<id>/`.
+DECODER_STATE: Final = Topic("state", DecoderState, qos=1, retained=True, expiry_s=_DECODER_EXPIRY_S)
+DECODER_HEALTH: Final = Topic("health", DecoderHealth, expiry_s=_HEALTH_EXPIRY_S)
 
 
 def full_topic(prefix: str, name: str, path: str) -> str:

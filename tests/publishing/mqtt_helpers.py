@@ -1,94 +1,21 @@
-"""What the tests of publishing share: messages, a scripted broker, and a publisher that must account for everything."""
+"""What the tests of publishing share: a scripted broker, and a publisher that must account for everything."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
 
-import numpy as np
+from sample_messages import HEADER as HEADER
+from sample_messages import Messages as Messages
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.payloads import (
-    Compensation,
-    Decoded,
-    EventContact,
-    Forces,
-    Lost,
-    SiteForce,
-    State,
-)
-from resonator_daemon.publishing.payloads import ContactEvent as Event
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.topics import STATE_DAEMON
 
-HEADER: dict[str, Any] = {
-    "seq": 1234,
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": "51aa",
-    "t_ns": 1789000000000000000,
-    "t_unc_ns": 42000,
-    "lost": Lost(),
-}
-COMPENSATION = Compensation(
-    baseline="followed",
-    common_mode=(3e-6,) * 4,
-    common_mode_std=2e-7,
-    plate_kelvin=0.5,
-    plate_kelvin_std=0.1,
-    response="off",
-)
-
-
-class Messages:
-    """Makes messages that differ by one number."""
-
-    @staticmethod
-    def state(word: str, reason: str = "") -> State:
-        return State(**HEADER, state=word, reason=reason, since_t_ns=1788999990000000000)
-
-    @staticmethod
-    def forces(number: int) -> Forces:
-        site = SiteForce(site=7, force_newton=1.234, noise_newton=0.0006, systematic_newton=0.012, status="ok")
-        return Forces(
-            **HEADER | {"seq": number},
-            board_ticks=1,
-            window_s=0.01,
-            status="ok",
-            reason="",
-            sites=(site,),
-            beats=(),
-            compensation=COMPENSATION,
-        )
-
-    @staticmethod
-    def event(number: int) -> Event:
-        contact = EventContact(
-            id=number,
-            site=7,
-            position_m=(0.0012, -0.0034),
-            position_std_m=(2e-4, 2e-4),
-            position_correlation=0.0,
-            force_newton=1.234,
-            noise_newton=0.0006,
-            systematic_newton=0.012,
-            peak_newton=1.3,
-            since_t_ns=1788999990000000000,
-            duration_s=0.35,
-            status="ok",
-        )
-        return Event(**HEADER | {"seq": number}, board_ticks=1, event="onset", contact=contact)
-
-    @staticmethod
-    def decoded(number: int) -> Decoded:
-        array = np.full((3, 32, 32), number, np.float32)
-        return Decoded(
-            **HEADER | {"seq": number},
-            board_ticks=1,
-            traction_pascal=array,
-            traction_std_pascal=array,
-            displacement_m=None,
-            grid=None,
-        )
+LEFT = "resonator/left"  # base of the topics of the plate "left"
 
 
 @dataclass(frozen=True)
@@ -98,6 +25,7 @@ class Published:
     qos: int
     retain: bool
     topic: str
+    properties: bytes
     payload: bytes
 
 
@@ -107,6 +35,8 @@ class ScriptedBroker:
     def __init__(self) -> None:
         self.received: list[Published] = []
         self.answer: Callable[[int], int | None] = lambda number: 0  # reason code of the n-th QoS 1 message
+        self.connack = b""  # its properties
+        self.too_large_bytes: int | None = None  # of packets upon which the connection is ended, without a word
         self.subscribed = 1  # reason code of each subscription: granted, QoS 1
         self.connections: list[asyncio.StreamWriter] = []
         self.greetings: list[bytes] = []  # bodies of CONNECT
@@ -120,7 +50,11 @@ class ScriptedBroker:
                 kind, body = await self._packet(reader)
                 if kind >> 4 == 1:
                     self.greetings.append(body)
-                    writer.write(b"\x20\x03\x00\x00\x00")
+                    length = len(self.connack)
+                    writer.write(bytes((0x20, 3 + length, 0, 0, length)) + self.connack)
+                elif self.too_large_bytes is not None and len(body) >= self.too_large_bytes:
+                    writer.transport.abort()
+                    break
                 elif kind >> 4 == 3:
                     self._publish(kind, body, writer)
                 elif kind >> 4 == 8:
@@ -140,8 +74,10 @@ class ScriptedBroker:
     def _publish(self, kind: int, body: bytes, writer: asyncio.StreamWriter) -> None:
         qos = kind >> 1 & 3
         topic_end = 2 + int.from_bytes(body[:2], "big")
-        properties_end = topic_end + 2 * qos + 1  # a packet id with QoS 1, and the length of no properties
-        self.received.append(Published(qos, bool(kind & 1), body[2:topic_end].decode(), body[properties_end:]))
+        start = topic_end + 2 * qos + 1  # after a packet id with QoS 1, and the length of the properties, below 128
+        end = start + body[start - 1]
+        topic = body[2:topic_end].decode()
+        self.received.append(Published(qos, bool(kind & 1), topic, body[start:end], body[end:]))
         if qos:
             reason = self.answer(sum(message.qos for message in self.received))
             if reason is not None:
@@ -171,16 +107,33 @@ async def scripted_broker() -> AsyncIterator[tuple[str, ScriptedBroker]]:
             await writer.wait_closed()
 
 
+def make_will() -> Outgoing:
+    return Outgoing(f"{LEFT}/state/daemon", encode(Messages.state("offline", "connection lost")), retained=True)
+
+
 @asynccontextmanager
-async def publishing(url: str) -> AsyncIterator[Publisher]:
-    """A running publisher of the plate "left"; closed at the end."""
-    publisher = Publisher(Mqtt(url=url), "left", lambda reason: Messages.state("offline", reason))
+async def publishing(
+    url: str,
+    *,
+    spool_directory: Path | None = None,
+    subscriptions: tuple[Subscription, ...] = (),
+    on_connected: Callable[[int], None] = lambda number: None,
+) -> AsyncIterator[Publisher]:
+    """A running publisher of the plate "left"; closed at the end, when nothing but what is on disk still waits."""
+    publisher = Publisher(
+        Mqtt(url=url),
+        identifier="left",
+        make_will=make_will,
+        subscriptions=subscriptions,
+        spool_directory=spool_directory,
+        on_connected=on_connected,
+    )
     running = asyncio.create_task(publisher.run())
     yield publisher
-    await publisher.close()
+    await publisher.close((LEFT, STATE_DAEMON, Messages.state("offline", "stopped")))
     await running
     assert_exact(publisher)
-    assert publisher.account.waiting == 0
+    assert publisher.account.waiting == publisher.account.spooled
 
 
 async def until(predicate: Callable[[], bool]) -> None:
@@ -195,7 +148,9 @@ def assert_exact(publisher: Publisher) -> None:
     assert account.made == (
         account.acknowledged
         + account.handed_to_socket
-        + account.dropped
+        + sum(account.dropped.values())
         + account.unknown_at_disconnect
         + account.waiting
     )
+    assert 0 <= account.spooled <= account.waiting
+    assert publisher.dropped == sum(account.dropped.values()) - account.dropped.get("superseded", 0)

@@ -18,13 +18,13 @@ VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
 ARRAY = bytes.fromhex("d828 82 82 03 02 d855 58 18") + struct.pack("<6f", *VALUES)
 EXPECTED = np.array([[0.0, 1.0], [-2.0, 0.5], [np.inf, 3.0]])
 
-# the header and board_ticks of a map of 9; 1b is an 8-byte integer, 19 a 2-byte one
+# the header and board_ticks of a map of 10; 1b is an 8-byte integer, 19 a 2-byte one
 LOST = b"\xa6" + b"".join(
     bytes([0x60 + len(key)]) + key + b"\x00"
     for key in (b"link_gap", b"damaged", b"board_overflow", b"host_overrun", b"ring_overflow", b"publish_dropped")
 )
 HEAD = (
-    b"\xa9\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
+    b"\xaa\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"
     + b"\x64t_ns\x1b"
     + (1789000000000000000).to_bytes(8, "big")
     + b"\x68t_unc_ns\x19\xa4\x10\x64lost"
@@ -32,36 +32,37 @@ HEAD = (
     + b"\x6bboard_ticks\x1b"
     + (2**63).to_bytes(8, "big")
 )
-NOISE_STD = (1e-3, 2e-3, 0.1)
-NOISE = b"\x69noise_std\x83" + b"".join(b"\xfb" + struct.pack(">d", value) for value in NOISE_STD)
-SIGNALS = HEAD + NOISE + b"\x67signals"  # keys may come in any order
+NOISE = b"\x69noise_std" + ARRAY
+STATUS = b"\x66status\x62ok"
+SIGNALS = HEAD + NOISE + STATUS + b"\x67signals"  # keys may come in any order
 
 
 def signals(array: NDArray[Any]) -> Signals:
-    return Signals(**HEADER, board_ticks=2**63, signals=array, noise_std=NOISE_STD)
+    return Signals(**HEADER, board_ticks=2**63, signals=array, noise_std=array, status="ok")
 
 
-def decoded(shape: tuple[int, ...], displacement: bool = True) -> Decoded:
+def decoded(shape: tuple[int, ...]) -> Decoded:
     array = np.arange(np.prod(shape), dtype=np.float64).reshape(shape)
     return Decoded(
         **HEADER,
         board_ticks=None,
         traction_pascal=array,
         traction_std_pascal=array + 1,
-        displacement_m=array + 2 if displacement else None,
+        displacement_m=array + 2,
         grid=Grid(origin_m=(-0.0062, -0.0062), pitch_m=4e-4),
     )
 
 
 def test_bytes_are_those_of_the_standards() -> None:
-    assert encode(signals(EXPECTED)) == HEAD + b"\x67signals" + ARRAY + NOISE
+    assert encode(signals(EXPECTED)) == HEAD + b"\x67signals" + ARRAY + NOISE + STATUS
 
 
 def test_bytes_of_the_standards_are_read() -> None:
     read = decode(Signals, SIGNALS + ARRAY)
     assert read.t_ns == 1789000000000000000
     assert read.board_ticks == 2**63
-    assert read.noise_std == NOISE_STD
+    np.testing.assert_array_equal(read.noise_std, EXPECTED)
+    assert read.status == "ok"
     assert read.signals.dtype == np.float32
     np.testing.assert_array_equal(read.signals, EXPECTED)
 
@@ -84,7 +85,9 @@ def test_arrays_are_read_without_a_copy_and_cannot_be_written() -> None:
     ids=["nan", "strided", "fortran", "big-endian", "empty"],
 )
 def test_any_array_comes_back_as_it_was(array: NDArray[Any]) -> None:
-    np.testing.assert_array_equal(decode(Signals, encode(signals(array))).signals, array)
+    read = decode(Signals, encode(signals(array)))
+    np.testing.assert_array_equal(read.signals, array)
+    np.testing.assert_array_equal(read.noise_std, array)
 
 
 @pytest.mark.parametrize("shape", [(3, 4, 5), (3, 7)])
@@ -101,14 +104,39 @@ def test_decoded_keeps_its_axes_apart(shape: tuple[int, ...]) -> None:
     assert plain["grid"] == {"origin_m": [-0.0062, -0.0062], "pitch_m": 4e-4}
 
 
-def test_displacement_may_be_missing() -> None:
-    assert decode(Decoded, encode(decoded((3, 2, 2), displacement=False))).displacement_m is None
+def test_what_the_decoder_was_not_asked_for_is_null() -> None:
+    array = np.zeros((3, 2, 2))
+    message = decoded((3, 2, 2)).model_copy(update={"traction_std_pascal": None, "displacement_m": None, "grid": None})
+    payload = encode(message)
+    assert payload.count(b"\xf6") == 5  # board_ticks and decoder_id, too
+    read = decode(Decoded, payload)
+    np.testing.assert_array_equal(read.traction_pascal, array + np.arange(12.0).reshape(3, 2, 2))
+    assert read.traction_std_pascal is read.displacement_m is read.grid is None
+
+
+def test_payloads_in_other_buffers_are_read() -> None:
+    payload = SIGNALS + ARRAY
+    for kind in (bytearray, memoryview):
+        np.testing.assert_array_equal(decode(Signals, kind(payload)).signals, EXPECTED)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="1 bytes after"):
+        decode(Signals, memoryview(payload + b"\x00"))  # type: ignore[arg-type]
+
+
+def test_the_rest_of_a_message_after_a_whole_one_is_refused() -> None:
+    payload = encode(decoded((3, 2, 2)))
+    with pytest.raises(ValueError, match=f"{len(payload)} bytes after"):
+        decode(Decoded, payload + payload)
 
 
 @pytest.mark.parametrize("shape", [(3,), (4, 4), (1, 3, 4, 4)])
 def test_arrays_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"must be an array of shape \(3, n\) or \(3, ny, nx\)"):
         signals(np.zeros(shape))
+
+
+def test_signals_and_their_noise_have_one_shape() -> None:
+    with pytest.raises(ValueError, match=r"noise_std has shape \(3, 2\), must be that of signals, \(3, 4\)"):
+        Signals(**HEADER, board_ticks=1, signals=np.zeros((3, 4)), noise_std=np.zeros((3, 2)), status="ok")
 
 
 def test_arrays_of_one_message_have_one_shape() -> None:

@@ -1,70 +1,90 @@
-"""Commands over MQTT: answered on the topic asked for, bounded, and refused where they make no sense."""
+"""Commands, without a broker: checked, permitted, limited and answered; whatever comes, nothing escapes."""
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-import aiomqtt
 import pytest
-from brokers import Amqtt, Mosquitto, free_port
-from mqtt_helpers import Messages, assert_exact, scripted_broker, until
-from observer import observe
-from paho.mqtt.packettypes import PacketTypes
-from paho.mqtt.properties import Properties
+from mqtt_helpers import until
 
-from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.commands import (
+    AT_ONCE,
+    COMPLAINTS_AT_ONCE,
+    CORRELATION_BYTES_MAX,
+    RESPONSE_TOPIC_BYTES_MAX,
     WAITING_MAX,
     CommandRefusedError,
     Commands,
-    Incoming,
-    Outgoing,
-    Respond,
+    Handler,
 )
-from resonator_daemon.publishing.publisher import ANSWERS_WAITING_MAX, Publisher
-from resonator_daemon.publishing.requests import BrokerUnreachableError, NoAnswerError, request
-from resonator_daemon.publishing.topics import CONTACT_EVENT
+from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.publishing.verbs import Answer, Identify, IdentifyAnswer, Mark, MarkAnswer, Ping, Pong, Tare
 
 BASE = "resonator/left"
+NO_ANSWER_S = 1000.0  # a test that waits for it hangs
 
 
-def handler(verb: str, payload: dict[str, Any], respond: Respond) -> None:
-    """Say what came; refuse all but one verb."""
-    if verb != "tare":
-        raise CommandRefusedError("unknown_verb", f"no command is called {verb!r}", "known: tare")
-    respond({"ok": True, "did": "tared", "payload": payload})
+class Bench:
+    """Commands with handlers that do nothing, a clock that stands still, and what was sent."""
 
+    def __init__(self) -> None:
+        self.sent: list[Outgoing] = []
+        self.now_s = 0.0
+        self.asked: list[Any] = []
+        self.handlers: dict[str, Handler] = {"ping": self.ping, "mark": self.mark, "identify": self.identify}
+        self.board: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.commands = self.make(allowed=("mark", "identify"))
 
-@asynccontextmanager
-async def commanded(url: str) -> AsyncIterator[Publisher]:
-    publisher = Publisher(Mqtt(url=url), "left", lambda reason: Messages.state("offline", reason), handler)
-    running = asyncio.create_task(publisher.run())
-    yield publisher
-    await publisher.close()
-    await running
-    assert_exact(publisher)
+    def make(self, *, allowed: tuple[str, ...] = (), base: str = BASE, deferred_s: float = NO_ANSWER_S) -> Commands:
+        self.commands = Commands(
+            base, self.handlers, allowed, self.sent.append, clock=lambda: self.now_s, deferred_s=deferred_s
+        )
+        return self.commands
 
+    def ping(self, request: Ping) -> Pong:
+        self.asked.append(request)
+        return Pong(t_ns=2**60, daemon_boot_id="9f3c", uptime_s=float("nan"))
 
-def answers_to(*messages: Incoming) -> list[tuple[Outgoing, dict[str, Any]]]:
-    """Give messages to commands without a broker; return what is sent, and what that says."""
+    def mark(self, request: Mark) -> MarkAnswer:
+        self.asked.append(request)
+        return MarkAnswer(t_ns=7)
 
-    async def give() -> list[Outgoing]:
-        sent: list[Outgoing] = []
-        commands = Commands(BASE, handler, sent.append)
+    async def identify(self, request: Identify) -> IdentifyAnswer:
+        self.asked.append(request)
+        await self.board
+        return IdentifyAnswer()
+
+    @property
+    def said(self) -> list[dict[str, Any]]:
+        return [json.loads(answer.payload) for answer in self.sent]
+
+    @property
+    def codes(self) -> list[str]:
+        return [said["error"]["code"] if not said["ok"] else "done" for said in self.said]
+
+    async def settle(self) -> None:
+        for _ in range(2 * WAITING_MAX):
+            await asyncio.sleep(0)
+
+    async def ask(self, *messages: Incoming) -> list[dict[str, Any]]:
+        """Give messages and return all that was said since."""
+        before = len(self.sent)
         for message in messages:
-            commands.take(message)
-        for _ in messages:
-            await asyncio.sleep(0)  # one with each turn of the loop
-        await asyncio.sleep(0)
-        return sent
+            self.commands.take(message)
+        await self.settle()
+        return self.said[before:]
 
-    return [(answer, json.loads(answer.payload)) for answer in asyncio.run(give())]
+
+@pytest.fixture
+async def bench() -> AsyncIterator[Bench]:
+    bench = Bench()
+    yield bench
+    await bench.commands.close()
 
 
 def incoming(
-    verb: str = "tare",
+    verb: str = "ping",
     payload: bytes = b"{}",
     response_topic: str | None = None,
     *,
@@ -74,92 +94,79 @@ def incoming(
     return Incoming(f"{BASE}/cmd/{verb}", payload, retained, response_topic, correlation)
 
 
-async def test_a_command_is_answered(broker: Mosquitto | Amqtt) -> None:
-    async with commanded(broker.url) as publisher:
-        await until(lambda: publisher.connected)
-        answer = await request(Mqtt(url=broker.url), "left", "tare", {"why": "warm"})
-        assert answer == {"verb": "tare", "ok": True, "did": "tared", "payload": {"why": "warm"}}
-        answer = await request(Mqtt(url=broker.url), "left", "explode", {})
-        assert answer["ok"] is False
-        assert answer["error"] == {
-            "code": "unknown_verb",
-            "message": "no command is called 'explode'",
-            "hint": "known: tare",
-        }
+async def test_a_command_is_answered_below_rsp(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming())
+    assert said == {"verb": "ping", "ok": True, "t_ns": str(2**60), "daemon_boot_id": "9f3c", "uptime_s": None}
+    assert (bench.sent[0].topic, bench.sent[0].correlation) == (f"{BASE}/rsp/ping", None)
+    assert not bench.sent[0].retained
 
 
-async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: Mosquitto) -> None:
-    host, port = mosquitto.url.removeprefix("mqtt://").split(":")
-    async with (
-        commanded(mosquitto.url) as publisher,
-        aiomqtt.Client(host, int(port), protocol=aiomqtt.ProtocolVersion.V5) as client,
-    ):
-        await until(lambda: publisher.connected)
-        await client.subscribe("robot/answers")
-        asked = Properties(PacketTypes.PUBLISH)
-        asked.ResponseTopic = "robot/answers"
-        asked.CorrelationData = b"\x00\xff7"
-        await client.publish(f"{BASE}/cmd/tare", b"", qos=1, properties=asked)
-        async with asyncio.timeout(20):
-            message = await anext(client.messages)
-        assert json.loads(message.payload)["ok"] is True
-        assert message.properties is not None
-        assert message.properties.CorrelationData == b"\x00\xff7"
+async def test_nothing_is_as_good_as_an_empty_object(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming(payload=b""))
+    assert said["ok"] is True
 
 
-async def test_a_plain_client_finds_the_answer_below_rsp(broker: Mosquitto | Amqtt) -> None:
-    host, port = broker.url.removeprefix("mqtt://").split(":")
-    async with commanded(broker.url) as publisher, observe(broker.url, f"{BASE}/rsp/#") as observer:
-        await until(lambda: publisher.connected)
-        async with aiomqtt.Client(host, int(port)) as client:
-            await client.publish(f"{BASE}/cmd/tare", b"{}", qos=1)
-            await observer.until_count(f"{BASE}/rsp/tare", 1)
-    assert observer.payloads(f"{BASE}/rsp/tare")[0]["did"] == "tared"
-
-
-async def test_commands_are_heard_again_after_a_restart_of_the_broker(mosquitto: Mosquitto) -> None:
-    async with commanded(mosquitto.url) as publisher:
-        await until(lambda: publisher.connected)
-        await mosquitto.kill()
-        await until(lambda: not publisher.connected)
-        await mosquitto.start()
-        await until(lambda: publisher.connected)
-        assert (await request(Mqtt(url=mosquitto.url), "left", "tare", {}))["ok"] is True
-
-
-async def test_a_broker_that_denies_commands_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
-    not_authorised = 0x87
-
-    def warnings() -> list[str]:
-        return [record.getMessage() for record in caplog.records if "commands are not heard" in record.getMessage()]
-
-    async with scripted_broker() as (url, script), commanded(url):
-        script.subscribed = not_authorised
-        await until(lambda: bool(warnings()))
-        before = len(script.greetings)
-        script.hang_up()
-        await until(lambda: len(script.greetings) > before + 1)  # the probe for MQTT 5, and the publisher
-    assert warnings() == ["broker denies resonator/left/cmd/+ (Not authorized): commands are not heard"]
-
-
-async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:
-    with pytest.raises(NoAnswerError, match=r"no answer to resonator/left/cmd/tare within 0\.2 s; is `resonatord run`"):
-        await request(Mqtt(url=mosquitto.url), "left", "tare", {}, answer_s=0.2)
-    with pytest.raises(BrokerUnreachableError, match=r"no broker at 127\.0\.0\.1"):
-        await request(Mqtt(url=f"mqtt://127.0.0.1:{free_port()}"), "left", "tare", {})
+async def test_a_handler_gets_a_checked_request(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming("mark", b'{"text": "touched by hand"}'))
+    assert bench.asked == [Mark(text="touched by hand")]
+    assert said == {"verb": "mark", "ok": True, "t_ns": "7"}
 
 
 @pytest.mark.parametrize(
-    "payload",
-    [b"\xff\x00", b"[1]", b"{", b"7", b"null", b"[" * 10_000, b'{"a": ' + b"1" * 5000 + b"}", b"{}" + b" " * 20_000],
-    ids=["binary", "list", "broken", "number", "null", "deep", "huge number", "long"],
+    ("payload", "sentence"),
+    [
+        (b'{"txt": "a"}', "text: missing; give a value; txt: unknown key; allowed: text; did you mean text?"),
+        (b'{"text": 7}', "text: got 7; must be a valid string"),
+        (b'{"text": ""}', 'text: got ""; must have at least 1 character'),
+        (b'{"text": "a\\nb"}', 'text: got "a\\nb"; must be printable characters, without line breaks and control'),
+        (b'{"text": "a", "at\\u0000": 1}', '"at\\u0000": unknown key; allowed: text'),
+        (b'{"text": "' + b"x" * 300 + b'"}', "must have at most 200 characters"),
+        (b'{"text": "a", "text": "b"}', 'key "text" is there twice'),
+    ],
 )
-def test_hostile_payloads_are_refused(payload: bytes) -> None:
-    ((answer, said),) = answers_to(incoming(payload=payload))
-    assert answer.topic == f"{BASE}/rsp/tare"
-    assert said["ok"] is False
+async def test_a_request_that_is_not_the_verbs_is_refused_with_every_finding(
+    bench: Bench, payload: bytes, sentence: str
+) -> None:
+    (said,) = await bench.ask(incoming("mark", payload))
     assert said["error"]["code"] == "payload"
-    assert len(answer.payload) < 1000
+    assert sentence in said["error"]["message"]
+    assert bench.asked == []
+
+
+async def test_a_verb_without_keys_takes_none(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming(payload=b'{"why": "warm"}'))
+    assert said["error"]["message"] == "why: unknown key; there are none"
+
+
+async def test_what_changes_something_needs_permission(bench: Bench) -> None:
+    bench.make(allowed=("identify",))
+    (said,) = await bench.ask(incoming("mark", b'{"text": "a"}'))
+    assert said["error"] == {
+        "code": "not_permitted",
+        "message": "mark is not permitted",
+        "hint": 'add "mark" to allow in [commands] of the daemon\'s configuration, and start it again',
+    }
+    assert bench.asked == []
+    (said,) = await bench.ask(incoming("ping"))  # changes nothing
+    assert said["ok"] is True
+
+
+async def test_an_unknown_verb_is_refused_with_those_that_are_known(bench: Bench) -> None:
+    (said,) = await bench.ask(incoming("tare"))  # a command elsewhere
+    assert said["error"]["code"] == "unknown_verb"
+    (said,) = await bench.ask(incoming("pin"))
+    assert said["error"] == {
+        "code": "unknown_verb",
+        "message": "no command is called 'pin'",
+        "hint": "allowed: ping, mark, identify; did you mean ping?",
+    }
+
+
+@pytest.mark.parametrize("verb", ["x" * 200, "#", "a/b", "é", "\ud800", ""])
+async def test_a_strange_verb_does_not_get_into_topics(bench: Bench, verb: str) -> None:
+    (said,) = await bench.ask(incoming(verb))
+    assert bench.sent[0].topic == f"{BASE}/rsp/unknown"
+    assert (said["verb"], said["error"]["code"]) == ("unknown", "unknown_verb")
 
 
 @pytest.mark.parametrize(
@@ -167,54 +174,192 @@ def test_hostile_payloads_are_refused(payload: bytes) -> None:
     [
         f"{BASE}/state/daemon",
         "resonator/right/cmd/tare",
+        "resonator",
+        f"{BASE}/rsp",
         "a/#",
         "a/+/b",
         "$SYS/broker",
         "",
         "a\x00b",
-        "a" * 70_000,
+        "a" * (RESPONSE_TOPIC_BYTES_MAX + 1),
         "\ud800",
     ],
 )
-def test_answers_do_not_go_where_a_daemons_word_is_believed(topic: str) -> None:
-    ((answer, said),) = answers_to(incoming(response_topic=topic))
-    assert answer.topic == f"{BASE}/rsp/tare"
+async def test_answers_do_not_go_where_a_daemons_word_is_believed(bench: Bench, topic: str) -> None:
+    (said,) = await bench.ask(incoming(response_topic=topic))
+    assert bench.sent[0].topic == f"{BASE}/rsp/ping"
     assert said["error"]["code"] == "response_topic"
+    assert said["error"]["hint"] == f"use a topic outside resonator/, or below {BASE}/rsp/"
+    assert len(bench.sent[0].payload) < 1000
+    assert bench.asked == []
 
 
-def test_answers_go_elsewhere_and_below_the_own_rsp() -> None:
-    for topic in ("robot/answers", f"{BASE}/rsp/tare/17"):
-        ((answer, said),) = answers_to(incoming(response_topic=topic, correlation=b"17"))
-        assert (answer.topic, answer.correlation) == (topic, b"17")
-        assert said["ok"] is True
+async def test_a_prefix_of_many_levels_is_the_daemons_own_as_a_whole(bench: Bench) -> None:
+    bench.make(base="site/hall/left")
+    topic = "site/hall/left/cmd/ping"
+    for response_topic in ("site/hall/right/state/daemon", "site/other"):
+        bench.commands.take(Incoming(topic, b"{}", False, response_topic, None))
+    await bench.settle()
+    assert [answer.topic for answer in bench.sent] == ["site/hall/left/rsp/ping", "site/other"]
+    assert bench.codes == ["response_topic", "done"]
 
 
-def test_a_retained_command_is_nobodys() -> None:
-    assert answers_to(incoming(retained=True)) == []
+@pytest.mark.parametrize("topic", ["robot/answers", f"{BASE}/rsp/ping/17", "resonators/left"])
+async def test_answers_go_elsewhere_and_below_the_own_rsp(bench: Bench, topic: str) -> None:
+    (said,) = await bench.ask(incoming(response_topic=topic, correlation=b"17"))
+    assert (bench.sent[0].topic, bench.sent[0].correlation) == (topic, b"17")
+    assert said["ok"] is True
 
 
-def test_a_flood_is_bounded() -> None:
-    said = [content for _, content in answers_to(*[incoming()] * (WAITING_MAX + 3))]
-    assert [content["error"]["code"] for content in said[:3]] == ["busy"] * 3  # at once, before the others' turn
-    assert [content["ok"] for content in said[3:]] == [True] * WAITING_MAX
+async def test_correlation_data_are_not_a_way_to_have_much_sent(bench: Bench) -> None:
+    sizes = (CORRELATION_BYTES_MAX, CORRELATION_BYTES_MAX + 1)
+    await bench.ask(*(incoming(correlation=bytes(size)) for size in sizes))
+    assert [answer.correlation for answer in bench.sent] == [bytes(CORRELATION_BYTES_MAX), None]
 
 
-async def test_a_flood_of_commands_costs_no_event(mosquitto: Mosquitto) -> None:
-    async with commanded(mosquitto.url) as publisher, observe(mosquitto.url, f"{BASE}/contacts/event") as observer:
-        await until(lambda: publisher.connected)
-        assert publisher._commands is not None
-        for number in range(1024):  # as many as may wait, and twice as many commands among them
-            publisher.publish(CONTACT_EVENT, Messages.event(number))
-            publisher._commands.take(incoming())
-            publisher._commands.take(incoming())
-        await observer.until_count(f"{BASE}/contacts/event", 1024)
-        await until(lambda: publisher.account.waiting == 0)
-        account = publisher.account
-    assert account.made == account.acknowledged + account.dropped
-    assert account.dropped >= 2048 - WAITING_MAX - ANSWERS_WAITING_MAX  # answers, all of them
+async def test_a_retained_command_is_nobodys(bench: Bench) -> None:
+    assert await bench.ask(incoming(retained=True)) == []
+    assert bench.asked == []
 
 
-def test_a_strange_verb_does_not_get_into_topics() -> None:
-    ((answer, said),) = answers_to(incoming(verb="x" * 200))
-    assert answer.topic == f"{BASE}/rsp/unknown"
-    assert said["error"]["code"] == "unknown_verb"
+async def test_commands_are_done_one_with_each_turn_of_the_loop(bench: Bench) -> None:
+    turns: list[int] = []
+
+    def count() -> None:
+        turns.append(len(bench.asked))
+        if len(turns) < 6:
+            asyncio.get_running_loop().call_soon(count)
+
+    for _ in range(4):
+        bench.commands.take(incoming())
+    count()
+    await bench.settle()
+    assert turns == [0, 1, 2, 3, 4, 4]
+
+
+async def test_a_flood_is_refused_and_the_refusals_are_few(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    flood = [incoming()] * (AT_ONCE + 100)
+    await bench.ask(*flood)
+    assert sorted(bench.codes) == ["done"] * AT_ONCE + ["too_many"] * COMPLAINTS_AT_ONCE
+    assert bench.commands.counts == {
+        "done": AT_ONCE,
+        "too_many": COMPLAINTS_AT_ONCE,
+        "unanswered": 100 - COMPLAINTS_AT_ONCE,
+    }
+    bench.now_s += 1.0
+    bench.sent.clear()
+    await bench.ask(*flood)
+    assert sorted(bench.codes) == ["done"] * 10 + ["too_many"]
+    bench.now_s += 1000.0
+    bench.sent.clear()
+    await bench.ask(*flood)
+    assert len(bench.sent) == AT_ONCE + COMPLAINTS_AT_ONCE  # no more at once, however long it was quiet
+    assert [record.getMessage() for record in caplog.records] == [
+        "commands come faster than 10 a second: some are passed over"
+    ] * 2  # once a minute at most
+
+
+async def test_a_deferred_answer_comes_when_it_is_there_and_holds_nobody_up(bench: Bench) -> None:
+    asked = incoming("identify", response_topic="robot/answers", correlation=b"1")
+    said = await bench.ask(asked, incoming())
+    assert [each["verb"] for each in said] == ["ping"]
+    bench.board.set_result(None)
+    await bench.settle()
+    assert bench.said[1:] == [{"verb": "identify", "ok": True}]
+    assert (bench.sent[1].topic, bench.sent[1].correlation) == ("robot/answers", b"1")
+    assert not bench.commands._work | bench.commands._finishing  # which would grow for ever
+
+
+async def test_a_deferred_answer_may_be_a_refusal(bench: Bench) -> None:
+    await bench.ask(incoming("identify"))
+    bench.board.set_exception(CommandRefusedError("not_located", "no board", "plug it in"))
+    await bench.settle()
+    assert bench.said[0]["error"] == {"code": "not_located", "message": "no board", "hint": "plug it in"}
+
+
+async def test_what_takes_too_long_is_answered_once_and_left_to_end(bench: Bench) -> None:
+    bench.make(allowed=("identify",), deferred_s=0.0)
+    await bench.ask(incoming("identify"))
+    await until(lambda: bool(bench.sent))
+    assert bench.codes == ["timeout"]
+    assert "may still be done" in bench.said[0]["error"]["message"]
+    bench.board.set_result(None)
+    await bench.settle()
+    assert bench.codes == ["timeout"]
+    assert not bench.board.cancelled()
+
+
+async def test_a_failure_after_its_time_is_said_in_the_log(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
+    bench.make(allowed=("identify",), deferred_s=0.0)
+    await bench.ask(incoming("identify"))
+    await until(lambda: bool(bench.sent))
+    bench.board.set_exception(OSError("disk gone"))
+    await bench.settle()
+    assert [record.getMessage() for record in caplog.records] == ["command identify, too late for an answer: disk gone"]
+
+
+async def test_those_that_wait_are_bounded_also_when_their_answers_are_late(bench: Bench) -> None:
+    for _ in range(WAITING_MAX + 1):
+        bench.now_s += 1.0
+        await bench.ask(incoming("identify"))
+    assert bench.codes == ["busy"]
+    assert len(bench.asked) == WAITING_MAX
+    bench.board.set_result(None)
+    await bench.settle()
+    assert bench.codes == ["busy"] + ["done"] * WAITING_MAX
+    await bench.ask(incoming())  # and there is room again
+    assert bench.codes[-1] == "done"
+
+
+async def test_nothing_is_left_after_close(bench: Bench) -> None:
+    await bench.ask(incoming("identify"))
+    bench.commands.take(incoming())
+    others = asyncio.all_tasks() - {asyncio.current_task()}
+    assert any("identify" in task.get_name() for task in others)
+    await bench.commands.close()
+    assert not any("identify" in task.get_name() for task in asyncio.all_tasks())
+    await bench.settle()
+    assert bench.sent == []
+    assert bench.board.cancelled()
+
+
+def failing(error: Exception) -> Callable[[Tare], Answer]:
+    def handler(_: Tare) -> Answer:
+        raise error
+
+    return handler
+
+
+async def test_a_handler_that_fails_is_logged_once_and_ends_nothing(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench.handlers["ping"] = failing(ZeroDivisionError("by zero"))
+    for _ in range(3):
+        await bench.ask(incoming())
+    assert bench.codes == ["failed"] * 3
+    assert bench.said[0]["error"]["message"] == "ping failed in the daemon"  # its own words may be nobody's business
+    (record,) = caplog.records
+    assert record.exc_info is not None
+    assert record.exc_info[0] is ZeroDivisionError
+    bench.handlers["ping"] = failing(KeyError("other"))
+    await bench.ask(incoming())
+    assert len(caplog.records) == 2
+    bench.board.set_exception(TimeoutError("its own"))
+    await bench.ask(incoming("identify"))
+    assert bench.codes[-1] == "failed"
+
+
+async def test_an_answer_that_json_cannot_hold_is_a_failure_and_no_more(
+    bench: Bench, caplog: pytest.LogCaptureFixture
+) -> None:
+    bench.handlers["ping"] = lambda _: Pong(t_ns=1, daemon_boot_id="\ud800", uptime_s=0.0)
+    await bench.ask(incoming())
+    assert bench.codes == ["failed"]
+    assert len(caplog.records) == 1
+
+
+async def test_a_refusal_takes_any_text_and_is_bounded(bench: Bench) -> None:
+    bench.handlers["ping"] = failing(CommandRefusedError("not_ready", "\udcff" * 10_000, "h" * 10_000))
+    await bench.ask(incoming())
+    assert bench.codes == ["not_ready"]
+    assert len(bench.sent[0].payload) < 10_000

@@ -4,63 +4,104 @@ import asyncio
 import json
 import re
 import sys
-from pathlib import Path
 from typing import Any
 
 import cbor2
+import key_tables
 import numpy as np
 import pytest
-from mqtt_helpers import Messages, publishing
+from mqtt_helpers import LEFT, Messages, publishing
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import payloads, topics
 from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.message_account import Cause
+from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.payloads import Message
 
-PAGE = (Path(__file__).parents[2] / "docs" / "mqtt.md").read_text()
+PAGE = key_tables.PAGE.read_text()
 SECTIONS = dict(re.findall(r"^## (.+)\n((?:(?!^## ).*\n?)*)", PAGE, re.MULTILINE))
-EXAMPLES = [
+EXAMPLES_SHOWN = [
     (title, example)
     for title, section in SECTIONS.items()
     for example in re.findall(r"```json\n(.*?)```", section, re.DOTALL)
 ]
+DAEMON, EITHER = "daemon", "daemon or decoder"
 
 
 def rows(section: str) -> list[list[str]]:
     lines = [line for line in SECTIONS[section].splitlines() if line.startswith("| `")]
-    return [[cell.strip().strip("`") for cell in line.strip("|").split("|")] for line in lines]
+    return [[re.sub(r"\[(.+)\]\(.+\)|`", r"\1", cell.strip()) for cell in line.strip("|").split("|")] for line in lines]
+
+
+def described(topic: topics.Topic[Message]) -> list[str]:
+    return [
+        topic.payload.__name__,
+        "CBOR" if topic.content_type == topics.CBOR else "JSON",
+        str(topic.qos),
+        "yes" if topic.retained else "no",
+        "" if topic.expiry_s is None else f"{topic.expiry_s} s",
+    ]
 
 
 def test_every_topic_is_described() -> None:
-    described = {path: (payload, cbor, qos, retained) for path, payload, cbor, qos, retained in rows("Topics")}
-    assert described == {
-        path: (
-            topic.payload.__name__,
-            "CBOR" if path in ("signals", "decoded") else "JSON",
-            str(topic.qos),
-            "yes" if topic.retained else "no",
-        )
+    of_plates = {path: cells for path, *cells in rows("Topics") if len(cells) == 7}
+    assert of_plates.pop("schema") == ["", "the contract", "JSON", "1", "yes", "", DAEMON]
+    by_either = {"contacts/event", "contacts", "decoded", "decoded/summary"}
+    assert of_plates == {
+        path: [
+            topic.slow_path if topic.slow_hz else "",
+            *described(topic),
+            EITHER if path in by_either else DAEMON,
+        ]
         for path, topic in topics.TOPICS.items()
     }
+    of_decoders = {path: cells for path, *cells in rows("Topics") if len(cells) == 5}
+    assert of_decoders == {topic.path: described(topic) for topic in (topics.DECODER_STATE, topics.DECODER_HEALTH)}
 
 
 def test_every_payload_has_its_section() -> None:
-    assert {topic.payload.__name__ for topic in topics.TOPICS.values()} <= SECTIONS.keys()
+    decoders = {topics.DECODER_STATE.payload.__name__, topics.DECODER_HEALTH.payload.__name__}
+    assert {topic.payload.__name__ for topic in topics.TOPICS.values()} | decoders <= SECTIONS.keys()
 
 
-def test_every_word_is_explained() -> None:
-    assert [row[0] for row in rows("State")] == list(payloads.Condition)
-    assert [row[0] for row in rows("Status")] == list(payloads.Status)
+def test_tables_of_keys_and_words_are_those_of_the_models() -> None:
+    assert key_tables.with_tables(PAGE) == PAGE, "python tests/publishing/key_tables.py writes them anew"
 
 
-@pytest.mark.parametrize(("title", "example"), EXAMPLES, ids=[title for title, _ in EXAMPLES])
+def test_every_model_has_its_table() -> None:
+    parts = {name for name, kind in vars(payloads).items() if isinstance(kind, type)}
+    assert key_tables.tabled(PAGE) == parts - {"Message", "Word"}
+
+
+def test_the_version_is_the_present_one() -> None:
+    assert f"at present {topics.SCHEMA_VERSION}," in SECTIONS["Versions"]
+    assert EXAMPLES["Info"]["schema_version"] == topics.SCHEMA_VERSION
+
+
+def test_every_cause_of_a_drop_is_explained() -> None:
+    told = {cause for row in rows("Health") if len(row) == 2 for cause in row[0].replace("`", "").split(", ")}
+    assert told == set(Cause)
+
+
+@pytest.mark.parametrize(("title", "example"), EXAMPLES_SHOWN, ids=[title for title, _ in EXAMPLES_SHOWN])
 def test_every_example_is_a_message_with_all_its_keys(title: str, example: str) -> None:
     message = decode(getattr(payloads, title), example.encode())
-    assert json.loads(encode(message)) == json.loads(example)
+    assert json.loads(encode(message)) == json.loads(example) == EXAMPLES[title]
 
 
 def test_each_json_payload_has_an_example() -> None:
-    arrays = {"Signals", "Decoded"}
-    assert {title for title, _ in EXAMPLES} == {t.payload.__name__ for t in topics.TOPICS.values()} - arrays
+    assert {title for title, _ in EXAMPLES_SHOWN} == EXAMPLES.keys()
+    published = {*topics.TOPICS.values(), topics.DECODER_STATE, topics.DECODER_HEALTH}
+    assert EXAMPLES.keys() == {topic.payload.__name__ for topic in published if topic.content_type == topics.JSON}
+
+
+def test_every_link_of_the_page_leads_somewhere() -> None:
+    anchors = {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in SECTIONS}
+    for target in re.findall(r"\]\(((?!http)[^)]+)\)", PAGE):
+        path, _, anchor = target.partition("#")
+        assert (key_tables.PAGE.parent / path).exists(), target
+        assert path or anchor in anchors, target
 
 
 async def test_the_ten_lines_subscribe(mosquitto) -> None:
@@ -68,7 +109,7 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
     assert len([line for line in program.splitlines() if line]) <= 10
     program = program.replace("1883", str(Mqtt(url=mosquitto.url).port))
     async with publishing(mosquitto.url) as left:
-        left.publish(topics.STATE_LINK, Messages.state("online", "plugged in"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online", "plugged in"))
         reader = await asyncio.create_subprocess_exec(
             sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE, limit=2**20
         )
@@ -76,7 +117,7 @@ async def test_the_ten_lines_subscribe(mosquitto) -> None:
         try:
             async with asyncio.timeout(20):
                 first = await reader.stdout.readline()
-                left.publish(topics.DECODED, Messages.decoded(1))
+                left.publish(LEFT, topics.DECODED, Messages.decoded(1))
                 second = await reader.stdout.readline()
         finally:
             reader.kill()

@@ -115,7 +115,7 @@ EXAMPLES = [
     (
         ContactEvent(**MEASURED, event="release", reason="no longer felt", contact=EventContact(**CONTACT)),
         """{<header>, "board_ticks": "123456789", "event": "release", "reason": "no longer felt", "contact": {<contact>,
-             "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null}}""",
+             "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null}, "replayed": false}""",
     ),
     (
         DecodedSummary(
@@ -134,7 +134,7 @@ EXAMPLES = [
              "moment_newton_m": [1e-3, 2e-3, 3e-5], "moment_std_newton_m": [1e-6, 2e-6, 3e-6], "at_border": true,
              "radius_of_curvature_m": 0.0056, "stick_ratio": 0.5, "slip_margin": 0.125, "slip_margin_std": 0.01,
              "friction_coefficient": 0.6, "friction_coefficient_std": 0.03,
-             "slip_reason": ""}]}""",
+             "slip_reason": ""}], "decoder_id": null}""",
     ),
     (
         State(
@@ -145,14 +145,18 @@ EXAMPLES = [
             last_outage=OutageInfo(
                 start_t_ns=1788999998000000000, end_t_ns=1788999999000000000, frames_lost=999, reason="?"
             ),
+            boots=3,
+            connections=2,
+            connected_t_ns=1788999997000000000,
         ),
         """{<header>, "state": "online", "reason": "back", "since_t_ns": "1788999999000000000", "last_outage":
-        {"start_t_ns": "1788999998000000000", "end_t_ns": "1788999999000000000", "frames_lost": 999, "reason": "?"}}""",
+        {"start_t_ns": "1788999998000000000", "end_t_ns": "1788999999000000000", "frames_lost": 999, "reason": "?"},
+        "boots": 3, "connections": 2, "connected_t_ns": "1788999997000000000"}""",
     ),
     (
         State(**HEADER | {"board_boot_id": None}, state="offline", reason="connection lost", since_t_ns=None),
         """{<header of no board>, "state": "offline", "reason": "connection lost", "since_t_ns": null,
-        "last_outage": null}""",
+        "last_outage": null, "boots": null, "connections": null, "connected_t_ns": null}""",
     ),
 ]
 

@@ -4,15 +4,17 @@ import asyncio
 import json
 import logging
 import random
-import time
 
+import aiomqtt
 import pytest
-from mqtt_helpers import Messages, assert_exact, publishing, scripted_broker, until
+from mqtt_helpers import LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
 from observer import observe
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import connection, publisher, topics
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing import connection, outbox, publisher, topics
+from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
+from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
+from resonator_daemon.publishing.publisher import Publisher, Subscription
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -27,31 +29,33 @@ def _short_timeouts(monkeypatch: pytest.MonkeyPatch) -> None:
 async def test_messages_reach_a_subscriber_as_they_were_made(broker) -> None:
     async with observe(broker.url) as observer, publishing(broker.url) as left:
         await until(lambda: left.connected)
-        left.publish(topics.FORCES, Messages.forces(1))
-        left.publish(topics.CONTACT_EVENT, Messages.event(2))
-        left.publish(topics.DECODED, Messages.decoded(3))
-        left.publish(topics.STATE_LINK, ONLINE)
-        await observer.until(lambda: len(observer.heard) == 4)
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
+        left.publish(LEFT, topics.DECODED, Messages.decoded(3))
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+        await observer.until(lambda: len(observer.heard) == 5)
         by_topic = {message.topic.value: message for message in observer.heard}
-    assert observer.payloads("resonator/left/forces")[0]["seq"] == 1
+    assert observer.payloads("resonator/left/health")[0]["seq"] == 1
     assert observer.payloads("resonator/left/contacts/event")[0]["contact"]["id"] == 2
     assert len(by_topic["resonator/left/decoded"].payload) > 2 * 12288
+    assert by_topic["resonator/left/decoded/5hz"].payload == by_topic["resonator/left/decoded"].payload
 
 
 async def test_quality_of_service_and_retention_of_each_topic_on_the_wire() -> None:
     async with scripted_broker() as (url, script), publishing(url) as left:
         await until(lambda: left.connected)
-        left.publish(topics.FORCES, Messages.forces(1))
-        left.publish(topics.CONTACT_EVENT, Messages.event(2))
-        left.publish(topics.DECODED, Messages.decoded(3))
-        left.publish(topics.STATE_LINK, ONLINE)
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
+        left.publish(LEFT, topics.DECODED, Messages.decoded(3))
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
         await until(lambda: left.account.waiting == 0)
-        assert left.account.handed_to_socket == 2
+        assert left.account.handed_to_socket == 3
         assert left.account.acknowledged == 2
     assert {message.topic: (message.qos, message.retain) for message in script.received} == {
-        "resonator/left/forces": (0, False),
+        "resonator/left/health": (0, False),
         "resonator/left/contacts/event": (1, False),
         "resonator/left/decoded": (0, False),
+        "resonator/left/decoded/5hz": (0, False),
         "resonator/left/state/link": (1, True),
         "resonator/left/state/daemon": (1, True),
     }
@@ -59,12 +63,12 @@ async def test_quality_of_service_and_retention_of_each_topic_on_the_wire() -> N
 
 async def test_a_late_subscriber_sees_the_last_states_and_nothing_else(broker) -> None:
     async with publishing(broker.url) as left:
-        left.publish(topics.STATE_SENSOR, Messages.state("starting"))
-        left.publish(topics.STATE_SENSOR, ONLINE)
-        left.publish(topics.STATE_DAEMON, ONLINE)
+        left.publish(LEFT, topics.STATE_SENSOR, Messages.state("starting"))
+        left.publish(LEFT, topics.STATE_SENSOR, ONLINE)
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
         await until(lambda: left.connected)
-        left.publish(topics.FORCES, Messages.forces(1))
-        left.publish(topics.CONTACT_EVENT, Messages.event(2))
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
         await until(lambda: left.account.waiting == 0)
         async with observe(broker.url) as observer:
             await observer.until_last("resonator/left/state/sensor", state="online")
@@ -77,28 +81,31 @@ async def test_order_within_a_topic_is_kept(broker) -> None:
     async with observe(broker.url) as observer, publishing(broker.url) as left:
         await until(lambda: left.connected)
         for number in range(100):
-            left.publish(topics.FORCES, Messages.forces(number))
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.HEALTH, Messages.health(number))
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await observer.until(lambda: len(observer.heard) == 200)
-    for topic in ("forces", "contacts/event"):
+    for topic in ("health", "contacts/event"):
         assert [message["seq"] for message in observer.payloads(f"resonator/left/{topic}")] == list(range(100))
 
 
 async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> None:
     async with observe(broker.url) as observer:
         async with publishing(broker.url) as left:
-            left.publish(topics.STATE_DAEMON, ONLINE)
+            left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
             await until(lambda: left.connected)
             for number in range(50):
-                left.publish(topics.CONTACT_EVENT, Messages.event(number))
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await observer.until_last("resonator/left/state/daemon", state="offline", reason="stopped")
         await observer.until(lambda: len(observer.payloads("resonator/left/contacts/event")) == 50)
         assert not any(
             state["reason"] == "connection lost" for state in observer.payloads("resonator/left/state/daemon")
         )
     assert left.account.acknowledged == 52
-    left.publish(topics.CONTACT_EVENT, Messages.event(1))
-    assert left.account.dropped == 1
+    left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+    left.publish(LEFT, topics.HEALTH, Messages.health(1))
+    left.publish(LEFT, topics.STATE_LINK, ONLINE)
+    left.answer(Outgoing("resonator/left/rsp/ping", b"{}"))
+    assert left.account.dropped == {"closed": 3, "withdrawn": 1}
 
 
 async def test_close_takes_leave_of_the_broker_so_that_the_will_is_not_published() -> None:
@@ -114,11 +121,12 @@ async def test_while_closing_nothing_new_is_taken(monkeypatch: pytest.MonkeyPatc
     async with scripted_broker() as (url, script), publishing(url) as left:
         script.answer = lambda number: None
         await until(lambda: left.connected)
-        closing = asyncio.create_task(left.close())
+        farewell = (LEFT, topics.STATE_DAEMON, Messages.state("offline", "stopped"))
+        closing = asyncio.create_task(left.close(farewell))
         await until(lambda: left.account.made == 1)
-        left.publish(topics.FORCES, Messages.forces(1))
-        left.publish(topics.CONTACT_EVENT, Messages.event(1))
-        assert left.account.dropped == 2
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+        assert left.account.dropped == {"closed": 2}
         assert not closing.done()
         await closing
     assert {message.topic for message in script.received} == {"resonator/left/state/daemon"}
@@ -126,24 +134,36 @@ async def test_while_closing_nothing_new_is_taken(monkeypatch: pytest.MonkeyPatc
 
 async def test_the_last_will_speaks_for_a_daemon_that_vanishes(broker) -> None:
     async with observe(broker.url) as observer:
-        left = Publisher(Mqtt(url=broker.url), "left", lambda reason: Messages.state("offline", reason))
+        left = Publisher(Mqtt(url=broker.url), identifier="left", make_will=make_will)
         running = asyncio.create_task(left.run())
-        left.publish(topics.STATE_DAEMON, ONLINE)
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
         await observer.until_last("resonator/left/state/daemon", state="online")
         running.cancel()
         await observer.until_last("resonator/left/state/daemon", state="offline")
-        will = observer.payloads("resonator/left/state/daemon")[-1]
-    assert will["reason"] == "connection lost"
-    assert will["since_t_ns"] is None
-    assert will["daemon_boot_id"] == "9f3c"
+        will = observer.heard[-1]
+    assert json.loads(will.payload)["reason"] == "connection lost"
     async with observe(broker.url) as late:
         await late.until_last("resonator/left/state/daemon", state="offline")
         assert late.heard[0].retain
 
 
+async def test_the_last_will_says_its_schema_with_mqtt_5(mosquitto) -> None:
+    async with aiomqtt.Client(
+        "127.0.0.1", Mqtt(url=mosquitto.url).port, protocol=aiomqtt.ProtocolVersion.V5
+    ) as observer:
+        await observer.subscribe(f"{LEFT}/state/daemon")
+        left = Publisher(Mqtt(url=mosquitto.url), identifier="left", make_will=make_will)
+        running = asyncio.create_task(left.run())
+        await until(lambda: left.connected)
+        running.cancel()
+        will = await asyncio.wait_for(anext(observer.messages), 20)
+    assert will.properties.ContentType == "application/json"
+    assert ("schema_version", "1.0") in will.properties.UserProperty
+
+
 async def test_after_a_lost_connection_the_birth_comes_after_the_will(broker) -> None:
     async with observe(broker.url) as observer, publishing(broker.url) as left:
-        left.publish(topics.STATE_DAEMON, ONLINE)
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
         await observer.until_last("resonator/left/state/daemon", state="online")
         left._client.abort()
         await observer.until_last("resonator/left/state/daemon", state="offline")
@@ -156,145 +176,21 @@ async def test_a_broker_that_is_absent_at_start(broker, caplog: pytest.LogCaptur
     await broker.kill()
     with caplog.at_level(logging.INFO):
         async with publishing(broker.url) as left:
-            left.publish(topics.STATE_DAEMON, ONLINE)
-            left.publish(topics.CONTACT_EVENT, Messages.event(1))
+            left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
             for number in range(10):
-                left.publish(topics.FORCES, Messages.forces(number))
+                left.publish(LEFT, topics.HEALTH, Messages.health(number))
             assert left.dropped == 10
+            assert left.account.waiting == 2
             await until(lambda: "trying again" in caplog.text)
             await broker.start()
             async with observe(broker.url) as observer:
                 await observer.until_last("resonator/left/state/daemon", state="online")
                 await observer.until_last("resonator/left/contacts/event", event="onset")
-    assert left.account.dropped == 10
+    assert left.account.dropped == {"no_connection": 10}
     assert left.account.restored == 0
     assert left.account.acknowledged == 3
     assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
-
-
-async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
-    async with publishing(broker.url) as left:
-        left.publish(topics.STATE_DAEMON, ONLINE)
-        left.publish(topics.STATE_LINK, Messages.state("starting"))
-        await until(lambda: left.account.acknowledged == 2)
-        await broker.kill()
-        await until(lambda: not left.connected)
-        left.publish(topics.STATE_LINK, Messages.state("stalled"))
-        left.publish(topics.STATE_LINK, Messages.state("lost"))
-        left.publish(topics.CONTACT_EVENT, Messages.event(1))
-        left.publish(topics.FORCES, Messages.forces(1))
-        assert_exact(left)
-        assert left.account.waiting == 2
-        assert left.account.dropped == 2
-        assert left.dropped == 1  # nobody misses the state that a newer one replaced
-        await broker.start()
-        async with observe(broker.url) as observer:
-            await observer.until_last("resonator/left/state/daemon", state="online")
-            await observer.until_last("resonator/left/state/link", state="lost")
-            await observer.until_last("resonator/left/contacts/event", event="onset")
-            await until(lambda: left.account.waiting == 0)
-        account = left.account
-        assert (account.made, account.restored, account.acknowledged, account.dropped) == (7, 1, 5, 2)
-        assert account.unknown_at_disconnect == 0
-
-
-@pytest.mark.usefixtures("_short_timeouts")
-async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(mosquitto) -> None:
-    async with publishing(mosquitto.url) as left:
-        left.publish(topics.STATE_DAEMON, ONLINE)
-        await until(lambda: left.account.acknowledged == 1)
-        mosquitto.freeze()
-        longest_s = 0.0
-        number = 0
-        while left.connected:
-            for _ in range(10):
-                before = time.thread_time()
-                left.publish(topics.DECODED, Messages.decoded(number))
-                left.publish(topics.CONTACT_EVENT, Messages.event(number))
-                longest_s = max(longest_s, time.thread_time() - before)
-                assert_exact(left)
-                assert left.account.waiting <= publisher.STREAMS_WAITING_MAX + publisher.EVENTS_WAITING_MAX + 11
-                number += 1
-            await asyncio.sleep(0)
-        assert longest_s < 0.1
-        frozen = left.account
-        assert frozen.acknowledged == 1
-        assert frozen.unknown_at_disconnect == publisher.UNACKNOWLEDGED_MAX + 1  # one stream was half written
-        assert frozen.handed_to_socket + frozen.dropped + frozen.waiting + frozen.unknown_at_disconnect == 2 * number
-        assert frozen.handed_to_socket < number / 2
-        mosquitto.thaw()
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.dropped == 2 * number - frozen.handed_to_socket - frozen.unknown_at_disconnect - min(
-            number - publisher.UNACKNOWLEDGED_MAX, publisher.EVENTS_WAITING_MAX
-        )
-        async with observe(mosquitto.url) as observer:  # the old connection's will did not have the last word
-            await observer.until_last("resonator/left/state/daemon", state="online")
-            assert len(observer.heard) == 1
-
-
-async def test_a_frozen_broker_is_noticed_though_the_socket_still_takes_everything(
-    mosquitto, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(connection, "KEEPALIVE_S", 1)
-    async with publishing(mosquitto.url) as left:
-        await until(lambda: left.connected)
-        mosquitto.freeze()
-        left.publish(topics.FORCES, Messages.forces(1))
-        await until(lambda: not left.connected)
-        assert left.account.handed_to_socket == 1
-        await mosquitto.kill()
-
-
-async def test_accounts_are_exact_at_random_instants_while_connections_break(broker) -> None:
-    chance = random.Random(20)
-    async with publishing(broker.url) as left:
-        left.publish(topics.STATE_DAEMON, ONLINE)
-        made = 1
-        connections = 0
-        for number in range(10_000):
-            what = chance.random()
-            if what < 0.70:
-                left.publish(topics.FORCES, Messages.forces(number))
-            elif what < 0.97:
-                left.publish(topics.CONTACT_EVENT, Messages.event(number))
-            else:
-                left.publish(topics.STATE_SENSOR, Messages.state("online", str(number)))
-            made += 1
-            if chance.random() < 0.05:
-                await asyncio.sleep(0)
-            if number % 2000 == 500:
-                await until(lambda: left.connected)
-            if number % 2000 == 1000:
-                connections += 1
-                left._client.abort()
-            assert left.account.made - left.account.restored == made
-            assert_exact(left)
-        await until(lambda: left.account.waiting == 0)
-    assert connections == 5
-    assert left.account.acknowledged > 0
-    assert left.account.handed_to_socket > 0
-    assert left.account.dropped > 0
-    assert left.account.unknown_at_disconnect > 0
-
-
-async def test_acknowledged_and_unknown_are_told_apart_to_the_message() -> None:
-    async with scripted_broker() as (url, script), publishing(url) as left:
-        script.answer = lambda number: 0 if number <= 3 else None
-        await until(lambda: left.connected)
-        for number in range(8):
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
-        await until(lambda: len(script.received) == 8 and left.account.acknowledged == 3)
-        assert left.account.waiting == 5
-        script.hang_up()
-        await until(lambda: not left.connected)
-        assert left.account.unknown_at_disconnect == 5
-        assert left.account.acknowledged == 3
-        script.answer = lambda number: 0
-        await until(lambda: left.connected)
-        left.publish(topics.CONTACT_EVENT, Messages.event(8))
-        await until(lambda: left.account.waiting == 0)
-        assert len(script.received) == 9
-        assert left.account.acknowledged == 4
 
 
 async def test_a_message_that_the_broker_refuses_was_not_published() -> None:
@@ -303,9 +199,9 @@ async def test_a_message_that_the_broker_refuses_was_not_published() -> None:
         script.answer = lambda number: not_authorised if number == 2 else 0
         await until(lambda: left.connected)
         for number in range(3):
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await until(lambda: left.account.waiting == 0)
-        assert (left.account.acknowledged, left.account.dropped) == (2, 1)
+        assert (left.account.acknowledged, left.account.dropped) == (2, {"refused": 1})
 
 
 async def test_acknowledgements_that_do_not_come_delay_no_stream(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,9 +210,9 @@ async def test_acknowledgements_that_do_not_come_delay_no_stream(monkeypatch: py
         script.answer = lambda number: None
         await until(lambda: left.connected)
         for number in range(100):
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
-            left.publish(topics.FORCES, Messages.forces(number))
-        await until(lambda: len(script.received) == 100 + publisher.UNACKNOWLEDGED_MAX)
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.HEALTH, Messages.health(number))
+        await until(lambda: len(script.received) == 100 + outbox.UNACKNOWLEDGED_MAX)
         assert left.account.handed_to_socket == 100
         assert left.account.waiting == 100
 
@@ -326,7 +222,7 @@ async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCa
     async with scripted_broker() as (url, script), publishing(url) as left:
         script.answer = lambda number: None
         await until(lambda: left.connected)
-        left.publish(topics.CONTACT_EVENT, Messages.event(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
         await until(lambda: left.account.unknown_at_disconnect == 1)
         await until(lambda: "no answer; trying again" in caplog.text)
         script.answer = lambda number: 0
@@ -336,30 +232,30 @@ async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCa
 async def test_of_too_many_messages_the_oldest_are_dropped() -> None:
     async with scripted_broker() as (url, script), publishing(url) as left:
         await until(lambda: left.connected)
-        for number in range(publisher.STREAMS_WAITING_MAX + 7):
-            left.publish(topics.FORCES, Messages.forces(number))
-        assert left.account.dropped == 7
-        await until(lambda: left.account.handed_to_socket == publisher.STREAMS_WAITING_MAX)
-        for number in range(publisher.EVENTS_WAITING_MAX + 5):
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
-        assert left.account.dropped == 12
-        await until(lambda: left.account.acknowledged == publisher.EVENTS_WAITING_MAX)
-        for qos, first, count in ((0, 7, publisher.STREAMS_WAITING_MAX), (1, 5, publisher.EVENTS_WAITING_MAX)):
+        for number in range(outbox.STREAMS_WAITING_MAX + 7):
+            left.publish(LEFT, topics.HEALTH, Messages.health(number))
+        assert left.account.dropped == {"queue_full": 7}
+        await until(lambda: left.account.handed_to_socket == outbox.STREAMS_WAITING_MAX)
+        for number in range(IN_MEMORY_MAX + 5):
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+        assert left.account.dropped == {"queue_full": 12}
+        await until(lambda: left.account.acknowledged == IN_MEMORY_MAX)
+        for qos, first, count in ((0, 7, outbox.STREAMS_WAITING_MAX), (1, 5, IN_MEMORY_MAX)):
             numbers = [json.loads(message.payload)["seq"] for message in script.received if message.qos == qos]
             assert numbers == list(range(first, first + count))
 
 
 async def test_a_topic_takes_its_own_payload_only() -> None:
-    left = Publisher(Mqtt(), "left", lambda reason: Messages.state("offline", reason))
+    left = Publisher(Mqtt(), identifier="left", make_will=make_will)
     with pytest.raises(ValueError, match="forces carries Forces, not State"):
-        left.publish(topics.FORCES, ONLINE)
+        left.publish(LEFT, topics.FORCES, ONLINE)
     assert left.account.made == 0
 
 
 async def test_close_without_a_broker_returns_at_once() -> None:
     async with asyncio.timeout(1), publishing("mqtt://127.0.0.1:9") as left:
-        left.publish(topics.CONTACT_EVENT, Messages.event(1))
-    assert left.account.dropped == 2
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+    assert left.account.dropped == {"closed": 2}
 
 
 @pytest.mark.usefixtures("_short_timeouts")
@@ -369,6 +265,154 @@ async def test_close_does_not_wait_for_a_frozen_broker(mosquitto, monkeypatch: p
         await until(lambda: left.connected)
         mosquitto.freeze()
         for number in range(5):
-            left.publish(topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
     assert left.account.unknown_at_disconnect == 6
+    assert left.account.dropped == {"closed": 5}  # those events, which would have been sent once more
     mosquitto.thaw()
+
+
+async def test_decimated_copies_are_the_same_bytes_once_in_each_period(mosquitto) -> None:
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        for number in range(200):  # one second at 200 Hz, times scattered by less than a period
+            scatter_ns = random.Random(number).randrange(-2_000_000, 2_000_000)
+            message = Messages.forces(number)
+            t_ns = 1_789_000_000_002_500_000 + number * 5_000_000 + scatter_ns
+            left.publish(LEFT, topics.FORCES, message.model_copy(update={"t_ns": t_ns}))
+        await observer.until(lambda: len(observer.heard) == 220)
+    slow = observer.raw("resonator/left/forces/20hz")
+    assert slow == observer.raw("resonator/left/forces")[::10]
+
+
+async def test_a_lower_rate_of_a_main_topic_leaves_its_copy_and_the_account_alone(mosquitto) -> None:
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        left.set_rate("forces", 50.0)
+        left.set_rate("health", 50.0)
+        for number in range(200):
+            t_ns = 1_789_000_000_000_000_000 + number * 5_000_000
+            left.publish(LEFT, topics.FORCES, Messages.forces(number).model_copy(update={"t_ns": t_ns}))
+            assert_exact(left)
+        assert left.account.made == 50 + 20
+        left.set_rate("forces", None)
+        left.publish(LEFT, topics.FORCES, Messages.forces(200))
+        await observer.until(lambda: len(observer.raw("resonator/left/forces")) == 51)
+        assert len(observer.raw("resonator/left/forces/20hz")) == 20
+    with pytest.raises(ValueError, match="above 0"):
+        left.set_rate("forces", 0.0)
+
+
+async def test_what_is_subscribed_to_is_heard_on_every_connection(broker) -> None:
+    heard: list[Incoming] = []
+    connections: list[int] = []
+    mine = Subscription(f"{LEFT}/cmd/+", 1, heard.append)
+    other = Subscription("resonator/+/info", 1, lambda message: pytest.fail(f"{message}"))
+    async with publishing(broker.url, subscriptions=(mine, other), on_connected=connections.append) as left:
+        for number in (1, 2):
+            await until(lambda: left.connected)
+            async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as asker:
+                await asker.publish(f"{LEFT}/cmd/ping", str(number).encode())
+                await until(lambda: len(heard) == number)  # noqa: B023
+            left._client.abort()
+            await until(lambda: not left.connected)
+    assert [(message.topic, message.payload) for message in heard] == [
+        (f"{LEFT}/cmd/ping", b"1"),
+        (f"{LEFT}/cmd/ping", b"2"),
+    ]
+    assert connections == [1, 2]
+
+
+async def test_a_shared_subscription_is_heard(mosquitto) -> None:
+    heard: list[Incoming] = []
+    shared = Subscription("$share/all/resonator/+/signals", 1, heard.append)
+    async with publishing(mosquitto.url, subscriptions=(shared,)) as left:
+        await until(lambda: left.connected)
+        left.publish(LEFT, topics.SIGNALS, Messages.signals(1))
+        await until(lambda: len(heard) == 1)
+    assert heard[0].topic == "resonator/left/signals"
+
+
+async def test_a_subscription_that_is_denied_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
+    commands = Subscription(f"{LEFT}/cmd/+", 1, lambda message: None)
+    async with scripted_broker() as (url, script):
+        script.subscribed = 0x87
+        async with publishing(url, subscriptions=(commands,)) as left:
+            for connections in (2, 4):
+                await until(lambda: left.connected and len(script.greetings) == connections)  # noqa: B023
+                left.publish(LEFT, topics.STATE_LINK, ONLINE)
+                await until(lambda: left.account.waiting == 0)
+                script.hang_up()
+                await until(lambda: not left.connected)
+    assert caplog.text.count("broker denies resonator/left/cmd/+ (Not authorized)") == 1
+
+
+async def test_states_that_are_published_on_connecting_go_before_those_restored() -> None:
+    async with scripted_broker() as (url, script):
+
+        def on_connected(number: int) -> None:
+            left.publish(LEFT, topics.STATE_DAEMON, Messages.state("online", f"connection {number}"))
+
+        async with publishing(url, on_connected=on_connected) as left:
+            left.publish(LEFT, topics.STATE_LINK, ONLINE)
+            await until(lambda: left.account.acknowledged == 2)
+            script.hang_up()
+            await until(lambda: left.account.acknowledged == 4)
+    reasons = [json.loads(message.payload)["reason"] for message in script.received]
+    assert reasons == ["all is well", "connection 1", "connection 2", "all is well", "stopped"]
+    assert left.account.restored == 1
+
+
+async def test_a_document_is_retained_and_sent_again(broker) -> None:
+    async with publishing(broker.url) as left:
+        left.retain(f"{LEFT}/schema", b'{"asyncapi": "3.0.0"}', topics.JSON)
+        await until(lambda: left.account.acknowledged == 1)
+        await broker.kill()
+        await until(lambda: not left.connected)
+        await broker.start()
+        async with observe(broker.url) as observer:
+            await observer.until(lambda: observer.raw(f"{LEFT}/schema") == [b'{"asyncapi": "3.0.0"}'])
+
+
+async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.answer = lambda number: None
+        await until(lambda: left.connected)
+        for number in range(outbox.UNACKNOWLEDGED_MAX):
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+        left.answer(Outgoing("asker", b"{}"))
+        await until(lambda: len(script.received) == outbox.UNACKNOWLEDGED_MAX)
+        script.answer = lambda number: 0
+        script.hang_up()
+        await until(lambda: not left.connected)
+        assert left.account.dropped == {"withdrawn": 1}
+        left.answer(Outgoing("asker", b"{}"))
+        assert left.account.dropped == {"withdrawn": 2}
+        await until(lambda: left.account.waiting == 0)
+    assert "asker" not in {message.topic for message in script.received}
+
+
+async def test_a_defect_in_sending_does_not_end_it(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        defects: list[object] = []
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: defects.append(context["exception"]))
+
+        def failing(_client: object) -> bool:
+            monkeypatch.undo()
+            raise ZeroDivisionError
+
+        monkeypatch.setattr(left._outbox, "_send_next", failing)
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        await until(lambda: len(defects) == 1)
+        left.publish(LEFT, topics.HEALTH, Messages.health(2))
+        await observer.until(lambda: len(observer.heard) == 2)
+
+
+async def test_a_message_that_cannot_be_sent_stops_no_other(mosquitto) -> None:
+    async with publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        left.answer(Outgoing("not/a/+/topic", b"{}"))
+        left.answer(Outgoing("asker", b"{}", correlation=b"7"))
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.dropped == {"refused": 1}
+        assert left.account.acknowledged == 1

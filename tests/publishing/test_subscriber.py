@@ -8,7 +8,7 @@ from contextlib import aclosing
 import aiomqtt
 import numpy as np
 import pytest
-from mqtt_helpers import Messages, publishing, until
+from mqtt_helpers import LEFT, Messages, publishing, until
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import subscriber, topics
@@ -25,12 +25,12 @@ async def next_of(received: AsyncIterator[Received], path: str) -> Received:
 
 async def test_messages_of_each_plate_arrive_as_objects(broker) -> None:
     async with publishing(broker.url) as left, aclosing(subscribe(Mqtt(url=broker.url))) as received:
-        left.publish(topics.STATE_LINK, Messages.state("online", "here"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online", "here"))
         plate, path, message = await next_of(received, "state/link")
         assert (plate, path) == ("left", "state/link")
         assert message == Messages.state("online", "here")
-        left.publish(topics.DECODED, Messages.decoded(3))
-        left.publish(topics.FORCES, Messages.forces(4))
+        left.publish(LEFT, topics.DECODED, Messages.decoded(3))
+        left.publish(LEFT, topics.FORCES, Messages.forces(4))
         decoded = await next_of(received, "decoded")
         np.testing.assert_array_equal(decoded.message.traction_pascal, np.full((3, 32, 32), 3.0))
         assert (await next_of(received, "forces")).message == Messages.forces(4)
@@ -40,12 +40,38 @@ async def test_only_the_topics_asked_for_arrive(mosquitto) -> None:
     at = Mqtt(url=mosquitto.url)
     wanted = (topics.FORCES, topics.STATE_LINK)
     async with publishing(mosquitto.url) as left, aclosing(subscribe(at, wanted)) as received:
-        left.publish(topics.STATE_SENSOR, Messages.state("online"))
-        left.publish(topics.STATE_LINK, Messages.state("online"))
+        left.publish(LEFT, topics.STATE_SENSOR, Messages.state("online"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
         assert (await anext(received)).path == "state/link"
-        left.publish(topics.DECODED, Messages.decoded(1))
-        left.publish(topics.FORCES, Messages.forces(2))
+        left.publish(LEFT, topics.DECODED, Messages.decoded(1))
+        left.publish(LEFT, topics.FORCES, Messages.forces(2))
         assert (await anext(received)).path == "forces"
+
+
+async def test_without_full_rate_the_copies_for_people_arrive_under_the_name_of_their_topic(broker) -> None:
+    at = Mqtt(url=broker.url)
+    async with publishing(broker.url) as left, aclosing(subscribe(at, full_rate=False)) as received:
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
+        assert (await anext(received)).path == "state/link"
+        for number in (1, 2, 3):  # of one instant: one copy of them
+            left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+            left.publish(LEFT, topics.FORCES, Messages.forces(number))
+        left.publish(LEFT, topics.HEALTH, Messages.health(9))
+        arrived = [await anext(received) for _ in range(3)]
+    assert [(each.path, each.message.seq) for each in arrived] == [("decoded", 1), ("forces", 1), ("health", 9)]
+
+
+async def test_the_schema_is_none_of_the_messages(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
+    at = Mqtt(url=mosquitto.url)
+    async with publishing(mosquitto.url) as left:
+        left.retain(f"{LEFT}/{topics.SCHEMA_PATH}", b"{}", "application/json")
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
+        await until(lambda: left.account.waiting == 0)
+        async with aclosing(subscribe(at)) as received:
+            assert (await anext(received)).path == "state/link"
+            left.publish(LEFT, topics.STATE_SENSOR, Messages.state("online"))
+            assert (await anext(received)).path == "state/sensor"
+    assert "cannot be read" not in caplog.text
 
 
 async def test_a_prefix_of_several_levels_and_no_other_prefix(mosquitto) -> None:
@@ -73,11 +99,11 @@ async def test_what_cannot_be_read_is_passed_over_and_logged(mosquitto, caplog: 
 
 async def test_a_restart_of_the_broker_is_survived(broker) -> None:
     async with publishing(broker.url) as left, aclosing(subscribe(Mqtt(url=broker.url))) as received:
-        left.publish(topics.STATE_LINK, Messages.state("online"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
         await next_of(received, "state/link")
         await broker.kill()
         await until(lambda: not left.connected)
-        left.publish(topics.STATE_LINK, Messages.state("lost"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("lost"))
         await broker.start()
         while (await next_of(received, "state/link")).message.state != "lost":
             pass
@@ -86,17 +112,17 @@ async def test_a_restart_of_the_broker_is_survived(broker) -> None:
 async def test_a_slow_reader_loses_the_oldest(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(subscriber, "RECEIVED_MAX", 10)
     async with publishing(mosquitto.url) as left, aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
-        left.publish(topics.STATE_LINK, Messages.state("online"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
         await next_of(received, "state/link")
         async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as after:
             await after.subscribe("resonator/left/forces")
             for number in range(100):
-                left.publish(topics.FORCES, Messages.forces(number))
+                left.publish(LEFT, topics.FORCES, Messages.forces(number))
             async with asyncio.timeout(10):
                 async for message in after.messages:
                     if b'"seq":99,' in message.payload:
                         break
-        left.publish(topics.CONTACT_EVENT, Messages.event(100))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(100))
         await until(lambda: left.account.waiting == 0)
         numbers = []
         while (message := await anext(received)).path != "contacts/event":

@@ -1,0 +1,108 @@
+"""What commands reach of a daemon, without a daemon: it keeps a list of what was done to it."""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.acquisition.recording_switch import NothingRecordedError, RecordingNow, RecordingSummary
+from resonator_daemon.command_handlers import CommandHandlers, DaemonParts
+from resonator_daemon.config import Config, Measurement
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.measurement.readings import Compensation
+from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.payloads import Health, Message
+from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.recording_commands import RecordingCommands
+
+RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")
+
+
+class StandIn:
+    """Chain, recording and publisher in one; `acts` has what was changed."""
+
+    def __init__(self, directory: Path) -> None:
+        self.acts: list[tuple[Any, ...]] = []
+        self.directory = directory
+        self.touched = ""
+        self.counts = True
+        self.board_refuses: str | None = None
+        self.disk_problem = ""
+        self.current: RecordingNow | None = None
+
+    @property
+    def compensation(self) -> Compensation:
+        return Compensation((1e-6, math.nan, math.nan, math.nan), 2e-7, "followed", math.nan, math.nan, "off")
+
+    def tare(self) -> str:
+        self.acts.append(("tare",))
+        return self.touched
+
+    def set_window(self, window_frames: int, step_frames: int) -> None:
+        if not 1 <= step_frames <= window_frames:
+            raise ValueError(f"step of {step_frames} and window of {window_frames} frames")
+        self.acts.append(("set_window", window_frames, step_frames))
+
+    def force_chain(self) -> "StandIn | None":
+        return self if self.counts else None
+
+    def locate(self, done: Callable[[str | None], None]) -> None:
+        self.acts.append(("locate",))
+        done(self.board_refuses)
+
+    def set_rate(self, path: str, rate_hz: float | None) -> None:
+        self.acts.append(("set_rate", path, rate_hz))
+
+    def settings_changed(self, measurement: Measurement, limits_hz: Mapping[str, float]) -> None:
+        self.acts.append(("settings", measurement.window_ms, measurement.step_ms, dict(limits_hz)))
+
+    def start(self, path: Path, _plate: object, _link: str) -> None:
+        if path.parent != self.directory or not RECORDING_NAME.fullmatch(path.name):
+            raise ValueError(f"{path} is no place for a recording")
+        self.acts.append(("start", path))
+        if self.disk_problem:
+            raise OperatorError(f"{path} cannot be written: {self.disk_problem}")
+        self.current = RecordingNow(path, 1789000000000000000, None)
+
+    def stop(self) -> RecordingSummary | None:
+        self.acts.append(("stop",))
+        now, self.current = self.current, None
+        return RecordingSummary(now.path, 1000, 20, 1, 2.5, now.failure) if now else None
+
+    def mark(self, text: str) -> int:
+        if self.current is None or self.current.failure is not None:
+            raise NothingRecordedError("nothing is being recorded")
+        self.acts.append(("mark", text))
+        return 1789000000000000001
+
+
+def messages() -> dict[str, Message]:
+    """Return one message of each topic that carries JSON."""
+    return {
+        path: topic.payload.model_validate_json(topic.payload.model_validate(EXAMPLES[name]).model_dump_json())
+        for path, topic in TOPICS.items()
+        if (name := topic.payload.__name__) in EXAMPLES
+    }
+
+
+def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
+    """Return the handlers of a daemon called "left"."""
+    last_messages = messages()
+    health = last_messages["health"]
+    if not isinstance(health, Health):
+        raise TypeError("health carries Health")
+    parts = DaemonParts(
+        report_health=lambda: health,
+        last_messages=last_messages,
+        force_chain=stand_in.force_chain,
+        locate=stand_in.locate,
+        streams=("forces", "contacts"),
+        set_rate=stand_in.set_rate,
+        settings_changed=stand_in.settings_changed,
+    )
+    return CommandHandlers(config, "9f3c", parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
+
+
+def configured(directory: Path, link: str = "tcp://127.0.0.1:5000") -> Config:
+    return Config.model_validate({"plate": "quartz16", "link": link, "recording": {"directory": str(directory)}})

@@ -1,0 +1,188 @@
+"""The AsyncAPI 3 document of all topics, made from the models of their payloads: what `schema` and the shell show."""
+
+import json
+from functools import cache
+from typing import Any, Final
+
+from resonator_daemon.config import DECODER
+from resonator_daemon.publishing.json_schemas import REF, schemas_of_cbor, schemas_of_json, schemas_of_requests
+from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
+from resonator_daemon.publishing.topics import (
+    CBOR,
+    DECODER_HEALTH,
+    DECODER_STATE,
+    JSON,
+    SCHEMA_PATH,
+    SCHEMA_VERSION,
+    TOPICS,
+    Topic,
+)
+from resonator_daemon.publishing.verbs import VERBS, Refusal, Verb
+
+Object = dict[str, Any]
+
+_BINDING: Final[Object] = {"bindingVersion": "0.2.0"}
+_PLATE: Final = "{prefix}/{name}/"
+_DECODER: Final = f"{{prefix}}/{DECODER}/{{id}}/"
+_OF_DECODERS: Final[tuple[Topic[Any], ...]] = (DECODER_STATE, DECODER_HEALTH)
+_PARAMETERS: Final = {
+    "prefix": {"description": "`mqtt.prefix` of the configuration; may have several levels", "default": "resonator"},
+    "name": {"description": "`name` of the configuration, by default the board's serial number"},
+    "id": {"description": "of a decoder process"},
+}
+_DOCUMENT: Final = "AsyncApiDocument"
+_ABOUT: Final = (
+    "Topics of a tactile plate, as the daemon and its decoders publish them. On MQTT 5 and 3.1.1 topics and payloads "
+    "are the same; content type, message expiry, `schema_version` and correlation data come with MQTT 5 alone.\n\n"
+    "Readers pass over keys that they do not know: with a new minor version keys are added, anything else makes a new "
+    "major version. A number that is not known is null in JSON and NaN in CBOR. `x-unit` is a key's unit in UCUM's "
+    "notation. An array with `x-rfc8746` is a CBOR typed array: tag 40 of [shape, tag 85 of its little-endian bytes], "
+    "row-major; its schema is that of the same numbers as nested rows."
+)
+
+
+@cache
+def encoded() -> bytes:
+    """Return the document as published, JSON without white space."""
+    return json.dumps(document(), separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode()
+
+
+def document() -> Object:
+    """Return the document, the same for each daemon of this version; AsyncAPI 3.0.0."""
+    topics: dict[str, tuple[Topic[Any], ...]] = {_PLATE: (*TOPICS.values(),), _DECODER: _OF_DECODERS}
+    channels: Object = {}
+    operations: Object = {}
+    for base, those in topics.items():
+        for topic in those:
+            _add_topic(channels, operations, base, topic.path, topic, topic.payload.__doc__)
+            if topic.slow_hz is not None:
+                copied = f"The messages of `{topic.path}`, at most {topic.slow_hz} a second; made for people."
+                _add_topic(channels, operations, base, topic.slow_path, topic, copied)
+    _add_document(channels, operations)
+    for verb in VERBS.values():
+        _add_verb(channels, operations, verb)
+    return {
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": "resonatord",
+            "version": SCHEMA_VERSION,
+            "description": _ABOUT,
+            "license": {"name": "BSD-3-Clause"},
+        },
+        "defaultContentType": JSON,
+        "channels": channels,
+        "operations": operations,
+        "components": {"messages": _messages(), "schemas": _schemas()},
+    }
+
+
+def _add_topic(
+    channels: Object, operations: Object, base: str, path: str, topic: Topic[Any], about: str | None
+) -> None:
+    key = _key(base, path)
+    channels[key] = _channel(base + path, about, topic.payload.__name__)
+    delivery: Object = _BINDING | {"qos": topic.qos, "retain": topic.retained}
+    if topic.expiry_s is not None:
+        delivery["messageExpiryInterval"] = topic.expiry_s
+    operations[f"publish_{key}"] = _operation("send", key, topic.payload.__name__, delivery)
+
+
+def _add_document(channels: Object, operations: Object) -> None:
+    about = "This document, made from the models of the payloads."
+    channels[SCHEMA_PATH] = _channel(_PLATE + SCHEMA_PATH, about, _DOCUMENT)
+    delivery = _BINDING | {"qos": 1, "retain": True}
+    operations[f"publish_{SCHEMA_PATH}"] = _operation("send", SCHEMA_PATH, _DOCUMENT, delivery)
+
+
+def _add_verb(channels: Object, operations: Object, verb: Verb) -> None:
+    request, answers = verb.request.__name__, (verb.answer.__name__, Refusal.__name__)
+    command, response = f"cmd_{verb.name}", f"rsp_{verb.name}"
+    delivery = _BINDING | {"qos": 1, "retain": False}
+    channels[command] = _channel(f"{_PLATE}cmd/{verb.name}", f"A command: {verb.summary}.", request)
+    channels[response] = _channel(
+        f"{_PLATE}rsp/{verb.name}", "Its answer, where no response topic was named.", *answers
+    )
+    operations[command] = _operation("receive", command, request, delivery) | {
+        "summary": f"{verb.summary[0].upper()}{verb.summary[1:]}.",
+        "description": "Answered on the response topic with the correlation data, where the command has them (MQTT 5).",
+        "reply": {"channel": _channel_ref(response), "messages": [_message_of(response, answer) for answer in answers]},
+        "x-changes": verb.changes,
+        "x-idempotent": verb.idempotent,
+    }
+
+
+def _key(base: str, path: str) -> str:
+    return ("" if base == _PLATE else f"{DECODER}_") + path.replace("/", "_")
+
+
+def _channel(address: str, about: str | None, *messages: str) -> Object:
+    return {
+        "address": address,
+        "description": about,
+        "messages": {message: {"$ref": f"#/components/messages/{message}"} for message in messages},
+        "parameters": {name: told for name, told in _PARAMETERS.items() if f"{{{name}}}" in address},
+    }
+
+
+def _operation(action: str, channel: str, message: str, delivery: Object) -> Object:
+    return {
+        "action": action,
+        "channel": _channel_ref(channel),
+        "messages": [_message_of(channel, message)],
+        "bindings": {"mqtt": delivery},
+    }
+
+
+def _channel_ref(channel: str) -> Object:
+    return {"$ref": f"#/channels/{channel}"}
+
+
+def _message_of(channel: str, message: str) -> Object:
+    return {"$ref": f"#/channels/{channel}/messages/{message}"}
+
+
+def _published() -> list[type[Message]]:
+    return list(dict.fromkeys(topic.payload for topic in (*TOPICS.values(), *_OF_DECODERS)))
+
+
+def _messages() -> Object:
+    messages = {
+        kind.__name__: _message(kind.__name__, CBOR if kind in WITH_ARRAYS else JSON, versioned=True)
+        for kind in _published()
+    }
+    messages[_DOCUMENT] = _message(_DOCUMENT, JSON, versioned=True)
+    for verb in VERBS.values():
+        messages[verb.request.__name__] = _message(verb.request.__name__, JSON, versioned=False)
+        messages[verb.answer.__name__] = _message(verb.answer.__name__, JSON, versioned=False)
+    messages[Refusal.__name__] = _message(Refusal.__name__, JSON, versioned=False)
+    return messages
+
+
+def _message(name: str, content_type: str, *, versioned: bool) -> Object:
+    message: Object = {"name": name, "contentType": content_type, "payload": {"$ref": REF.format(model=name)}}
+    if versioned:
+        properties = {"contentType": content_type, "payloadFormatIndicator": int(content_type == JSON)}
+        version = {"type": "string", "const": SCHEMA_VERSION, "description": "user property of MQTT 5"}
+        message["bindings"] = {"mqtt": _BINDING | properties}
+        message["headers"] = {"type": "object", "properties": {"schema_version": version}}
+    if name in EXAMPLES:
+        message["examples"] = [{"payload": EXAMPLES[name]}]
+    return message
+
+
+def _schemas() -> Object:
+    verbs = VERBS.values()
+    in_json = [kind for kind in _published() if kind not in WITH_ARRAYS]
+    of_document = {
+        "type": "object",
+        "description": "This document.",
+        "required": ["asyncapi", "info", "channels"],
+        "properties": {"asyncapi": {"type": "string", "const": "3.0.0"}},
+    }
+    return {
+        **schemas_of_json([*in_json, *(verb.answer for verb in verbs), Refusal]),
+        **schemas_of_cbor(WITH_ARRAYS),
+        **schemas_of_requests(verb.request for verb in verbs),
+        _DOCUMENT: of_document,
+    }

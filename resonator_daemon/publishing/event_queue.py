@@ -1,0 +1,308 @@
+"""Events on their way: in memory while the broker takes them, else on disk, and in order whatever happens."""
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable, Coroutine, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, TypeVar
+
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.message_account import Account, Cause
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.spool import Key, Progress, Spool, SpoolDamagedError, SpooledEvent, SpoolError
+
+IN_MEMORY_MAX: Final = 1024
+UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
+RETRY_S: Final = 5.0
+CLOSE_TIMEOUT_S: Final = 2.0
+
+_TOGETHER: Final = 256  # events of one transaction
+_READ_TOGETHER: Final = 64
+_NOTHING: Final = (-1, -1)
+
+log = logging.getLogger(__name__)
+ResultT = TypeVar("ResultT")
+
+
+class Event:
+    """One event that waits or is on its way."""
+
+    __slots__ = ("_content", "given", "late", "number", "over", "run", "stored", "topic")
+
+    def __init__(self, topic: str, content: Message | bytes, number: int, run: int | None = None) -> None:
+        self.topic = topic
+        self._content = content
+        self.number = number
+        self.run = run  # None: the present one
+        self.late = False  # not sent on the connection that was there when it happened
+        self.given = run is not None  # to the spool, whether it is written already or not
+        self.stored = self.given
+        self.over = False
+
+    def key(self, present_run: int) -> Key:
+        return (present_run if self.run is None else self.run, self.number)
+
+    def payload(self, *, late: bool) -> bytes:
+        """Encode the event; what comes from disk is late in any case."""
+        if isinstance(self._content, bytes):
+            return self._content
+        return encode(self._content.model_copy(update={"replayed": True}) if late else self._content)
+
+
+class EventQueue:
+    """A queue of events that loses none while the disk takes them; to be used from the event loop's thread only.
+
+    What waits lies in three places, the oldest first: the head, which is sent next and is on disk, too, where it came
+    from there; what is on disk alone; the tail, the newest 1024. While there is a connection that keeps up, nothing is
+    written. Disk and event loop meet in one task, which has one thing at a time done by a thread.
+
+    Parameters
+    ----------
+    account
+        Takes what is resent, recovered and dropped.
+    directory
+        Of the spool; None: what memory cannot hold is dropped.
+    on_ready
+        Called when events that had to be read can be taken.
+    """
+
+    def __init__(self, account: Account, directory: Path | None, on_ready: Callable[[], None]) -> None:
+        self._account = account
+        self._spool = Spool(directory) if directory is not None else None
+        self._on_ready = on_ready
+        self._head: deque[Event] = deque()
+        self._tail: deque[Event] = deque()
+        self._on_disk = 0  # and not in memory
+        self.spooled = 0  # events that wait or are on their way, and are on disk
+        self._number = 0
+        self._run: int | None = None  # None: the spool was never open
+        self._read = _NOTHING
+        self._passed = -1
+        self.knows_what_was_left = self._spool is None  # by an earlier run: that goes first
+        self._connected = False
+        self._closing = False
+        self._on_the_way: set[Event] = set()
+        self._unneeded: list[Key] = []  # given to the spool, and over
+        self._paused: set[str] = set()  # what failed lately
+        self._said = ""  # as long as the disk fails
+        self._wake = asyncio.Event()
+        self._executor = ThreadPoolExecutor(1, thread_name_prefix="spool") if self._spool is not None else None
+        self._working: asyncio.Task[None] | None = None
+
+    @property
+    def waiting(self) -> int:
+        return len(self._head) + self._on_disk + len(self._tail)
+
+    def put(self, topic: str, message: Message) -> None:
+        """Append an event; where memory is full, the oldest in it goes: to the disk that has it already, or lost."""
+        event = Event(topic, message, self._number)
+        event.late = not self._connected
+        self._number += 1
+        self._tail.append(event)
+        self._leave_to_disk()
+        failing = bool(self._said)
+        while len(self._tail) > (IN_MEMORY_MAX if failing or self._spool is None else UNWRITTEN_MAX):
+            self._drop(self._tail.popleft(), Cause.SPOOL_FAILED if failing else Cause.QUEUE_FULL)
+            self._leave_to_disk()
+        if not self._connected or len(self._tail) > IN_MEMORY_MAX // 2:
+            self._wake.set()
+
+    def take(self) -> Event | None:
+        """Return what is to be sent next; None: there is nothing, or it is still on its way from the disk."""
+        if not self.knows_what_was_left:
+            return None
+        if len(self._head) <= _READ_TOGETHER // 2 and self._on_disk:
+            self._wake.set()
+        if self._head:
+            event = self._head.popleft()
+        elif self._on_disk or not self._tail:
+            return None
+        else:
+            event = self._tail.popleft()
+            self._passed = event.number
+        self._on_the_way.add(event)
+        return event
+
+    def done(self, event: Event) -> None:
+        """Forget an event that the broker has, or will never have."""
+        event.over = True
+        self._on_the_way.discard(event)
+        self.spooled -= event.stored
+        if event.given and self._run is not None:
+            self._unneeded.append(event.key(self._run))
+            self._wake.set()
+
+    def connected(self) -> None:
+        self._connected = True
+
+    def disconnected(self, unknown: Sequence[Event]) -> None:
+        """Take back what was on its way: nobody knows whether it came through, so it is sent once more."""
+        self._connected = False
+        self._on_the_way.clear()
+        self._account.made += len(unknown)
+        self._account.resent += len(unknown)
+        self._head.extendleft(reversed(unknown))
+        for queue in (self._head, self._tail):
+            for event in queue:
+                event.late = True
+        self._wake.set()
+
+    def start(self, on_defect: Callable[[], None]) -> None:
+        """Begin to use the disk; what ends that by itself is raised by `close`."""
+        if self._spool is not None:
+            self._working = asyncio.create_task(self._work(self._spool), name="spool")
+            self._working.add_done_callback(lambda _: on_defect())
+
+    async def close(self) -> None:
+        """Have written what still waits; without a disk that takes it within 2 s it is dropped."""
+        self._closing = True
+        self._wake.set()
+        if self._working is not None:
+            await asyncio.wait([self._working], timeout=CLOSE_TIMEOUT_S)
+        if self._executor is not None:
+            self._executor.shutdown(wait=False)
+        cause = Cause.CLOSED if self._spool is None else Cause.SPOOL_FAILED
+        for queue in (self._head, self._tail):
+            for event in [event for event in queue if not event.stored]:
+                queue.remove(event)
+                self._drop(event, cause)
+        if self._working is not None and self._working.done():
+            self._working.result()
+        elif self._working is not None:
+            self._working.cancel()
+
+    def _drop(self, event: Event, cause: Cause) -> None:
+        self._account.drop(cause, event.topic)
+        self.done(event)
+
+    def _to_be_written(self) -> list[Event]:
+        """Return the oldest events that are not safe: all while there is no connection, else those beyond a limit."""
+        if self._spool is None or (self._connected and len(self._tail) <= IN_MEMORY_MAX // 2 and not self._closing):
+            return []
+        events: list[Event] = []
+        for queue in (self._head, self._tail):
+            for event in queue:
+                if not event.stored:
+                    events.append(event)
+                    if len(events) == _TOGETHER:
+                        return events
+        return events
+
+    async def _work(self, spool: Spool) -> None:
+        """Write, delete and read as needed, one after the other; a failure pauses what failed alone."""
+        await self._try("open", self._open(spool))
+        self.knows_what_was_left = True
+        self._on_ready()
+        while not self._closing:
+            await self._wake.wait()
+            self._wake.clear()
+            await self._work_once(spool)
+        self._paused.clear()
+        await self._work_once(spool)
+        await self._in_thread(spool.close)
+
+    async def _work_once(self, spool: Spool) -> None:
+        if self._run is None and "open" not in self._paused:
+            await self._try("open", self._open(spool))
+        if self._run is None:
+            return
+        while "write" not in self._paused and (events := self._to_be_written()):
+            await self._try("write", self._write(spool, self._run, events))
+        if self._unneeded and "delete" not in self._paused:
+            await self._try("delete", self._delete(spool, self._run))
+        if self._on_disk and len(self._head) <= _READ_TOGETHER // 2 and "read" not in self._paused:
+            await self._try("read", self._fetch(spool, self._run))
+
+    async def _open(self, spool: Spool) -> None:
+        self._run, found = await self._in_thread(spool.open)
+        self._account.made += found
+        self._account.recovered += found
+        self._on_disk += found
+        self.spooled += found
+        if found:
+            log.info("%d events of an earlier run wait in %s", found, spool.path)
+            self._wake.set()
+
+    async def _write(self, spool: Spool, run: int, events: Sequence[Event]) -> None:
+        for event in events:
+            event.given = True
+        rows = [SpooledEvent(event.key(run), event.topic, event.payload(late=True)) for event in events]
+        removed = await self._in_thread(spool.append, rows, self._progress(run), self._on_disk)
+        self._on_disk -= removed
+        self.spooled -= removed
+        self._account.drop(Cause.SPOOL_FULL, "events", removed)
+        for event in events:
+            if not event.over:
+                event.stored = True
+                self.spooled += 1
+
+        self._leave_to_disk()
+
+    def _leave_to_disk(self) -> None:
+        """Forget what memory cannot hold and the disk has."""
+        while len(self._tail) > IN_MEMORY_MAX and self._tail[0].stored:
+            self._tail.popleft()
+            self._on_disk += 1
+
+    async def _delete(self, spool: Spool, _run: int) -> None:
+        keys = self._unneeded[:]
+        await self._in_thread(spool.delete, keys)
+        del self._unneeded[: len(keys)]
+
+    async def _fetch(self, spool: Spool, run: int) -> None:
+        """Read the oldest events into memory; where there are fewer than were written, somebody else deleted them."""
+        count = min(self._on_disk, _READ_TOGETHER)
+        rows = await self._in_thread(spool.read, self._progress(run), count)
+        self._on_disk -= count
+        self._lose(count - len(rows))
+        for row in rows:
+            self._head.append(Event(row.topic, row.payload, number=row.key[1], run=row.key[0]))
+            self._read = row.key
+        self._on_ready()
+
+    def _progress(self, run: int) -> Progress:
+        return Progress(self._read, (run, self._passed))
+
+    def _lose(self, count: int) -> None:
+        self.spooled -= count
+        self._account.drop(Cause.SPOOL_FAILED, "events", count)
+
+    async def _try(self, what: str, work: Coroutine[object, object, None]) -> None:
+        """Do something with the disk; what fails is said once per change, and tried again later."""
+        try:
+            await work
+        except SpoolDamagedError as error:
+            self._forget_the_disk()
+            self._say(logging.WARNING, str(error))
+            self._wake.set()
+        except SpoolError as error:
+            self._say(logging.WARNING, f"events cannot be kept on disk ({error}); the newest {IN_MEMORY_MAX} wait")
+            self._paused.add(what)
+            asyncio.get_running_loop().call_later(RETRY_S, self._resume, what)
+        else:
+            if self._said and not self._paused and not self._to_be_written():
+                self._say(logging.INFO, "events can be kept on disk again")
+                self._said = ""
+
+    def _resume(self, what: str) -> None:
+        self._paused.discard(what)
+        self._wake.set()
+
+    def _forget_the_disk(self) -> None:
+        """Go on with what is in memory: the rest went with the damaged file."""
+        self._lose(self._on_disk)
+        self._on_disk = self.spooled = 0
+        self._unneeded.clear()
+        for event in (*self._head, *self._tail, *self._on_the_way):
+            event.stored = event.given = False
+        self._on_ready()
+
+    def _say(self, level: int, text: str) -> None:
+        if text != self._said:
+            log.log(level, "%s", text)
+        self._said = text
+
+    async def _in_thread(self, work: Callable[..., ResultT], *arguments: object) -> ResultT:
+        return await asyncio.get_running_loop().run_in_executor(self._executor, work, *arguments)

@@ -1,0 +1,234 @@
+"""What waits for the broker, in the order of its worth: states, events, answers, streams."""
+
+import asyncio
+import logging
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from resonator_daemon.publishing.bounded_queue import BoundedQueue
+from resonator_daemon.publishing.broker_limits import LargestMessages, packet_bytes
+from resonator_daemon.publishing.connection import BrokerClient
+from resonator_daemon.publishing.event_queue import Event, EventQueue
+from resonator_daemon.publishing.message_account import Account, Cause
+from resonator_daemon.publishing.packed_properties import PackedProperties, properties_of
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.topics import CONTACT_EVENT
+
+STREAMS_WAITING_MAX: Final = 4096
+STREAM_BYTES_WAITING_MAX: Final = 32 * 2**20  # some seconds of the largest arrays
+ANSWERS_WAITING_MAX: Final = 32
+ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
+UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
+
+_TOGETHER: Final = 32  # messages sent before others of the event loop have their turn
+
+log = logging.getLogger(__name__)
+
+
+class Packet(NamedTuple):
+    """A message as it goes to the broker."""
+
+    topic: str
+    payload: bytes
+    properties: PackedProperties
+
+    @property
+    def size_bytes(self) -> int:
+        return len(self.payload)
+
+
+class Outbox:
+    """Sends while the socket takes it, and keeps what it does not take, by the rules of each kind.
+
+    Messages come in counted as made; from then on each is in one term of the account, or in `waiting`.
+
+    Parameters
+    ----------
+    account
+        Takes what becomes of each message.
+    spool_directory
+        Where events wait; None: in memory alone.
+    """
+
+    def __init__(self, account: Account, spool_directory: Path | None) -> None:
+        self._account = account
+        self._client: BrokerClient | None = None
+        self._retained: dict[str, Packet] = {}  # last message by topic
+        self._states: dict[str, Packet] = {}  # those of them that wait
+        self.events = EventQueue(account, spool_directory, self.pump_soon)
+        self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
+        self._streams: BoundedQueue[Packet] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self._largest = LargestMessages()
+        self._too_large: set[str] = set()  # topics of which it was said
+        self._pumping = False
+        self._moved = asyncio.Event()
+
+    @property
+    def queued(self) -> int:
+        return len(self._states) + self.events.waiting + len(self._answers) + len(self._streams)
+
+    @property
+    def waiting(self) -> int:
+        return self.queued + (len(self._client.in_flight) if self._client is not None else 0)
+
+    @property
+    def stream_bytes(self) -> int:
+        """Payloads of streams that wait."""
+        return self._streams.size_bytes
+
+    async def all_sent(self) -> None:
+        while self.waiting:
+            self._moved.clear()
+            await self._moved.wait()
+
+    def put_state(self, packet: Packet) -> None:
+        if packet.topic in self._states:
+            self._account.drop(Cause.SUPERSEDED, packet.topic)
+        self._retained[packet.topic] = self._states[packet.topic] = packet
+        self.pump_soon()
+
+    def put_event(self, topic: str, message: Message) -> None:
+        self.events.put(topic, message)
+        self.pump_soon()
+
+    def put_answer(self, packet: Packet) -> None:
+        self._put(self._answers, packet)
+
+    def put_stream(self, packet: Packet) -> None:
+        self._put(self._streams, packet)
+
+    def connected(self, client: BrokerClient) -> None:
+        self._client = client
+        self._largest.connected(at_once=client.at_once)
+        if not client.limits.retains:
+            log.warning("broker keeps no retained messages: who subscribes later sees no states")
+        self.events.connected()
+
+    def restore(self) -> None:
+        """Send again what the broker may have forgotten."""
+        again = {topic: packet for topic, packet in self._retained.items() if topic not in self._states}
+        self._account.made += len(again)
+        self._account.restored += len(again)
+        self._states.update(again)
+        self.pump_soon()
+
+    def disconnected(self) -> None:
+        """Account for what was on its way, and drop what is of no use to a later connection."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        unknown = [message.token for message in client.in_flight.values()]
+        client.in_flight.clear()
+        self._account.unknown_at_disconnect += len(unknown)
+        self.events.disconnected([event for event in unknown if isinstance(event, Event)])
+        self._drop(self._streams, Cause.NO_CONNECTION)
+        self._drop(self._answers, Cause.WITHDRAWN)
+        self._moved.set()
+        if (found := self._largest.ended(asyncio.get_running_loop().time())) is not None:
+            topic, size_bytes = found
+            log.warning(
+                "broker ends the connection upon %s with %d bytes: messages of that size are dropped;"
+                " raise the broker's limit",
+                topic,
+                size_bytes,
+            )
+
+    def close(self) -> None:
+        """Drop the states that nobody was there to take."""
+        for topic in self._states:
+            self._account.drop(Cause.CLOSED, topic)
+        self._states.clear()
+
+    def published(self, qos: int, token: object, refused: bool) -> None:
+        """Take what became of a message that was sent."""
+        if qos:
+            self._largest.acknowledged()
+        if refused:
+            self._account.drop(Cause.REFUSED, token.topic if isinstance(token, Packet | Event) else "")
+        elif qos:
+            self._account.acknowledged += 1
+        else:
+            self._account.handed_to_socket += 1
+        if isinstance(token, Event):
+            self.events.done(token)
+        self._moved.set()
+        if self.queued:
+            self.pump_soon()
+
+    def pump_soon(self) -> None:
+        if not self._pumping and self._client is not None:
+            self._pumping = True
+            asyncio.get_running_loop().call_soon(self._pump)
+
+    def _pump(self) -> None:
+        """Send while the socket takes it; acknowledged messages first, as they are few, but only some at a time."""
+        try:
+            for _ in range(_TOGETHER):
+                client = self._client
+                if client is None or not client.writable or not self._send_next(client):
+                    return
+            asyncio.get_running_loop().call_soon(self.pump_soon)
+        finally:
+            self._pumping = False
+
+    def _send_next(self, client: BrokerClient) -> bool:
+        """Send one message, or drop it as too large; False: nothing can be sent now."""
+        if client.unacknowledged < min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
+            if self._states:
+                packet = self._states.pop(next(iter(self._states)))
+                self._send(client, packet, 1, packet, retain=client.limits.retains)
+                return True
+            if (event := self.events.take()) is not None:
+                packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
+                if not self._send(client, packet, 1, event):
+                    self.events.done(event)
+                return True
+            if self._answers:
+                packet = self._answers.take()
+                self._send(client, packet, 1, packet)
+                return True
+        if self._streams:
+            packet = self._streams.take()
+            self._send(client, packet, 0, packet)
+            return True
+        return False
+
+    def _send(self, client: BrokerClient, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
+        """Write a message to the socket; False: the broker would not take one of this size."""
+        properties = packet.properties if client.version is client.version.V5 else None
+        now_s = asyncio.get_running_loop().time()
+        size_bytes = packet_bytes(
+            packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
+        )
+        if size_bytes > min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s)):
+            self._account.drop(Cause.TOO_LARGE, packet.topic)
+            self._say_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
+            self._moved.set()
+            return False
+        qos = min(qos, client.limits.qos_max)
+        try:
+            client.send(packet.topic, packet.payload, qos=qos, retain=retain, properties=properties, token=token)
+        except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
+            self._account.drop(Cause.REFUSED, packet.topic)
+            return False
+        self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
+        return True
+
+    def _say_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
+        if topic not in self._too_large and size_bytes > limit_bytes:
+            self._too_large.add(topic)
+            log.warning(
+                "%s: messages of %d bytes are dropped, the broker takes %d; raise its limit",
+                topic,
+                size_bytes,
+                limit_bytes,
+            )
+
+    def _put(self, queue: BoundedQueue[Packet], packet: Packet) -> None:
+        for pushed_out in queue.put(packet):
+            self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
+        self.pump_soon()
+
+    def _drop(self, queue: BoundedQueue[Packet], cause: Cause) -> None:
+        for packet in queue.clear():
+            self._account.drop(cause, packet.topic)

@@ -1,0 +1,165 @@
+"""What all payloads are made of: numbers that may be unknown, arrays, the closed sets of words, and the header.
+
+Floats that are not known are NaN here and null in JSON. 64-bit integers are decimal strings in JSON, because many
+readers of JSON hold numbers as doubles, exact only to 2^53.
+"""
+
+import math
+from enum import StrEnum
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetJsonSchemaHandler,
+    PlainSerializer,
+    PlainValidator,
+    WithJsonSchema,
+)
+from pydantic_core import CoreSchema
+
+_DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
+_UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
+_ROW: Final = {"anyOf": [{"type": "number"}, {"type": "array", "items": {"type": "number"}}]}
+_NESTED_ROWS: Final = {
+    "type": "array",
+    "minItems": 3,
+    "maxItems": 3,
+    "items": {"type": "array", "items": _ROW},
+    "x-rfc8746": {
+        "tag": 40,
+        "shape": ["[3, n]", "[3, ny, nx]"],
+        "elements": {"tag": 85, "type": "float32, little-endian"},
+    },
+}
+
+
+def _float32(value: Any) -> NDArray[np.float32]:
+    if not isinstance(value, np.ndarray) or value.ndim not in (2, 3) or value.shape[0] != 3:
+        raise ValueError(f"{np.shape(value)}: must be an array of shape (3, n) or (3, ny, nx)")
+    return np.asarray(value, "<f4")
+
+
+Int64 = Annotated[
+    int,
+    Field(ge=0, lt=2**64),
+    PlainSerializer(str, when_used="json"),
+    WithJsonSchema(_DECIMAL, mode="serialization"),
+]
+Float = Annotated[
+    float,
+    BeforeValidator(lambda value: math.nan if value is None else value),
+    WithJsonSchema(_UNKNOWN_IS_NULL, mode="serialization"),
+]
+Vector2 = tuple[Float, Float]
+Vector3 = tuple[Float, Float, Float]
+Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_NESTED_ROWS)]
+
+
+class Word(StrEnum):
+    """A word of a closed set, with what it means."""
+
+    meaning: str
+
+    def __new__(cls, word: str, meaning: str = "") -> Self:  # a look-up by word gives no meaning
+        member = str.__new__(cls, word)
+        member._value_ = word
+        member.meaning = meaning
+        return member
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        plain = handler.resolve_ref_schema(handler(schema))
+        plain.pop("enum", None)
+        plain["oneOf"] = [{"const": str(word), "description": word.meaning} for word in cls]
+        return plain
+
+
+class Status(Word):
+    """What a number is worth; where it is not "ok" and no number is given, this is the reason."""
+
+    OK = "ok", "as good as its stated uncertainty"
+    SETTLING = (
+        "settling",
+        "the window is not full yet, as after the start and when the captured tone has changed",
+    )
+    CONSTRAINT_DROPPED = "constraint_dropped", "contact physics given up for this frame, the linear map is shown"
+    AMBIGUOUS = "ambiguous", "two sites explain the readings about equally well"
+    REJECTED = "rejected", "no load explains the readings"
+    POSSIBLY_MORE = "possibly_more", "a second touch cannot be excluded"
+    OVERLOAD = "overload", "beyond the plate's range: the force is null, `at_least_newton` is given"
+    NO_SIGNAL = "no_signal", "nothing, or too little, is heard"
+    PILOT_LOST = "pilot_lost", "the untouched reference tone is not heard"
+    UNCALIBRATED = (
+        "uncalibrated",
+        "beyond the forces or temperatures that the calibration covers, or later than its expiry: "
+        "force and errors are guesses",
+    )
+    PRESSED_AT_START = (
+        "pressed_at_start",
+        "touched before the untouched plate was known: no force can be given",
+    )
+
+
+class Condition(Word):
+    """The words of the states of daemon, link, sensor and decoder."""
+
+    OFFLINE = "offline", "not running: stopped, or gone without a word (last will)"
+    STARTING = "starting", "on the way to online; nothing is wrong yet"
+    ONLINE = "online", "working"
+    WAITING = "waiting", "what it needs (port, board, network, frames) is not there; tried again for ever"
+    STALLED = "stalled", "the link is open and nothing usable comes"
+    LOST = "lost", "was there and went away; tried again for ever"
+    DRIFTING = "drifting", "the baseline moves faster than touches and temperature explain"
+    PRESSED_AT_START = "pressed_at_start", "touched before the untouched plate was known; release it"
+    UNCALIBRATED = "uncalibrated", "the calibration has expired"
+    REFUSED = "refused", "the board or the plate file can never serve this configuration"
+
+
+class Message(BaseModel):
+    """Base of every payload and its parts; keys that a reader does not know are ignored."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
+
+
+class Lost(Message):
+    """Losses since the daemon started, by cause: frames, and for publish_dropped messages."""
+
+    link_gap: int = Field(0, description="frames that the board sent and that never arrived")
+    damaged: int = Field(0, description="frames that arrived with a wrong checksum")
+    board_overflow: int = Field(0, description="frames given up by the board")
+    host_overrun: int = Field(
+        0, description="frames lost by the driver of the host's serial port, which had no room for their bytes"
+    )
+    ring_overflow: int = Field(0, description="frames given up by the daemon before measuring")
+    publish_dropped: int = Field(
+        0,
+        description="messages never handed to the broker; a state that a newer one replaced before it was sent "
+        "is not counted, as nobody misses it",
+    )
+
+
+class Header(Message):
+    """Carried by every message of a daemon."""
+
+    seq: int = Field(
+        description="number of the message on its topic since the daemon started; a step of more than 1 is messages "
+        "lost on the way, left out to lower the rate, or skipped by the decoder"
+    )
+    daemon_boot_id: str = Field(description="new with each start of the daemon")
+    board_boot_id: str | None = Field(description="new with each start of the board; null until the board said it")
+    t_ns: Int64 = Field(description="UTC: of measured messages the middle of the window, of others when they were made")
+    t_unc_ns: int = Field(description="bound of the error of `t_ns`")
+    lost: Lost = Field(description="losses since the daemon started, by cause")
+
+
+class Measured(Header):
+    """Header of what was measured."""
+
+    board_ticks: Int64 | None = Field(
+        description="the board's clock at the end of the last gate in the window, null where it is not known"
+    )

@@ -1,0 +1,109 @@
+"""Why there is no connection to a broker, in one sentence that says where to look."""
+
+import re
+import socket
+import ssl
+from typing import Final
+
+import aiomqtt
+
+from resonator_daemon.broker_files import UnusableFileError
+from resonator_daemon.mqtt_settings import Mqtt
+
+UNSUPPORTED_VERSION: Final = 132
+
+_PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
+_REFUSED_CLIENTS: Final = (134, 135, 138)  # bad name or password, not authorized, banned
+_NEITHER_VERSION: Final = "it speaks neither MQTT 5 nor 3.1.1"
+_NO_TLS: Final = "it ended the connection instead of speaking TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
+_NO_CERTIFICATE: Final = ("certificate required", "handshake failure")  # of TLS 1.3, 1.2
+_EXPIRED: Final = 10  # these are X509_V_ERR_ of OpenSSL
+_NOT_YET_VALID: Final = 9
+_ANOTHER_HOST: Final = (62, 64)
+_UNTRUSTED: Final = (18, 19, 20, 21)
+
+
+class RefusalError(aiomqtt.MqttError):
+    """Somebody has to change something at either end: asking again soon would only fill the broker's log."""
+
+
+class NoAnswerError(aiomqtt.MqttError):
+    """The other end took the connection and ended it, without a word."""
+
+
+def of_opening(error: OSError, broker: Mqtt) -> aiomqtt.MqttError:
+    """Return why the connection could not be opened, TLS included."""
+    match error:
+        case UnusableFileError():
+            return aiomqtt.MqttError(str(error))
+        case ssl.SSLCertVerificationError():
+            return RefusalError(_certificate(error, broker))
+        case ssl.SSLError() if (alert := _alert(error)) is not None:
+            return RefusalError(_refused_by_tls(alert, broker))
+        case ssl.SSLEOFError() | ConnectionResetError():
+            return aiomqtt.MqttError(_NO_TLS)
+        case ssl.SSLError() if error.reason == "WRONG_VERSION_NUMBER":
+            return aiomqtt.MqttError(_NO_TLS)
+        case TimeoutError() if "handshake" in str(error):
+            return aiomqtt.MqttError(_NO_TLS)
+        case socket.gaierror():
+            return aiomqtt.MqttError(f"no host of this name ({error.strerror}); see mqtt.url")
+        case _:
+            return aiomqtt.MqttError(str(error))
+
+
+def of_silent_end(reason_code: int, version: aiomqtt.ProtocolVersion, broker: Mqtt) -> aiomqtt.MqttError:
+    """Return why the broker ended a connection that it had not accepted nor refused by a word of MQTT."""
+    if reason_code == _PROTOCOL_ERROR and version is aiomqtt.ProtocolVersion.V311:
+        return RefusalError(_NEITHER_VERSION)
+    other = "not for TLS, mqtt.url is mqtt://" if broker.tls else "for TLS, mqtt.url is mqtts://"
+    return NoAnswerError(f"it ended the connection without an answer; if the port is {other}")
+
+
+def of_answer(error: Exception, broker: Mqtt) -> Exception:
+    """Return a refusal where the broker's answer was one; any other error as it is."""
+    code = code_of(error)
+    if code == UNSUPPORTED_VERSION:
+        return RefusalError(_NEITHER_VERSION)
+    if code in _REFUSED_CLIENTS:
+        name = "a client without a name" if broker.username is None else f"user {broker.username!r}"
+        shown = "" if broker.certificate_file is None else ", mqtt.certificate_file"
+        where = f"mqtt.username, mqtt.password_file{shown}"
+        return RefusalError(f"it refuses {name} ({getattr(error, 'rc', code)}); see {where}")
+    return error
+
+
+def code_of(error: Exception) -> int | None:
+    """Return the reason code of MQTT in an error, None where there is none."""
+    reason = getattr(error, "rc", None)
+    code: int | None = getattr(reason, "value", reason)
+    return code
+
+
+def _certificate(error: ssl.SSLCertVerificationError, broker: Mqtt) -> str:
+    authorities = f"{broker.ca_file} (mqtt.ca_file)" if broker.ca_file else "this system's store; see mqtt.ca_file"
+    match error.verify_code:
+        case code if code == _EXPIRED:
+            return "its certificate has expired; renew it, or mend this computer's clock"
+        case code if code == _NOT_YET_VALID:
+            return "its certificate is not valid yet; mend the clock of this computer or of the one that made it"
+        case code if code in _ANOTHER_HOST:
+            return f"its certificate is not for {broker.host}; have mqtt.url name the host as the certificate does"
+        case code if code in _UNTRUSTED:
+            return f"its certificate is signed by no authority in {authorities}"
+        case _:
+            return f"its certificate cannot be trusted ({error.verify_message})"
+
+
+def _refused_by_tls(alert: str, broker: Mqtt) -> str:
+    if broker.certificate_file is not None:
+        return f"it refuses the TLS connection ({alert}); see mqtt.certificate_file"
+    if alert in _NO_CERTIFICATE:
+        return f"it asks for a client certificate ({alert}); see mqtt.certificate_file"
+    return f"it refuses the TLS connection ({alert})"
+
+
+def _alert(error: ssl.SSLError) -> str | None:
+    """Return what the other end said of its reasons."""
+    found = re.fullmatch(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)", error.reason or "")
+    return found and found[1].replace("_", " ").lower()

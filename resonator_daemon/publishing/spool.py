@@ -1,0 +1,216 @@
+"""Events that wait on disk and outlive the process.
+
+Each batch is one transaction with a write-ahead log, not flushed to the medium (SQLite's `synchronous=NORMAL`): what
+was written survives the end of the process, in whatever way. A power loss can cost what the operating system had
+not flushed by itself, commonly the last 30 s; the file stays in order.
+"""
+
+import contextlib
+import os
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple, TypeVar
+
+EVENTS_MAX: Final = 100_000
+BYTES_MAX: Final = 64 * 2**20  # of payloads
+
+FILE: Final = "events.sqlite3"
+_FORMAT: Final = 1
+_FULL: Final = sqlite3.SQLITE_FULL
+_DAMAGED: Final = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB)
+_IN_USE: Final = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
+_CREATE: Final = """CREATE TABLE IF NOT EXISTS events (
+    run INTEGER, number INTEGER, topic TEXT NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (run, number)
+)"""
+_OLDEST_BEYOND: Final = """FROM events WHERE (run, number) > (?, ?) AND NOT (run = ? AND number <= ?)
+    ORDER BY run, number LIMIT ?"""
+
+Key = tuple[int, int]  # run of the daemon, number of the event in it: the order in which they are sent
+ResultT = TypeVar("ResultT")
+
+
+class SpoolError(Exception):
+    """The disk does not do as it was told; nothing was changed."""
+
+
+class SpoolDamagedError(SpoolError):
+    """What was on disk cannot be read any more; it was set aside, and the next call begins anew."""
+
+
+class SpooledEvent(NamedTuple):
+    """An event as it is sent, with its place in the order."""
+
+    key: Key
+    topic: str
+    payload: bytes
+
+
+class Progress(NamedTuple):
+    """What has left the spool for memory: everything up to `read`, and of one run all up to `passed`."""
+
+    read: Key
+    passed: Key
+
+
+class Spool:
+    """A queue of events in a directory of its own, which one process holds; calls take as long as the disk does.
+
+    To be used by one thread at a time. Every method but `close` raises SpoolError where directory or disk refuse or
+    another process holds the spool, and SpoolDamagedError.
+
+    Parameters
+    ----------
+    directory
+        Made when it is missing.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.path = directory / FILE
+        self._database: sqlite3.Connection | None = None
+        self._run: int | None = None
+        self._count = self._bytes = 0
+
+    def open(self) -> tuple[int, int]:
+        """Return the number of this run, and how many events are on disk."""
+        return self._do(lambda _: (self._run or 0, self._count))
+
+    def append(self, events: Sequence[SpooledEvent], progress: Progress, removable: int) -> int:
+        """Write events; return how many of the oldest beyond `progress`, at most `removable`, had to go for them."""
+
+        def append(database: sqlite3.Connection) -> int:
+            new_bytes = sum(len(event.payload) for event in events)
+            over_count = self._count + len(events) - EVENTS_MAX
+            over_bytes = self._bytes + new_bytes - BYTES_MAX
+            gone: list[Key] = []
+            if over_count > 0 or over_bytes > 0:
+                rows = database.execute(
+                    f"SELECT run, number, length(payload) {_OLDEST_BEYOND}",
+                    (*progress.read, *progress.passed, removable),
+                )
+                for run, number, length in rows:
+                    if len(gone) >= over_count and over_bytes <= 0:
+                        break
+                    gone.append((run, number))
+                    over_bytes -= length
+            self._delete(database, gone)
+            database.executemany(
+                "INSERT INTO events VALUES (?, ?, ?, ?)",
+                [(*event.key, event.topic, event.payload) for event in events],
+            )
+            self._count += len(events)
+            self._bytes += new_bytes
+            return len(gone)
+
+        return self._do(append)
+
+    def read(self, progress: Progress, count: int) -> list[SpooledEvent]:
+        """Return the oldest events beyond `progress`; they stay on disk."""
+
+        def read(database: sqlite3.Connection) -> list[SpooledEvent]:
+            rows = database.execute(
+                f"SELECT run, number, topic, payload {_OLDEST_BEYOND}", (*progress.read, *progress.passed, count)
+            )
+            return [SpooledEvent((run, number), topic, payload) for run, number, topic, payload in rows]
+
+        return self._do(read)
+
+    def delete(self, keys: Sequence[Key]) -> None:
+        self._do(lambda database: self._delete(database, keys))
+
+    def close(self) -> None:
+        """Let go of the file."""
+        database, self._database = self._database, None
+        if database is not None:
+            with contextlib.suppress(sqlite3.Error):
+                database.close()
+
+    def _delete(self, database: sqlite3.Connection, keys: Sequence[Key]) -> None:
+        for key in keys:
+            row = database.execute("SELECT length(payload) FROM events WHERE run = ? AND number = ?", key).fetchone()
+            if row is not None:
+                database.execute("DELETE FROM events WHERE run = ? AND number = ?", key)
+                self._count -= 1
+                self._bytes -= row[0]
+
+    def _do(self, transact: Callable[[sqlite3.Connection], ResultT]) -> ResultT:
+        """Carry out one transaction, on a database that is opened for it where it is not open."""
+        before = None
+        try:
+            database = self._database or self._open()
+            before = self._count, self._bytes
+            database.execute("BEGIN IMMEDIATE")
+            result = transact(database)
+            database.execute("COMMIT")
+        except sqlite3.Error as error:
+            if before is not None:
+                self._count, self._bytes = before
+            raise self._failed(error) from error
+        except OSError as error:
+            raise SpoolError(f"{error.strerror}: {error.filename}") from error
+        return result
+
+    def _failed(self, error: sqlite3.Error) -> SpoolError:
+        """Say what the database's error means; only of a full disk there is no need to open the file anew."""
+        code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+        if code == _FULL and self._database is not None and self._rolled_back(self._database):
+            return SpoolError(f"{error}: {self.path.parent}")
+        self.close()
+        if code in _IN_USE:
+            return SpoolError(f"another process holds {self.path}")
+        if code in _DAMAGED:
+            return self._set_aside(str(error))
+        return SpoolError(f"{error}: {self.path.parent}")
+
+    @staticmethod
+    def _rolled_back(database: sqlite3.Connection) -> bool:
+        with contextlib.suppress(sqlite3.Error):
+            if database.in_transaction:
+                database.execute("ROLLBACK")
+            return True
+        return False
+
+    def _set_aside(self, reason: str) -> SpoolError:
+        """Keep one damaged file for whoever wants to look into it."""
+        damaged = self.path.with_suffix(".damaged")
+        try:
+            os.replace(self.path, damaged)
+            for companion in ("-wal", "-journal"):
+                with contextlib.suppress(FileNotFoundError):
+                    os.replace(f"{self.path}{companion}", f"{damaged}{companion}")
+        except OSError as error:
+            return SpoolError(f"{self.path} is damaged ({reason}) and cannot be set aside: {error.strerror}")
+        return SpoolDamagedError(f"{self.path} is damaged ({reason}): set aside as {damaged.name}")
+
+    def _open(self) -> sqlite3.Connection:
+        self.path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        database = sqlite3.connect(self.path, timeout=0.0, isolation_level=None, check_same_thread=False)
+        try:
+            database.execute("PRAGMA locking_mode=EXCLUSIVE")  # a second process must not send the same events
+            database.execute("PRAGMA auto_vacuum=FULL")
+            database.execute("PRAGMA journal_mode=WAL")
+            database.execute("PRAGMA synchronous=NORMAL")
+            database.execute("BEGIN IMMEDIATE")
+            self._check(database)
+            database.execute(_CREATE)
+            database.execute(f"PRAGMA user_version={_FORMAT}")
+            self._count, self._bytes, newest_run = database.execute(
+                "SELECT count(*), coalesce(sum(length(payload)), 0), coalesce(max(run), 0) FROM events"
+            ).fetchone()
+            database.execute("COMMIT")
+        except BaseException:
+            database.close()
+            raise
+        if self._run is None:
+            self._run = newest_run + 1
+        self._database = database
+        return database
+
+    @staticmethod
+    def _check(database: sqlite3.Connection) -> None:
+        (form,) = database.execute("PRAGMA user_version").fetchone()
+        (sound,) = database.execute("PRAGMA quick_check(1)").fetchone()
+        if form not in (0, _FORMAT) or sound != "ok":
+            error = sqlite3.DatabaseError(f"format {form}" if sound == "ok" else sound)
+            error.sqlite_errorcode = sqlite3.SQLITE_CORRUPT
+            raise error

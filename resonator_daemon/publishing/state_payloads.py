@@ -1,0 +1,228 @@
+"""Messages about the parts that measure: states, what a plate is, and how daemon and decoders fare."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from resonator_daemon.publishing.measured_payloads import Grid
+from resonator_daemon.publishing.payload_types import Condition, Float, Header, Int64, Message
+
+_CPU = "of one core, since the last message"
+_MESSAGES = "where each message went"
+
+
+class OutageInfo(Message):
+    """A time without frames that is over."""
+
+    start_t_ns: Int64 = Field(description="UTC, middle of the last gate before")
+    end_t_ns: Int64 = Field(description="UTC, middle of the first gate after")
+    frames_lost: int = Field(description="frames that the board sent meanwhile, or would have")
+    reason: str = Field(description="what was said of the link when it began")
+
+
+class State(Header):
+    """State of the daemon, its link or its sensor."""
+
+    state: Condition = Field(description="one word")
+    reason: str = Field(description="why; may be empty")
+    since_t_ns: Int64 | None = Field(
+        description="UTC, since when the state lasts; null in the last will: nobody is left to date it"
+    )
+    last_outage: OutageInfo | None = Field(
+        None, description="of `state/link`: the last time without frames that is over, since the daemon started"
+    )
+    boots: int | None = Field(
+        None, description="of `state/link`: different boots of the board seen since the daemon started"
+    )
+    connections: int | None = Field(
+        None, description="of `state/daemon`: connections to the broker since the daemon started"
+    )
+    connected_t_ns: Int64 | None = Field(
+        None, description="of `state/daemon`: UTC, since when the present connection lasts"
+    )
+
+
+class SiteInfo(Message):
+    """Where a site is."""
+
+    site: int = Field(description="number of the site in the plate file")
+    position_m: tuple[float, float] = Field(description="x, y in the plate's plane")
+
+
+class GridInfo(Grid):
+    """A grid of sites, in the order of the sites: row by row, x running first."""
+
+    shape: tuple[int, int] = Field(description="ny, nx")
+
+
+class CalibrationInfo(Message):
+    """Where the plate's numbers come from; what the plate file does not say is null."""
+
+    id: str | None = Field(description="of the calibration")
+    date: str | None = Field(description="YYYY-MM-DD")
+    unit: str | None = Field(description="serial number of the plate that was calibrated")
+    expiry: str | None = Field(description="YYYY-MM-DD; later the sensor's state is `uncalibrated`")
+    model_error: float = Field(
+        description="relative, one standard deviation: scatter of K from touch to touch and corner"
+    )
+    sensitivity_std: float = Field(description="relative, one standard deviation: what all K share")
+    response: Literal["on", "off"] = Field(
+        description="`on`: hysteresis and creep are taken out; `off`: not calibrated"
+    )
+
+
+class SkinInfo(Message):
+    """What a decoder needs to know of a skin beside its sites: an elastic half-space over sensors at one depth."""
+
+    youngs_modulus_pascal: float = Field(description="of the skin")
+    poisson_ratio: float = Field(description="of the skin")
+    depth_m: float = Field(description="of the sites below the surface")
+    gain_std: float = Field(description="relative, one standard deviation: of a channel's sensitivity")
+    correlation_length_m: float = Field(description="of loads that are expected")
+    tangential_ratio: float = Field(description="of the shear of expected loads to their pressure")
+
+
+class Info(Header):
+    """What does not change while the board and the configuration stay the same; enough to draw the plate."""
+
+    schema_version: str = Field(description="of all payloads, major.minor")
+    daemon_version: str = Field(description="of resonatord")
+    plate: str = Field(description="name of the plate")
+    link: str = Field(description="to the board, as in the configuration")
+    product: str = Field(description="of the board, as it says itself")
+    serial_number: str | None = Field(description="of the board; null where it has none")
+    firmware: str = Field(description="version of the board's firmware")
+    counter: Literal["single-tone", "channelised"] = Field(
+        description="`single-tone`: one captured tone per corner; `channelised`: one per site"
+    )
+    frame_rate_hz: float = Field(description="frames of the board")
+    window_s: float = Field(description="length of a window of `forces`; of a skin each frame is one")
+    step_s: float = Field(description="from window to window")
+    rates_hz: dict[str, float] = Field(description="by topic: messages a second, at most")
+    units: dict[str, str] = Field(
+        description="unit by the ending of a key, in UCUM's notation; the longest ending after an underscore counts, "
+        "a `_std` at the end left off"
+    )
+    commands: tuple[str, ...] = Field(description="verbs that this daemon obeys")
+    force_max_newton: float = Field(description="end of the plate's range")
+    outline_m: tuple[tuple[float, float], ...] = Field(description="corners of the plate, x, y")
+    transducers_m: tuple[tuple[float, float], ...] = Field(description="x, y, in the order of the channels")
+    sites: tuple[SiteInfo, ...] = Field(description="in the order of the arrays of `signals`")
+    grid: GridInfo | None = Field(description="of the sites; null where they are scattered")
+    skin: SkinInfo | None = Field(description="null on a plate of force sites")
+    calibration: CalibrationInfo = Field(description="where the plate's numbers come from")
+
+
+class MessageAccount(Message):
+    """Where the publisher's messages went.
+
+    At any instant made = acknowledged + handed_to_socket + sum of dropped + unknown_at_disconnect + waiting.
+    """
+
+    made: int = Field(description="all of them, those of the next three lines included")
+    restored: int = Field(description="retained messages sent again after a reconnection")
+    resent: int = Field(description="events whose acknowledgement was outstanding when a connection ended, sent again")
+    recovered: int = Field(description="events that an earlier run of the daemon had left in the spool")
+    acknowledged: int = Field(description="QoS 1: the broker said so")
+    handed_to_socket: int = Field(description="QoS 0: written to the connection in full")
+    dropped: dict[str, int] = Field(description="never handed over, by cause")
+    unknown_at_disconnect: int = Field(description="on their way when the connection ended")
+    waiting: int = Field(description="queued, on disk, or on their way")
+    spooled: int = Field(description="of those waiting: on disk")
+
+
+class BootInfo(Message):
+    """What one boot of the board sent; a gap counts for the boot whose frame ended it."""
+
+    board_boot_id: str = Field(description="which boot")
+    connections: int = Field(description="openings of the link during this boot")
+    frames: int = Field(description="frames that arrived")
+    lost: dict[str, int] = Field(description="frames by cause, as in the header")
+
+
+class LatencyInfo(Message):
+    """Histogram of the time from the end of a window's last gate to the hand-over of its message to the publisher."""
+
+    bounds_ms: tuple[float, ...] = Field(description="upper bounds of all bins but the last, which has none")
+    counts: tuple[int, ...] = Field(description="messages in each bin since the daemon started")
+
+
+class RecordingInfo(Message):
+    """A recording of the link that a command has started."""
+
+    file: str = Field(description="on the daemon's machine")
+    since_t_ns: Int64 = Field(description="UTC, when it began")
+    failure: str | None = Field(description="why nothing more is written; null while it is")
+
+
+class Health(Header):
+    """How the daemon itself fares."""
+
+    uptime_s: float = Field(description="since the daemon started")
+    frames: int = Field(description="frames that arrived since then")
+    frame_rate_hz: Float = Field(description="since the last `health`")
+    parts_lost: int = Field(description="parts of large frames that were damaged or missing; their tones are not known")
+    frames_not_decoded: int = Field(
+        description="skipped by the decoder: a newer one was there, it was being set up, or nothing told the noise yet"
+    )
+    records_unusable: dict[str, int] = Field(description="readings that gave no frequency, by cause")
+    packets_ignored: dict[str, int] = Field(
+        description="undamaged packets that led to nothing, by cause: from before a reset, malformed, of unknown type, "
+        "lines of the board's log beyond 20 a second"
+    )
+    bytes_in: int = Field(description="bytes from the board")
+    bytes_by_fate: dict[str, int] = Field(description="what became of them; their sum is `bytes_in`")
+    connections: int = Field(description="openings of the link")
+    host_overruns: int = Field(description="times that the driver of the host's serial port said it had lost bytes")
+    boots: tuple[BootInfo, ...] = Field(description="of the board, the latest eight, the present one last")
+    clock_drift_ppm: Float = Field(
+        description="rate of the board's clock against this computer's, null until it is known to 10 ppm"
+    )
+    clock_outliers: int = Field(description="pings whose answer contradicted the others")
+    clock_restarts: int = Field(description="times that the board's clock had to be learnt anew")
+    cpu_percent: Float = Field(description=_CPU)
+    rss_mb: Float = Field(description="memory of the daemon")
+    tasks: int = Field(description="of the daemon's event loop")
+    threads: int = Field(description="of the daemon")
+    file_descriptors: int = Field(description="that the daemon holds open")
+    latency: dict[str, LatencyInfo] = Field(description="by topic")
+    recording: RecordingInfo | None = Field(description="null where none was started")
+    commands: dict[str, int] = Field(
+        default_factory=dict,
+        description="commands since the daemon started, by what became of them: `done`, an error's code, `unanswered`",
+    )
+    messages: MessageAccount = Field(description=_MESSAGES)
+
+
+class DecoderState(Message):
+    """State of a decoder process, which may serve many plates."""
+
+    decoder_id: str = Field(description="that of the topic, and of the messages it publishes")
+    state: Condition = Field(description="one word")
+    reason: str = Field(description="why; may be empty")
+    t_ns: Int64 = Field(description="UTC, when it was said")
+    since_t_ns: Int64 | None = Field(description="UTC, since when the state lasts; null in the last will")
+    topic_filter: str = Field(description="the signals it takes")
+
+
+class DecoderPlateHealth(Message):
+    """What a decoder did with the signals of one plate; received = decoded + skipped + unusable + waiting."""
+
+    received: int = Field(description="messages of `signals` since the decoder started")
+    decoded: int = Field(description="published as `decoded` and `decoded/summary`")
+    skipped: int = Field(description="a newer frame was there first")
+    unusable: int = Field(description="not a message, another shape than `info` says, or nothing told the noise yet")
+    waiting: int = Field(description="being decoded, or next")
+    missed: int = Field(description="gaps in `seq`; with a group: frames that others got, too")
+
+
+class DecoderHealth(Message):
+    """How a decoder process fares; once a second."""
+
+    decoder_id: str = Field(description="that of the topic")
+    t_ns: Int64 = Field(description="UTC, when it was made")
+    uptime_s: float = Field(description="since the decoder started")
+    plates: dict[str, DecoderPlateHealth] = Field(description="by plate")
+    cpu_percent: Float = Field(description=_CPU)
+    rss_mb: Float = Field(description="memory of the decoder")
+    messages: MessageAccount = Field(description=_MESSAGES)

@@ -1,0 +1,268 @@
+"""The commands on `cmd/<verb>`: what each takes and what it answers. A request with a key too many is refused."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAny
+
+from resonator_daemon.publishing.payloads import Float, Health, Int64, Message
+
+LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
+
+JsonTopic = Literal[
+    "state/daemon",
+    "state/link",
+    "state/sensor",
+    "info",
+    "contacts/event",
+    "forces",
+    "contacts",
+    "decoded/summary",
+    "health",
+]
+StreamTopic = Literal["forces", "contacts", "signals", "decoded", "decoded/summary"]
+ErrorCode = Literal[
+    "unknown_verb",
+    "not_permitted",
+    "payload",
+    "response_topic",
+    "too_many",
+    "busy",
+    "timeout",
+    "failed",
+    "not_ready",
+    "not_untouched",
+    "recording",
+    "not_recording",
+    "recording_failed",
+    "window",
+    "not_published",
+    "not_located",
+]
+
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("must be printable characters, without line breaks and control characters")
+    return text
+
+
+class Request(BaseModel):
+    """Base of what a command says; `{}` where there is nothing to be said."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+
+class Answer(Message):
+    """Base of the answers to what was done."""
+
+    verb: str
+    ok: Literal[True] = True
+
+
+class Problem(Message):
+    """Why a command was refused."""
+
+    code: ErrorCode = Field(description="for programs")
+    message: str = Field(description="for people: what is wrong")
+    hint: str = Field(description="what to do about it; may be empty")
+
+
+class Refusal(Message):
+    """The answer to what was not done."""
+
+    verb: str
+    ok: Literal[False] = False
+    error: Problem
+
+
+class Ping(Request):
+    """Ask whether the daemon is there."""
+
+
+class Pong(Answer):
+    """The daemon is there."""
+
+    verb: Literal["ping"] = "ping"
+    t_ns: Int64 = Field(description="UTC, when the answer was made")
+    daemon_boot_id: str
+    uptime_s: float
+
+
+class AskHealth(Request):
+    """Ask for a message of `health` at once; it is published, too."""
+
+
+class HealthAnswer(Answer):
+    """How the daemon fares now."""
+
+    verb: Literal["health"] = "health"
+    health: Health
+
+
+class Snapshot(Request):
+    """Ask for the last messages on the JSON topics."""
+
+    topics: Annotated[tuple[JsonTopic, ...], Field(strict=False, max_length=16)] | None = Field(
+        None, description="those wanted; all where not given"
+    )
+
+
+class SnapshotAnswer(Answer):
+    """The last messages, as they were published."""
+
+    verb: Literal["snapshot"] = "snapshot"
+    messages: dict[str, SerializeAsAny[Message]] = Field(description="by topic; none of those that had no message yet")
+    left_out: tuple[str, ...] = Field(description="topics whose messages would make the answer too long: ask for fewer")
+
+
+class Tare(Request):
+    """Take the present readings as those of the untouched plate."""
+
+
+class TareAnswer(Answer):
+    """What was taken for untouched."""
+
+    verb: Literal["tare"] = "tare"
+    did: str
+    common_mode: tuple[Float, ...] = Field(description="relative frequency error by channel")
+
+
+class StartRecording(Request):
+    """Record the link to a file; the daemon chooses its name, and where."""
+
+    label: Annotated[str, Field(pattern=LABEL_PATTERN)] | None = Field(None, description="becomes part of the name")
+
+
+class StartRecordingAnswer(Answer):
+    """The recording that runs."""
+
+    verb: Literal["start_recording"] = "start_recording"
+    file: str = Field(description="on the daemon's machine")
+    since_t_ns: Int64 = Field(description="UTC")
+    already: bool = Field(description="it ran before this command came")
+
+
+class StopRecording(Request):
+    """End the recording."""
+
+
+class RecordingSummaryInfo(Message):
+    """What a recording that has ended holds."""
+
+    file: str = Field(description="on the daemon's machine")
+    file_bytes: int
+    events: int = Field(description="pieces of the link's traffic that are in the file")
+    events_missing: int = Field(description="those that are not: the disk was too slow or failed")
+    duration_s: float
+    failure: str | None = Field(description="why nothing more was written; null where all was well")
+
+
+class StopRecordingAnswer(Answer):
+    """No recording runs any more."""
+
+    verb: Literal["stop_recording"] = "stop_recording"
+    recording: RecordingSummaryInfo | None = Field(description="the last one; null where none ran yet")
+    already: bool = Field(description="none ran when this command came")
+
+
+class Mark(Request):
+    """Write a remark into the recording."""
+
+    text: Annotated[str, Field(min_length=1, max_length=200), AfterValidator(_printable)] = Field(
+        description="printable characters"
+    )
+
+
+class MarkAnswer(Answer):
+    """Where the remark stands."""
+
+    verb: Literal["mark"] = "mark"
+    t_ns: Int64 = Field(description="UTC")
+
+
+class SetWindow(Request):
+    """Set how long is counted for one force and how often one is published; until the daemon ends."""
+
+    window_ms: float = Field(gt=0, le=1000, allow_inf_nan=False)
+    step_ms: Annotated[float, Field(gt=0, le=1000, allow_inf_nan=False)] | None = Field(
+        None, description="as it was where not given"
+    )
+
+
+class SetWindowAnswer(Answer):
+    """What holds from the next message on."""
+
+    verb: Literal["set_window"] = "set_window"
+    window_s: float
+    step_s: float
+
+
+class SetRate(Request):
+    """Lower the rate of a stream; the decimated copy beside it stays as it is. Until the daemon ends."""
+
+    topic: StreamTopic
+    rate_hz: Annotated[float, Field(ge=0.1, le=10_000, allow_inf_nan=False)] | None = Field(
+        description="at most so many messages a second; null: all of them"
+    )
+
+
+class SetRateAnswer(Answer):
+    """What holds from the next message on."""
+
+    verb: Literal["set_rate"] = "set_rate"
+    topic: StreamTopic
+    rate_hz: float | None
+
+
+class Identify(Request):
+    """Have the board blink."""
+
+
+class IdentifyAnswer(Answer):
+    """The board has answered that it blinks."""
+
+    verb: Literal["identify"] = "identify"
+
+
+@dataclass(frozen=True)
+class Verb:
+    """One command.
+
+    Attributes
+    ----------
+    changes
+        Whether it changes anything, and therefore needs to be allowed.
+    idempotent
+        Whether it may be sent again without doing more.
+    """
+
+    name: str
+    request: type[Request]
+    answer: type[Answer]
+    changes: bool
+    idempotent: bool
+    summary: str
+
+
+VERBS: Final[dict[str, Verb]] = {
+    verb.name: verb
+    for verb in (
+        Verb("ping", Ping, Pong, False, True, "tells that the daemon is there"),
+        Verb("health", AskHealth, HealthAnswer, False, True, "tells how the daemon fares"),
+        Verb("snapshot", Snapshot, SnapshotAnswer, False, True, "repeats the last message of each JSON topic"),
+        Verb("tare", Tare, TareAnswer, True, True, "takes the present readings as those of the untouched plate"),
+        Verb("start_recording", StartRecording, StartRecordingAnswer, True, True, "records the link to a file"),
+        Verb("stop_recording", StopRecording, StopRecordingAnswer, True, True, "ends the recording"),
+        Verb("mark", Mark, MarkAnswer, True, False, "writes a remark into the recording"),
+        Verb("set_window", SetWindow, SetWindowAnswer, True, True, "sets window and step of the forces"),
+        Verb("set_rate", SetRate, SetRateAnswer, True, True, "lowers the rate of a stream"),
+        Verb("identify", Identify, IdentifyAnswer, True, True, "makes the board blink"),
+    )
+}
+
+
+def obeyed(allowed: Collection[str]) -> tuple[str, ...]:
+    """Return the verbs that a daemon obeys: what changes nothing, and what its configuration allows."""
+    return tuple(verb.name for verb in VERBS.values() if not verb.changes or verb.name in allowed)

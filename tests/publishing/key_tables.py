@@ -1,0 +1,47 @@
+"""Tables of keys in docs/mqtt.md, from the models: `python tests/publishing/key_tables.py` writes them anew.
+
+A table follows a comment that names its models, as `<!-- keys: Header, Measured -->`; inherited keys are left out.
+"""
+
+import re
+from pathlib import Path
+
+from resonator_daemon.publishing import payloads
+from resonator_daemon.publishing.units import unit_of
+
+PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
+KEYS = re.compile(r"(<!-- (keys|words): ([\w, ]+) -->\n\n)(?:\|.*\n)*\n*")
+
+
+def with_tables(page: str) -> str:
+    """Return the page with each table as the models have it."""
+    make = {"keys": table_of_keys, "words": table_of_words}
+    return KEYS.sub(lambda found: f"{found[1]}{make[found[2]](found[3].split(', '))}\n", page)
+
+
+def tabled(page: str) -> set[str]:
+    """Return the names of the models that have a table."""
+    return {name for found in KEYS.finditer(page) for name in found[3].split(", ")}
+
+
+def table_of_keys(names: list[str]) -> str:
+    rows = ["| key | unit | meaning |", "| --- | --- | --- |"]
+    for name in names:
+        model = getattr(payloads, name)
+        own = (key for key in model.model_fields if key in model.__annotations__)
+        rows += [_row(f"`{key}`", unit_of(key) or "", model.model_fields[key].description or "") for key in own]
+    return "\n".join(rows) + "\n"
+
+
+def _row(*cells: str) -> str:
+    return "|" + "|".join(f" {cell} " if cell else " " for cell in cells) + "|"
+
+
+def table_of_words(names: list[str]) -> str:
+    (name,) = names
+    rows = [f"| `{word}` | {word.meaning} |" for word in getattr(payloads, name)]
+    return "\n".join(["| word | meaning |", "| --- | --- |", *rows]) + "\n"
+
+
+if __name__ == "__main__":
+    PAGE.write_text(with_tables(PAGE.read_text()))

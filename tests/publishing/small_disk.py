@@ -1,0 +1,39 @@
+"""A file system of a few kilobytes, to be filled up."""
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+
+@contextmanager
+def small_disk(folder: Path, size_bytes: int) -> Iterator[tuple[Path, Callable[[], None], Callable[[], None]]]:
+    """Mount a disk in memory; yields its path, what fills it to the last byte, and what frees that again."""
+    disk = folder / "disk"
+    disk.mkdir()
+    mount = shutil.which("mount") or "/bin/mount"
+    done = subprocess.run(
+        [mount, "-t", "tmpfs", "-o", f"size={size_bytes}", "tmpfs", str(disk)], capture_output=True, check=False
+    )
+    if done.returncode:
+        pytest.skip("mounting needs root")
+    filler = disk / "filler"
+
+    def fill() -> None:
+        with open(filler, "wb", buffering=0) as file:
+            for block in (65536, 4096, 1):
+                try:
+                    while True:
+                        file.write(b"\0" * block)
+                except OSError:
+                    continue
+        assert os.statvfs(disk).f_bavail == 0
+
+    try:
+        yield disk, fill, lambda: filler.unlink(missing_ok=True)
+    finally:
+        subprocess.run([shutil.which("umount") or "/bin/umount", "-l", str(disk)], check=True)

@@ -1,0 +1,253 @@
+"""The AsyncAPI document against AsyncAPI's own schema, and messages against the document."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from jsonschema import Draft7Validator, ValidationError
+from sample_messages import Messages
+
+from resonator_daemon.publishing import asyncapi
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.payloads import Condition, Message, Status
+from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.publishing.verbs import VERBS
+
+OFFICIAL = json.loads((Path(__file__).parent / "asyncapi" / "3.0.0.json").read_text())
+DOCUMENT = json.loads(asyncapi.encoded())
+PLATE = "{prefix}/{name}/"
+# QoS, retained, expiry; a topic without an entry here is one that nobody agreed on
+STATE, EVENT, STREAM = (1, True, None), (1, False, None), (0, False, 10)
+DELIVERY = {
+    PLATE + "state/daemon": STATE,
+    PLATE + "state/link": STATE,
+    PLATE + "state/sensor": STATE,
+    PLATE + "info": STATE,
+    PLATE + "schema": STATE,
+    PLATE + "contacts/event": EVENT,
+    PLATE + "forces": STREAM,
+    PLATE + "forces/20hz": STREAM,
+    PLATE + "contacts": STREAM,
+    PLATE + "contacts/20hz": STREAM,
+    PLATE + "signals": STREAM,
+    PLATE + "signals/5hz": STREAM,
+    PLATE + "decoded": STREAM,
+    PLATE + "decoded/5hz": STREAM,
+    PLATE + "decoded/summary": STREAM,
+    PLATE + "decoded/summary/20hz": STREAM,
+    PLATE + "health": (0, False, 60),
+    "{prefix}/decoder/{id}/state": (1, True, 3600),
+    "{prefix}/decoder/{id}/health": (0, False, 60),
+}
+
+
+def resolved(reference: str) -> Any:
+    found: Any = DOCUMENT
+    assert reference.startswith("#/")
+    for key in reference[2:].split("/"):
+        found = found[key]
+    return found
+
+
+def references(part: Any) -> Iterator[str]:
+    if isinstance(part, dict):
+        if "$ref" in part:
+            yield part["$ref"]
+        for value in part.values():
+            yield from references(value)
+    elif isinstance(part, list):
+        for value in part:
+            yield from references(value)
+
+
+def validator_of(name: str) -> Draft7Validator:
+    """Return what judges messages of one kind by the document alone."""
+    schema = {"$ref": f"#/components/schemas/{name}", "components": DOCUMENT["components"]}
+    Draft7Validator.check_schema(DOCUMENT["components"]["schemas"][name])
+    return Draft7Validator(schema)
+
+
+def as_rows(payload: bytes) -> Any:
+    """Read CBOR with arrays as nested rows, by hand."""
+
+    def to_rows(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
+        if tag.tag == 85:
+            return np.frombuffer(tag.value, "<f4")
+        assert tag.tag == 40
+        return tag.value[1].reshape(tag.value[0]).tolist()
+
+    return cbor2.loads(payload, tag_hook=to_rows)
+
+
+def read(message: Message) -> Any:
+    payload = encode(message)
+    return json.loads(payload) if payload.startswith(b"{") else as_rows(payload)
+
+
+def test_the_document_is_one_of_asyncapi_3() -> None:
+    Draft7Validator.check_schema(OFFICIAL)
+    assert [
+        (list(error.absolute_path), error.message) for error in Draft7Validator(OFFICIAL).iter_errors(DOCUMENT)
+    ] == []
+
+
+def test_what_is_no_such_document_is_found_out() -> None:
+    (operation,) = list(DOCUMENT["operations"])[:1]
+    wrong = DOCUMENT | {"operations": {operation: {**DOCUMENT["operations"][operation], "action": "publish"}}}
+    assert not Draft7Validator(OFFICIAL).is_valid(wrong)
+
+
+def test_every_reference_leads_somewhere() -> None:
+    for reference in set(references(DOCUMENT)):
+        assert isinstance(resolved(reference), dict), reference
+
+
+def test_operations_name_messages_of_their_own_channel() -> None:
+    for name, operation in DOCUMENT["operations"].items():
+        for part in (operation, operation.get("reply", {"channel": {"$ref": ""}, "messages": []})):
+            channel = part["channel"]["$ref"]
+            assert all(message["$ref"].startswith(f"{channel}/messages/") for message in part["messages"]), name
+
+
+def test_every_topic_is_there_with_its_delivery() -> None:
+    told = {}
+    for operation in DOCUMENT["operations"].values():
+        if operation["action"] == "send":
+            delivery = operation["bindings"]["mqtt"]
+            address = resolved(operation["channel"]["$ref"])["address"]
+            told[address] = (delivery["qos"], delivery["retain"], delivery.get("messageExpiryInterval"))
+    assert told == DELIVERY
+
+
+def test_addresses_have_their_parameters() -> None:
+    for channel in DOCUMENT["channels"].values():
+        assert {part[1:-1] for part in channel["address"].split("/") if part.startswith("{")} == {
+            *channel["parameters"]
+        }
+
+
+def test_every_verb_is_there_with_its_answers() -> None:
+    assert {name for name, told in DOCUMENT["operations"].items() if told["action"] == "receive"} == {
+        f"cmd_{verb}" for verb in VERBS
+    }
+    for verb in VERBS.values():
+        operation = DOCUMENT["operations"][f"cmd_{verb.name}"]
+        assert resolved(operation["channel"]["$ref"])["address"] == f"{PLATE}cmd/{verb.name}"
+        assert resolved(operation["reply"]["channel"]["$ref"])["address"] == f"{PLATE}rsp/{verb.name}"
+        answers = [resolved(resolved(answer["$ref"])["$ref"])["name"] for answer in operation["reply"]["messages"]]
+        assert answers == [verb.answer.__name__, "Refusal"]
+        assert operation["x-changes"] is verb.changes
+
+
+def test_the_schema_of_a_request_refuses_what_the_daemon_refuses() -> None:
+    set_rate = validator_of("SetRate")
+    assert set_rate.is_valid({"topic": "forces", "rate_hz": None})
+    assert not set_rate.is_valid({"topic": "forces", "rate_hz": 0})
+    assert not set_rate.is_valid({"topic": "forces", "rate_hz": 20, "rate": 20})
+    assert not set_rate.is_valid({"topic": "info", "rate_hz": 20})
+    snapshot = validator_of("Snapshot")
+    assert snapshot.is_valid({})
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_examples_obey_their_schema(name: str) -> None:
+    validator_of(name).validate(EXAMPLES[name])
+    told = DOCUMENT["components"]["messages"][name]
+    assert told["examples"] == [{"payload": EXAMPLES[name]}]
+    assert told["contentType"] == "application/json"
+
+
+@pytest.mark.parametrize("path", TOPICS)
+def test_messages_obey_the_schema_of_their_topic(path: str) -> None:
+    message = Messages.by_path()[path]
+    validator_of(TOPICS[path].payload.__name__).validate(read(message))
+
+
+@pytest.mark.parametrize("message", [Messages.decoder_state("online"), Messages.decoder_health(3)])
+def test_messages_of_decoders_obey_their_schema(message: Message) -> None:
+    validator_of(type(message).__name__).validate(read(message))
+
+
+@pytest.mark.parametrize("path", TOPICS)
+def test_each_key_that_is_missing_or_of_another_type_is_found_out(path: str) -> None:
+    message = read(Messages.by_path()[path])
+    validator = validator_of(TOPICS[path].payload.__name__)
+    for key in message:
+        assert not validator.is_valid({name: value for name, value in message.items() if name != key}), key
+        assert not validator.is_valid(message | {key: {"of": ["another type"]}}), key
+    validator.validate(message | {"added_later": 1})
+
+
+def test_numbers_that_are_not_known_obey_the_schema() -> None:
+    forces = Messages.forces(1)
+    site = forces.sites[0].model_copy(update={"force_newton": float("nan")})
+    told = read(forces.model_copy(update={"sites": (site,)}))
+    assert told["sites"][0]["force_newton"] is None
+    validator_of("Forces").validate(told)
+
+
+@pytest.mark.parametrize(
+    ("key", "wrong"),
+    [
+        ("t_ns", 1789000000000000000),
+        ("t_ns", "-1"),
+        ("seq", "1"),
+        ("status", "fine"),
+        ("lost", {"link_gap": 0}),
+        ("sites", [{"site": 1}]),
+    ],
+)
+def test_wrong_values_are_found_out(key: str, wrong: object) -> None:
+    with pytest.raises(ValidationError):
+        validator_of("Forces").validate(read(Messages.forces(1)) | {key: wrong})
+
+
+def test_arrays_are_said_to_be_typed_arrays() -> None:
+    schemas = DOCUMENT["components"]["schemas"]
+    for schema in (schemas["Signals"]["properties"]["signals"], schemas["Decoded"]["properties"]["traction_pascal"]):
+        assert schema["x-rfc8746"]["tag"] == 40
+        assert schema["x-rfc8746"]["elements"] == {"tag": 85, "type": "float32, little-endian"}
+    assert not validator_of("Signals").is_valid(read(Messages.signals(1)) | {"signals": [[1.0], [2.0]]})
+    assert DOCUMENT["components"]["messages"]["Signals"]["contentType"] == "application/cbor"
+    assert DOCUMENT["components"]["messages"]["Signals"]["bindings"]["mqtt"]["payloadFormatIndicator"] == 0
+
+
+def test_numbers_of_cbor_are_numbers() -> None:
+    message = read(Messages.decoded(1))
+    assert message["t_ns"] == 1789000000000000000
+    assert not validator_of("Decoded").is_valid(message | {"t_ns": "1789000000000000000"})
+
+
+@pytest.mark.parametrize("words", [Status, Condition])
+def test_words_are_told_with_their_meaning(words: type[Status] | type[Condition]) -> None:
+    told = DOCUMENT["components"]["schemas"][words.__name__]
+    assert told["type"] == "string"
+    assert [word["const"] for word in told["oneOf"]] == list(words)
+    assert all(word["description"] for word in told["oneOf"])
+
+
+def test_each_key_has_a_description_and_numbers_have_their_unit() -> None:
+    schemas = DOCUMENT["components"]["schemas"]
+    assert schemas["Patch"]["properties"]["moment_std_newton_m"]["x-unit"] == "N.m"
+    assert schemas["Compensation"]["properties"]["plate_kelvin_std"]["x-unit"] == "K"
+    published = {name: kind for name, kind in schemas.items() if name in EXAMPLES} | {"Signals": schemas["Signals"]}
+    for name, schema in published.items():
+        assert [key for key, told in schema["properties"].items() if not told.get("description")] == [], name
+
+
+def test_the_document_is_the_same_whatever_the_process() -> None:
+    program = (
+        "import sys; from resonator_daemon.publishing import asyncapi; sys.stdout.buffer.write(asyncapi.encoded())"
+    )
+    for seed in ("1", "2"):
+        environment = os.environ | {"PYTHONHASHSEED": seed}
+        made = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, check=True).stdout
+        assert made == asyncapi.encoded()

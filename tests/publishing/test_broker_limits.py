@@ -1,0 +1,210 @@
+"""What a broker takes is honoured, whether it says so or shows it by ending connections."""
+
+import logging
+from pathlib import Path
+
+import pytest
+from brokers import Mosquitto
+from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
+from observer import observe
+
+from resonator_daemon.publishing import topics
+from resonator_daemon.publishing.broker_limits import FORGET_S, LargestMessages
+
+PACKET_SIZE = b"\x27"  # Maximum Packet Size, 4 bytes
+RECEIVE_MAXIMUM = b"\x21"  # 2 bytes
+MAXIMUM_QOS = b"\x24"  # 1 byte
+RETAIN_AVAILABLE = b"\x25"  # 1 byte
+
+
+async def test_messages_beyond_the_packet_size_are_dropped_and_said_once_per_topic(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = PACKET_SIZE + (2000).to_bytes(4, "big")
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            for number in range(3):
+                left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            left.retain(f"{LEFT}/schema", b"x" * 3000, topics.JSON)
+            await until(lambda: left.account.waiting == 0)
+            assert left.account.dropped == {"too_large": 5}  # three, the copy of the first, and the document
+            assert left.account.acknowledged == 3
+    said = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    assert [line.split(":")[0] for line in said] == [f"{LEFT}/schema", f"{LEFT}/decoded", f"{LEFT}/decoded/5hz"]
+    assert "the broker takes 2000" in said[0]
+
+
+async def test_an_event_that_is_too_large_does_not_stay_on_disk(tmp_path: Path) -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = PACKET_SIZE + (2000).to_bytes(4, "big")
+        for made in (1, 0):
+            async with publishing(url, spool_directory=tmp_path) as left:
+                if made:
+                    large = Messages.event(1).model_copy(update={"reason": "x" * 3000})
+                    left.publish(LEFT, topics.CONTACT_EVENT, large)
+                    await until(lambda: left.account.spooled == 1 or bool(left.account.dropped))
+                await until(lambda: left.connected and left.account.waiting == 0)
+                assert left.account.dropped == ({"too_large": 1} if made else {})
+                assert left.account.spooled == left.account.recovered == 0
+
+
+async def test_the_packet_size_is_met_to_the_byte() -> None:
+    for spare, taken in ((0, 1), (-1, 0)):
+        async with scripted_broker() as (url, script):
+            payload = b"x" * 500
+            async with publishing(url) as left:
+                await until(lambda: left.connected)
+                left.retain("t", payload, topics.JSON)
+                await until(lambda: len(script.received) == 1)
+            (packet, *_) = script.received
+            size = 1 + 2 + 2 + 1 + 2 + 1 + len(packet.properties) + len(payload)
+            script.connack = PACKET_SIZE + (size + 2 + spare).to_bytes(4, "big")  # up to 2 bytes are not made use of
+            script.received.clear()
+            async with publishing(url) as left:
+                await until(lambda: left.connected)
+                left.retain("t", payload, topics.JSON)
+                await until(lambda: left.account.waiting == 0)
+                assert len(script.received) == taken
+
+
+async def test_no_more_messages_are_on_their_way_than_the_broker_asks_for() -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = RECEIVE_MAXIMUM + b"\x00\x03"
+        script.answer = lambda number: None
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            for number in range(8):
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            left.publish(LEFT, topics.HEALTH, Messages.health(9))
+            await until(lambda: left.account.handed_to_socket == 1)
+            assert len(script.received) == 4
+            script.hang_up()
+            script.answer = lambda number: 0
+            await until(lambda: left.account.acknowledged == 8)
+
+
+async def test_a_broker_without_acknowledgements_and_without_memory(caplog: pytest.LogCaptureFixture) -> None:
+    async with scripted_broker() as (url, script):
+        script.connack = MAXIMUM_QOS + b"\x00" + RETAIN_AVAILABLE + b"\x00"
+        async with publishing(url) as left:
+            await until(lambda: left.connected)
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+            left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
+            await until(lambda: left.account.handed_to_socket == 2)
+            assert left.account.acknowledged == 0
+    assert {(message.qos, message.retain) for message in script.received} == {(0, False)}
+    assert "keeps no retained messages" in caplog.text
+
+
+async def test_mosquitto_that_says_its_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    broker = Mosquitto(tmp_path, "allow_anonymous true", "max_packet_size 5000")
+    await broker.start()
+    async with observe(broker.url) as observer, publishing(broker.url) as left:
+        await until(lambda: left.connected)
+        left.publish(LEFT, topics.DECODED, Messages.decoded(1))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+        await observer.until(lambda: len(observer.heard) == 1)
+        assert left.account.dropped == {"too_large": 2}
+    assert "the broker takes 5000" in caplog.text
+    await broker.kill()
+
+
+async def test_a_broker_that_ends_the_connection_upon_a_large_event_gets_it_twice_and_no_more(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.too_large_bytes = 1500
+        await until(lambda: left.connected)
+        large = Messages.event(1).model_copy(update={"reason": "x" * 1000})
+        left.publish(LEFT, topics.CONTACT_EVENT, large)
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.dropped == {"too_large": 1}
+        assert left.account.acknowledged == 1
+        assert len(script.greetings) == 2 * 3
+    assert caplog.text.count(f"ends the connection upon {LEFT}/contacts/event") == 1
+
+
+async def test_a_broker_that_ends_the_connection_upon_a_large_stream_is_not_asked_for_ever(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.too_large_bytes = 20_000
+        number = 0
+        while not left.account.dropped.get("too_large"):
+            await until(lambda: left.connected)
+            left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+            number += 1
+            await until(lambda: left.account.waiting == 0 or not left.connected)
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        await until(lambda: left.account.waiting == 0 and left.connected)
+        assert len(script.greetings) == 2 * 3
+        assert script.received[-1].topic == f"{LEFT}/health"
+    assert caplog.text.count("ends the connection upon") == 1
+
+
+async def test_a_broker_that_dies_twice_after_large_messages_it_took_is_not_suspected(
+    mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with publishing(mosquitto.url) as left:
+        left.retain(f"{LEFT}/schema", b"x" * 90_000, topics.JSON)
+        for _ in range(3):
+            await until(lambda: left.account.waiting == 0 and left.connected)
+            left._client.abort()  # to be back at once
+            await until(lambda: not left.connected)
+        await until(lambda: left.account.acknowledged == 4)
+        assert left.account.dropped == {}
+    assert "ends the connection" not in caplog.text
+
+
+def ending(largest: LargestMessages, at_s: float, *, at_once: bool = True) -> object:
+    largest.connected(at_once=at_once)
+    largest.sent(300, "small", at_s, awaited=True)
+    largest.acknowledged()
+    largest.sent(40_000, "large", at_s, awaited=False)
+    return largest.ended(at_s + 0.1)
+
+
+def test_twice_in_a_row_is_believed_and_forgotten_after_a_while() -> None:
+    largest = LargestMessages()
+    assert ending(largest, 0.0) is None
+    assert ending(largest, 1.0) == ("large", 40_000)
+    assert largest.bytes_max(2.0) == 39_999
+    assert largest.bytes_max(1.2 + FORGET_S) > 1e6
+
+
+def test_a_broker_that_was_away_is_not_suspected() -> None:
+    largest = LargestMessages()
+    ending(largest, 0.0)
+    assert ending(largest, 5.0, at_once=False) is None
+    assert ending(largest, 6.0) == ("large", 40_000)
+
+
+def test_a_connection_that_lasts_has_taken_the_message() -> None:
+    largest = LargestMessages()
+    ending(largest, 0.0)
+    largest.connected(at_once=True)
+    largest.sent(40_000, "large", 1.0, awaited=False)
+    assert largest.ended(3.5) is None
+    assert ending(largest, 4.0) is None
+    assert ending(largest, 5.0) is None
+
+
+def test_what_was_acknowledged_later_tells_that_all_before_it_was_taken() -> None:
+    largest = LargestMessages()
+    for _ in range(3):
+        largest.connected(at_once=True)
+        largest.sent(40_000, "large", 0.0, awaited=False)
+        largest.sent(300, "small", 0.0, awaited=True)
+        largest.acknowledged()
+        assert largest.ended(0.1) is None
+
+
+def test_small_messages_are_never_suspected() -> None:
+    largest = LargestMessages()
+    for _ in range(3):
+        largest.connected(at_once=True)
+        largest.sent(900, "small", 0.0, awaited=True)
+        assert largest.ended(0.1) is None

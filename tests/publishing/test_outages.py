@@ -1,0 +1,395 @@
+"""A broker that dies, freezes, forgets or is slow, and a disk that does not help: no event lost, all accounted for."""
+
+import asyncio
+import json
+import logging
+import random
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Amqtt, Mosquitto
+from mqtt_helpers import LEFT, Messages, assert_exact, publishing, scripted_broker, until
+from observer import Observer, observe
+from slow_link import slow_link
+from small_disk import small_disk
+
+from resonator_daemon.publishing import connection, event_queue, outbox, publisher, spool, topics
+from resonator_daemon.publishing.backoff import Backoff
+from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
+from resonator_daemon.publishing.publisher import Publisher
+
+EVENTS = f"{LEFT}/contacts/event"
+ONLINE = Messages.state("online", "all is well")
+
+
+@pytest.fixture
+def _short_timeouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "PUBLISH_TIMEOUT_S", 0.3)
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(publisher, "_WATCH_S", 0.1)
+
+
+@pytest.fixture(params=["mosquitto", "amqtt"])
+async def generous(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Mosquitto | Amqtt]:
+    """A broker that drops nothing of what a subscriber has not taken yet; Mosquitto alone does so from 1000 on."""
+    settings = ("allow_anonymous true", "max_queued_messages 0")
+    broker = Mosquitto(tmp_path, *settings) if request.param == "mosquitto" else Amqtt()
+    await broker.start()
+    yield broker
+    await broker.kill()
+
+
+async def happen(left: Publisher, numbers: range) -> None:
+    """Publish events, with an account that is right after each of them."""
+    for number in numbers:
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+        assert_exact(left)
+        if number % 50 == 49:
+            await asyncio.sleep(0.001)
+
+
+async def heard_events(observer: Observer, last: int) -> list[dict[str, Any]]:
+    """Wait for the last event; return all, doubles of those that were sent before passed over as a subscriber does."""
+    await observer.until_last(EVENTS, seq=last)
+    seen: dict[int, dict[str, Any]] = {}
+    for event in observer.payloads(EVENTS):
+        assert event["replayed"] or event["seq"] not in seen
+        seen.setdefault(event["seq"], event)
+    return list(seen.values())
+
+
+async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
+    async with publishing(broker.url) as left:
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("starting"))
+        await until(lambda: left.account.acknowledged == 2)
+        await broker.kill()
+        await until(lambda: not left.connected)
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("stalled"))
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("lost"))
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        assert_exact(left)
+        assert left.account.waiting == 2
+        assert left.account.dropped == {"superseded": 1, "no_connection": 1}
+        assert left.dropped == 1  # nobody misses the state that a newer one replaced
+        await broker.start()
+        async with observe(broker.url) as observer:
+            await observer.until_last("resonator/left/state/daemon", state="online")
+            await observer.until_last("resonator/left/state/link", state="lost")
+            event = await observer.until_last(EVENTS, event="onset")
+            await until(lambda: left.account.waiting == 0)
+        assert event["replayed"]
+        account = left.account
+        assert (account.made, account.restored, account.acknowledged) == (7, 1, 5)
+        assert account.unknown_at_disconnect == 0
+
+
+async def test_pauses_leave_time_to_bring_the_states_within_a_second(
+    mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pauses_s: list[float] = []
+    next_s = Backoff.next_s
+
+    def told(backoff: Backoff, longest_s: float) -> float:
+        pauses_s.append(next_s(backoff, longest_s))
+        return 0.0
+
+    monkeypatch.setattr(Backoff, "next_s", told)
+    await mosquitto.kill()
+    async with publishing(mosquitto.url) as left:
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+        await until(lambda: len(pauses_s) >= 200)
+        await mosquitto.start()
+        await until(lambda: left.account.acknowledged == 1)
+    assert 0.5 < max(pauses_s) < 0.7
+    assert min(pauses_s[10:]) < 0.4  # brokers are not asked by all at the same time
+
+
+async def test_events_of_an_outage_come_in_order_with_their_times_and_a_mark(generous, tmp_path: Path) -> None:
+    async with publishing(generous.url, spool_directory=tmp_path) as left:
+        async with observe(generous.url) as observer:
+            await until(lambda: left.connected)
+            await happen(left, range(10))
+            events = await heard_events(observer, 9)
+            assert not any(event["replayed"] for event in events)
+        await generous.kill()
+        await until(lambda: not left.connected)
+        await happen(left, range(10, 3000))
+        await until(lambda: left.account.spooled == 2990)
+        await generous.start()
+        async with observe(generous.url) as observer:
+            events = await heard_events(observer, 2999)
+            await until(lambda: left.account.waiting == 0)
+            await happen(left, range(3000, 3010))
+            events = await heard_events(observer, 3009)
+        seqs = [event["seq"] for event in events]
+        assert seqs == list(range(seqs[0], 3010))
+        assert {event["t_ns"] for event in events} == {str(Messages.event(0).t_ns)}
+        assert [event["seq"] for event in events if not event["replayed"]] == list(range(3000, 3010))
+        account = left.account
+        assert (account.acknowledged, account.spooled, account.dropped) == (3010, 0, {})
+
+
+async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_path: Path) -> None:
+    async with scripted_broker() as (url, script), publishing(url, spool_directory=tmp_path) as left:
+        script.answer = lambda number: 0 if number <= 3 else None
+        await until(lambda: left.connected)
+        for number in range(8):
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+        await until(lambda: len(script.received) == 8 and left.account.acknowledged == 3)
+        assert left.account.waiting == 5
+        script.answer = lambda number: 0
+        script.hang_up()
+        await until(lambda: not left.connected)
+        assert (left.account.unknown_at_disconnect, left.account.resent, left.account.made) == (5, 5, 13)
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(8))
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.acknowledged == 9
+        told = [(event["seq"], event["replayed"]) for event in (json.loads(m.payload) for m in script.received)]
+        assert told == [(n, False) for n in range(8)] + [(n, True) for n in range(3, 9)]
+
+
+async def test_what_a_run_leaves_is_sent_first_by_the_next(mosquitto, tmp_path: Path) -> None:
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
+        await happen(left, range(100))
+    assert (left.account.waiting, left.account.spooled) == (100, 100)
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await happen(left, range(100, 105))
+        events = await heard_events(observer, 104)
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.recovered == 100
+        assert left.account.made == 105
+    assert [event["seq"] for event in events] == list(range(105))
+    assert all(event["replayed"] for event in events[:100])
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await until(lambda: left.connected)
+    assert left.account.recovered == 0
+
+
+async def test_a_backlog_that_connections_break_into_keeps_its_order(tmp_path: Path) -> None:
+    async with scripted_broker() as (url, script):
+        chance = random.Random(1)
+        async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
+            await happen(left, range(500))
+        async with publishing(url, spool_directory=tmp_path) as left:
+            made = 500
+            while left.account.acknowledged < 2000 or left.account.waiting:
+                if made < 2000:
+                    await happen(left, range(made, made + 10))
+                    made += 10
+                if chance.random() < 0.03:
+                    script.hang_up()
+                await asyncio.sleep(0.002)
+                assert_exact(left)
+        account = left.account
+        assert account.acknowledged == 2000 + 1
+        assert account.unknown_at_disconnect == account.resent > 0
+        assert account.dropped == {}
+    events = [json.loads(message.payload) for message in script.received if message.topic == EVENTS]
+    seen: list[int] = []
+    for event in events:
+        if event["seq"] not in seen:
+            seen.append(event["seq"])
+        else:
+            assert event["replayed"]
+    assert seen == list(range(2000))
+
+
+@pytest.mark.usefixtures("_short_timeouts")
+async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(tmp_path: Path) -> None:
+    mosquitto = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
+    await mosquitto.start()
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+        await until(lambda: left.account.acknowledged == 1 and left._outbox.events.knows_what_was_left)
+        mosquitto.freeze()
+        number = 0
+        while left.connected or number < 1000:
+            for _ in range(5):
+                left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+                assert_exact(left)
+                assert left._outbox.stream_bytes <= outbox.STREAM_BYTES_WAITING_MAX
+                number += 1
+            await asyncio.sleep(0.001)
+        frozen = left.account
+        assert frozen.acknowledged == 1
+        assert frozen.unknown_at_disconnect == outbox.UNACKNOWLEDGED_MAX + 1  # one stream was half written
+        assert set(frozen.dropped) <= {"no_connection", "queue_full"}
+        mosquitto.thaw()
+        async with observe(mosquitto.url) as observer:
+            events = await heard_events(observer, number - 1)
+            assert [event["seq"] for event in events] == list(range(events[0]["seq"], number))
+            await until(lambda: left.account.waiting == 0)
+        assert left.account.acknowledged == 1 + 1 + number  # the state once more, each event
+        async with observe(mosquitto.url) as observer:  # the old connection's will did not have the last word
+            await observer.until_last("resonator/left/state/daemon", state="online")
+    await mosquitto.kill()
+
+
+@pytest.mark.usefixtures("_short_timeouts")
+async def test_a_frozen_broker_is_noticed_though_the_socket_still_takes_everything(
+    mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(connection, "KEEPALIVE_S", 1)
+    async with publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        mosquitto.freeze()
+        left.publish(LEFT, topics.HEALTH, Messages.health(1))
+        await until(lambda: not left.connected)
+        assert left.account.handed_to_socket == 1
+        await mosquitto.kill()
+
+
+async def test_two_seconds_of_a_stalled_broker_cost_no_stream(mosquitto) -> None:
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        mosquitto.freeze()
+        for number in range(200):  # two seconds of arrays at 100 Hz, and of everything else at 400 Hz
+            left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+            left.publish(LEFT, topics.SIGNALS, Messages.signals(number))
+            for _ in range(4):
+                left.publish(LEFT, topics.HEALTH, Messages.health(number))
+            await asyncio.sleep(0)
+        assert left.account.waiting > 100
+        mosquitto.thaw()
+        await observer.until(lambda: len(observer.heard) == 1200 + 2)
+        assert left.account.dropped == {}
+
+
+async def test_a_slow_link_brings_events_and_the_newest_streams(mosquitto, tmp_path: Path) -> None:
+    async with slow_link(mosquitto.url, 1_000_000) as url, observe(mosquitto.url) as observer:
+        async with publishing(url, spool_directory=tmp_path) as left:
+            await until(lambda: left.connected)
+            for number in range(2000):  # 50 MB where 1 MB/s passes
+                left.publish(LEFT, topics.DECODED, Messages.decoded(number))
+                if number % 100 == 0:
+                    left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+                assert_exact(left)
+                assert left._outbox.stream_bytes <= outbox.STREAM_BYTES_WAITING_MAX
+                await asyncio.sleep(0.001 if number % 10 == 0 else 0)
+            events = await heard_events(observer, 1900)
+        assert [event["seq"] for event in events] == list(range(0, 2000, 100))
+        assert left.account.dropped["queue_full"] > 100
+        assert left.account.unknown_at_disconnect <= 1  # the stream half written at the end
+
+
+async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exception(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
+    caplog.set_level(logging.INFO)
+    with small_disk(tmp_path, 16 * 2**20) as (disk, fill, free):
+        await mosquitto.kill()
+        async with publishing(mosquitto.url, spool_directory=disk) as left:
+            await happen(left, range(50))
+            await until(lambda: left.account.spooled == 50)
+            fill()
+            await happen(left, range(50, 3000))
+            await until(lambda: "events cannot be kept on disk" in caplog.text)
+            await happen(left, range(3000, 4000))
+            account = left.account
+            assert account.dropped == {"spool_failed": account.made - account.waiting}
+            assert account.waiting - account.spooled == IN_MEMORY_MAX
+            free()
+            await until(lambda: "can be kept on disk again" in caplog.text)
+            assert caplog.text.count("events cannot be kept on disk") == 1
+            await mosquitto.start()
+            async with observe(mosquitto.url) as observer:
+                await heard_events(observer, 3999)
+                await until(lambda: left.account.waiting == 0)
+            kept = 4000 - account.dropped["spool_failed"]
+            assert left.account.acknowledged == kept
+
+
+async def test_a_spool_that_another_process_holds_is_left_alone(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as first:
+        await happen(first, range(20))
+        await until(lambda: first.account.spooled == 20)
+        async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as second:
+            await until(lambda: second.connected and "another process holds" in caplog.text)
+            await happen(second, range(20, 25))
+            await until(lambda: second.account.waiting == 0)
+            assert second.account.recovered == 0
+            events = await heard_events(observer, 24)
+            assert [event["seq"] for event in events] == list(range(20, 25))
+    assert first.account.spooled == 20
+    assert caplog.text.count("another process holds") == 1
+
+
+async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(
+    mosquitto, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await mosquitto.kill()
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await happen(left, range(2000))
+        await until(lambda: left.account.spooled == 2000)
+        read = spool.Spool.read
+
+        def damaged(kept: spool.Spool, *arguments: Any) -> Any:
+            monkeypatch.setattr(spool.Spool, "read", read)
+            kept.close()
+            kept.path.write_bytes(b"no database" * 1000)
+            return read(kept, *arguments)
+
+        monkeypatch.setattr(spool.Spool, "read", damaged)
+        await mosquitto.start()
+        async with observe(mosquitto.url) as observer:
+            await heard_events(observer, 1999)
+            await until(lambda: left.account.waiting == 0)
+        account = left.account
+        assert account.dropped["spool_failed"] == 2000 - account.acknowledged
+        assert 0 < account.dropped["spool_failed"] <= 2000 - IN_MEMORY_MAX
+        assert "set aside as events.damaged" in caplog.text
+
+
+async def test_beyond_the_bound_on_disk_the_oldest_go(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(spool, "EVENTS_MAX", 1500)
+    await mosquitto.kill()
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await happen(left, range(4000))
+        await until(lambda: left.account.dropped == {"spool_full": 2500} and left.account.spooled == 1500)
+        await mosquitto.start()
+        async with observe(mosquitto.url) as observer:
+            events = await heard_events(observer, 3999)
+        assert len(events) <= 1500
+    assert "2500 events (spool_full)" in caplog.text
+
+
+async def test_accounts_are_exact_at_random_instants_while_connections_break(broker, tmp_path: Path) -> None:
+    chance = random.Random(20)
+    async with publishing(broker.url, spool_directory=tmp_path) as left:
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+        made = 1
+        for number in range(10_000):
+            what = chance.random()
+            if what < 0.70:
+                left.publish(LEFT, topics.HEALTH, Messages.health(number))
+            elif what < 0.97:
+                left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+            else:
+                left.publish(LEFT, topics.STATE_SENSOR, Messages.state("online", str(number)))
+            made += 1
+            if chance.random() < 0.05:
+                await asyncio.sleep(0)
+            if number % 2000 == 500:
+                await until(lambda: left.connected)
+            if number % 2000 == 1000:
+                left._client.abort()
+            account = left.account
+            assert account.made - account.restored - account.resent == made
+            assert_exact(left)
+        await until(lambda: left.account.waiting == 0)
+    account = left.account
+    assert account.acknowledged > 0
+    assert account.handed_to_socket > 0
+    assert account.dropped["no_connection"] > 0
+    assert account.unknown_at_disconnect > 0

@@ -1,0 +1,149 @@
+"""Commands over brokers, from a request to its answer."""
+
+import asyncio
+import json
+
+import aiomqtt
+import pytest
+from brokers import Amqtt, Mosquitto, free_port
+from commanded import commanded
+from mqtt_helpers import Messages, scripted_broker, until
+from observer import observe
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.commands import AT_ONCE, COMPLAINTS_AT_ONCE, Handler
+from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, request
+from resonator_daemon.publishing.topics import CONTACT_EVENT
+from resonator_daemon.publishing.verbs import Mark, MarkAnswer
+
+BASE = "resonator/left"
+MARK = b'{"text": "warm"}'
+
+
+def mark(request: Mark) -> MarkAnswer:
+    return MarkAnswer(t_ns=len(request.text))
+
+
+HANDLERS: dict[str, Handler] = {"mark": mark}
+ALLOWED = ("mark",)
+
+
+async def test_a_command_is_answered(broker: Mosquitto | Amqtt) -> None:
+    async with commanded(broker.url, HANDLERS, ALLOWED) as daemon:
+        await until(lambda: daemon.publisher.connected)
+        answer = await request(Mqtt(url=broker.url), "left", "mark", {"text": "warm"})
+        assert answer == {"verb": "mark", "ok": True, "t_ns": "4"}
+        answer = await request(Mqtt(url=broker.url), "left", "explode", {})
+        assert answer["error"] == {
+            "code": "unknown_verb",
+            "message": "no command is called 'explode'",
+            "hint": "allowed: mark",
+        }
+
+
+async def test_response_topic_and_correlation_of_mqtt_5_are_honoured(mosquitto: Mosquitto) -> None:
+    host, port = mosquitto.url.removeprefix("mqtt://").split(":")
+    async with (
+        commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon,
+        aiomqtt.Client(host, int(port), protocol=aiomqtt.ProtocolVersion.V5) as client,
+    ):
+        await until(lambda: daemon.publisher.connected)
+        await client.subscribe("robot/answers")
+        asked = Properties(PacketTypes.PUBLISH)
+        asked.ResponseTopic = "robot/answers"
+        asked.CorrelationData = b"\x00\xff7"
+        await client.publish(f"{BASE}/cmd/mark", MARK, qos=1, properties=asked)
+        async with asyncio.timeout(20):
+            message = await anext(client.messages)
+        assert json.loads(message.payload)["ok"] is True
+        assert message.properties is not None
+        assert message.properties.CorrelationData == b"\x00\xff7"
+        assert message.properties.ContentType == "application/json"
+        assert not message.retain
+
+
+async def test_a_plain_client_finds_the_answer_below_rsp(broker: Mosquitto | Amqtt) -> None:
+    host, port = broker.url.removeprefix("mqtt://").split(":")
+    spoken = [aiomqtt.ProtocolVersion.V311]
+    if isinstance(broker, Mosquitto):
+        spoken.append(aiomqtt.ProtocolVersion.V5)
+    async with (
+        commanded(broker.url, HANDLERS, ALLOWED) as daemon,
+        observe(broker.url, f"{BASE}/rsp/#") as observer,
+    ):
+        await until(lambda: daemon.publisher.connected)
+        for count, version in enumerate(spoken, 1):
+            async with aiomqtt.Client(host, int(port), protocol=version) as client:
+                await client.publish(f"{BASE}/cmd/mark", MARK, qos=1)
+                await observer.until_count(f"{BASE}/rsp/mark", count)
+    assert observer.payloads(f"{BASE}/rsp/mark") == [{"verb": "mark", "ok": True, "t_ns": "4"}] * len(spoken)
+
+
+async def test_commands_are_heard_again_after_a_restart_of_the_broker(mosquitto: Mosquitto) -> None:
+    async with commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon:
+        await until(lambda: daemon.publisher.connected)
+        await mosquitto.kill()
+        await until(lambda: not daemon.publisher.connected)
+        await mosquitto.start()
+        await until(lambda: daemon.publisher.connected)
+        assert (await request(Mqtt(url=mosquitto.url), "left", "mark", {"text": "a"}))["ok"] is True
+
+
+async def test_nobody_there_is_said(mosquitto: Mosquitto) -> None:
+    with pytest.raises(NoAnswerError, match=r"no answer to resonator/left/cmd/tare within 0\.2 s; is `resonatord run`"):
+        await request(Mqtt(url=mosquitto.url), "left", "tare", {}, answer_s=0.2)
+    with pytest.raises(BrokerUnreachableError, match=r"no broker at 127\.0\.0\.1"):
+        await request(Mqtt(url=f"mqtt://127.0.0.1:{free_port()}"), "left", "tare", {})
+
+
+async def test_a_broker_that_denies_it_is_said_at_once() -> None:
+    not_authorised = 0x87
+    async with scripted_broker() as (url, script):
+        script.answer = lambda number: not_authorised
+        with pytest.raises(DeniedError, match=r"the broker denies resonator/left/cmd/tare; see its access rules"):
+            await request(Mqtt(url=url), "left", "tare", {})
+        script.answer = lambda number: None
+        script.subscribed = not_authorised
+        with pytest.raises(DeniedError, match=r"the broker denies resonator/left/rsp/tare/[0-9a-f]{16}; see"):
+            await request(Mqtt(url=url), "left", "tare", {})
+
+
+async def test_only_the_daemons_word_counts_as_an_answer(mosquitto: Mosquitto) -> None:
+    host, port = mosquitto.url.removeprefix("mqtt://").split(":")
+    async with (
+        aiomqtt.Client(host, int(port), protocol=aiomqtt.ProtocolVersion.V5) as other,
+        observe(mosquitto.url, f"{BASE}/cmd/mark"),
+    ):
+        await other.subscribe(f"{BASE}/cmd/mark")
+        asking = asyncio.create_task(request(Mqtt(url=mosquitto.url), "left", "mark", {"text": "a"}))
+        async with asyncio.timeout(20):
+            command = await anext(other.messages)
+        assert command.properties is not None
+        topic = command.properties.ResponseTopic
+        for payload in (b"\xff", b"[]", b"{}", b'{"verb": "tare", "ok": true}', b'{"verb": "mark", "ok": true}'):
+            await other.publish(topic, payload, qos=1)
+        async with asyncio.timeout(20):
+            assert await asking == {"verb": "mark", "ok": True}
+
+
+async def test_a_flood_of_commands_costs_no_event(mosquitto: Mosquitto) -> None:
+    async with (
+        commanded(mosquitto.url, HANDLERS, ALLOWED) as daemon,
+        observe(mosquitto.url, f"{BASE}/#") as observer,
+    ):
+        publisher, commands = daemon.publisher, daemon.commands
+        await until(lambda: publisher.connected)
+        host, port = mosquitto.url.removeprefix("mqtt://").split(":")
+        async with aiomqtt.Client(host, int(port), max_queued_outgoing_messages=0) as client:
+            for number in range(1000):
+                publisher.publish(daemon.base, CONTACT_EVENT, Messages.event(number))
+                await client.publish(f"{BASE}/cmd/mark", MARK)
+        await until(lambda: commands.counts.total() == 1000)
+        await observer.until_count(f"{BASE}/contacts/event", 1000)
+        await observer.until_count(f"{BASE}/rsp/mark", commands.counts["done"] + commands.counts["too_many"])
+        assert [event["seq"] for event in observer.payloads(f"{BASE}/contacts/event")] == list(range(1000))
+        assert sum(publisher.account.dropped.values()) == 0
+        assert AT_ONCE <= commands.counts["done"] < 1000 - COMPLAINTS_AT_ONCE
+        assert commands.counts["unanswered"] > 0

@@ -1,0 +1,172 @@
+"""The spool: order, bounds, one holder, and whatever a disk does."""
+
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_disk import small_disk
+
+from resonator_daemon.publishing import spool
+from resonator_daemon.publishing.spool import Progress, Spool, SpoolDamagedError, SpooledEvent, SpoolError
+
+START = Progress((-1, -1), (1, -1))
+WRITER = """
+import sys
+from pathlib import Path
+from resonator_daemon.publishing.spool import Progress, Spool, SpooledEvent
+spool = Spool(Path(sys.argv[1]))
+run, _ = spool.open()
+for number in range(100):
+    spool.append([SpooledEvent((run, number), "a/topic", b"%d" % number)], Progress((-1, -1), (run, -1)), 0)
+print("written", flush=True)
+sys.stdin.read()
+"""
+
+
+def events(*numbers: int, run: int = 1, size_bytes: int = 1) -> list[SpooledEvent]:
+    return [SpooledEvent((run, number), "a/topic", b"x" * size_bytes) for number in numbers]
+
+
+def numbers(found: list[SpooledEvent]) -> list[int]:
+    return [event.key[1] for event in found]
+
+
+def test_events_come_back_in_order_whatever_the_order_they_were_written_in(tmp_path: Path) -> None:
+    kept = Spool(tmp_path / "missing" / "folder")
+    assert kept.open() == (1, 0)
+    kept.append(events(5, 6, 7), START, 0)
+    kept.append(events(3, 4), START, 0)
+    assert numbers(kept.read(START, 10)) == [3, 4, 5, 6, 7]
+    assert numbers(kept.read(START, 2)) == [3, 4]
+    assert numbers(kept.read(Progress((1, 4), (1, -1)), 2)) == [5, 6]
+    assert numbers(kept.read(Progress((-1, -1), (1, 5)), 9)) == [6, 7]
+    kept.delete([(1, 3), (1, 5), (1, 99)])
+    assert numbers(kept.read(START, 10)) == [4, 6, 7]
+    kept.close()
+
+
+def test_what_earlier_runs_left_comes_first(tmp_path: Path) -> None:
+    for run in (1, 2):
+        kept = Spool(tmp_path)
+        assert kept.open() == (run, 2 * (run - 1))
+        kept.append(events(0, 1, run=run), START, 0)
+        kept.close()
+    kept = Spool(tmp_path)
+    assert kept.open() == (3, 4)
+    kept.append(events(0, run=3), START, 0)
+    found = kept.read(Progress((-1, -1), (3, -1)), 10)
+    assert [event.key for event in found] == [(1, 0), (1, 1), (2, 0), (2, 1), (3, 0)]
+    kept.close()
+
+
+def test_beyond_the_bound_of_events_the_oldest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "EVENTS_MAX", 5)
+    kept = Spool(tmp_path)
+    kept.open()
+    assert kept.append(events(0, 1, 2, 3), START, 0) == 0
+    assert kept.append(events(4, 5, 6), START, 9) == 2
+    assert numbers(kept.read(START, 10)) == [2, 3, 4, 5, 6]
+    after_3 = Progress((1, 3), (1, -1))  # what is in memory, too, stays
+    assert kept.append(events(7), after_3, 9) == 1
+    assert numbers(kept.read(START, 10)) == [2, 3, 5, 6, 7]
+    kept.close()
+
+
+def test_beyond_the_bound_of_bytes_the_oldest_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "BYTES_MAX", 100)
+    kept = Spool(tmp_path)
+    kept.open()
+    kept.append(events(0, 1, 2, size_bytes=30), START, 0)
+    assert kept.append(events(3, size_bytes=60), START, 9) == 2
+    assert numbers(kept.read(START, 10)) == [2, 3]
+    kept.delete([(1, 2)])
+    assert kept.append(events(4, size_bytes=40), START, 9) == 0
+    kept.close()
+
+
+def test_a_killed_process_leaves_all_it_wrote_and_nobody_else_holds_it_meanwhile(tmp_path: Path) -> None:
+    writer = subprocess.Popen(
+        [sys.executable, "-c", WRITER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert writer.stdout is not None
+    assert writer.stdout.readline() == b"written\n"
+    kept = Spool(tmp_path)
+    with pytest.raises(SpoolError, match=r"another process holds .*events\.sqlite3"):
+        kept.open()
+    writer.send_signal(signal.SIGKILL)
+    writer.communicate()
+    assert kept.open() == (2, 100)
+    assert [event.payload for event in kept.read(START, 200)] == [b"%d" % number for number in range(100)]
+    kept.close()
+
+
+def test_no_transaction_waits_for_the_medium(tmp_path: Path) -> None:
+    kept = Spool(tmp_path)
+    kept.open()
+    assert kept._database is not None
+    assert kept._database.execute("PRAGMA synchronous").fetchone() == (1,)  # NORMAL
+    assert kept._database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
+    kept.close()
+
+
+@pytest.mark.parametrize("damage", ["other content", "overwritten pages", "another format"])
+def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: str) -> None:
+    kept = Spool(tmp_path)
+    kept.open()
+    kept.append(events(*range(200), size_bytes=500), START, 0)
+    kept.close()
+    path = tmp_path / spool.FILE
+    if damage == "other content":
+        path.write_bytes(b"this is no database" * 500)
+    elif damage == "overwritten pages":
+        content = bytearray(path.read_bytes())
+        content[4096:40960] = os.urandom(36864)
+        path.write_bytes(content)
+    else:
+        with sqlite3.connect(path) as other:
+            other.execute("PRAGMA user_version=77")
+        other.close()
+    kept = Spool(tmp_path)
+    with pytest.raises(SpoolDamagedError, match=r"set aside as events\.damaged"):
+        kept.open()
+    assert (tmp_path / "events.damaged").exists()
+    assert kept.open() == (1, 0)
+    kept.append(events(1), START, 0)
+    kept.close()
+
+
+def test_a_full_disk_changes_nothing_and_is_no_defect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "EVENTS_MAX", 300)
+    with small_disk(tmp_path, 512 * 1024) as (disk, fill, free):
+        kept = Spool(disk)
+        kept.open()
+        kept.append(events(0, 1), START, 0)
+        fill()
+        for _ in range(3):
+            with pytest.raises(SpoolError, match="disk is full"):
+                kept.append(events(*range(2, 202), size_bytes=1000), START, 0)
+        assert numbers(kept.read(START, 10)) == [0, 1]
+        free()
+        assert kept.append(events(*range(2, 202), size_bytes=1000), START, 99) == 0  # what failed counts nowhere
+        assert len(kept.read(START, 1000)) == 202
+        kept.close()
+
+
+def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    kept = Spool(tmp_path / "file" / "spool")
+    with pytest.raises(SpoolError, match="Not a directory"):
+        kept.open()
+
+
+def test_the_file_shrinks_when_everything_is_sent(tmp_path: Path) -> None:
+    kept = Spool(tmp_path)
+    kept.open()
+    kept.append(events(*range(1000), size_bytes=1000), START, 0)
+    kept.delete([(1, number) for number in range(1000)])
+    kept.close()
+    assert (tmp_path / spool.FILE).stat().st_size < 100_000

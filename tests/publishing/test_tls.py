@@ -1,0 +1,414 @@
+"""Encrypted connections: who is let in, what is refused, and one line of log for each thing that is wrong."""
+
+import asyncio
+import ssl
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import aiomqtt
+import pytest
+import trustme
+from brokers import Mosquitto, free_port
+from mosquitto_passwords import password_line
+from mqtt_helpers import until
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing import connection
+from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.requests import reach
+from resonator_daemon.publishing.tls import make_tls
+
+TO_NOBODY = "anonymous"
+NOT_AUTHORIZED = b"\x20\x03\x00\x87\x00"
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    for pause in ("FIRST_PAUSE_S", "LONGEST_PAUSE_S", "REFUSED_PAUSE_S"):
+        monkeypatch.setattr(connection, pause, 0.02)
+
+
+class Files:
+    """Certificates of a broker on this computer, and of a client, by one authority; more of other kinds."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self.authority = trustme.CA()
+        self.ca = self.write("ca.pem", self.authority.cert_pem)
+        self.broker = self.pair("broker", self.authority.issue_cert("localhost"))
+        self.client = self.pair("client", self.authority.issue_cert(common_name="left"))
+
+    def write(self, name: str, *blobs: trustme.Blob | bytes) -> Path:
+        path = self._directory / name
+        path.write_bytes(b"".join(blob if isinstance(blob, bytes) else blob.bytes() for blob in blobs))
+        return path
+
+    def pair(self, name: str, made: trustme.LeafCert) -> tuple[Path, Path]:
+        certificate = self.write(f"{name}.pem", *made.cert_chain_pems)
+        key = self.write(f"{name}.key", made.private_key_pem)
+        key.chmod(0o600)
+        return certificate, key
+
+    def expired(self, *hosts: str, common_name: str | None = None) -> trustme.LeafCert:
+        today = datetime.now(UTC)
+        return self.authority.issue_cert(
+            *hosts,
+            common_name=common_name,
+            not_before=today - timedelta(days=9),
+            not_after=today - timedelta(days=1),
+        )
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Files:
+    return Files(tmp_path)
+
+
+@asynccontextmanager
+async def tls_mosquitto(
+    directory: Path, files: Files, *settings: str, broker: tuple[Path, Path] | None = None
+) -> AsyncIterator[Mosquitto]:
+    certificate, key = broker or files.broker
+    tls = (f"cafile {files.ca}", f"certfile {certificate}", f"keyfile {key}")
+    running = Mosquitto(directory, *tls, *(settings or ("allow_anonymous true",)))
+    await running.start()
+    try:
+        yield running
+    finally:
+        await running.kill()
+
+
+class Attempts:
+    """What keeping a connection led to."""
+
+    def __init__(self) -> None:
+        self.made = 0  # attempts to connect, those included that only ask for the version
+        self.served: list[BrokerClient] = []
+        self.heard: list[Incoming] = []
+
+    @property
+    def connected(self) -> bool:
+        return any(client.connected for client in self.served)
+
+
+@asynccontextmanager
+async def keeping_connected(broker: Mqtt, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Attempts]:
+    attempts = Attempts()
+    connect = BrokerClient._client_connect
+
+    def counted(client: BrokerClient) -> None:
+        attempts.made += 1
+        connect(client)
+
+    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
+        return BrokerClient(broker, version, identifier="left", on_message=attempts.heard.append)
+
+    async def serve(client: BrokerClient) -> None:
+        await client.subscribe("echo/#", qos=1)
+        attempts.served.append(client)
+        await asyncio.wait([client.lost])
+
+    closing = asyncio.get_running_loop().create_future()
+    before = asyncio.all_tasks()
+    with monkeypatch.context() as patch:
+        patch.setattr(BrokerClient, "_client_connect", counted)
+        running = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
+        try:
+            yield attempts
+        finally:
+            closing.set_result(None)
+            await running
+            unfinished = asyncio.all_tasks() - before  # an attempt that nobody waits for any more ends by itself
+            if unfinished:
+                await asyncio.wait(unfinished, timeout=5)
+
+
+def said(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage().partition(": ")[2] for record in caplog.records]
+
+
+async def assert_said_once(
+    broker: Mqtt, expected: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Several attempts, none of which succeeds, lead to one line of log."""
+    async with keeping_connected(broker, monkeypatch) as attempts:
+        await until(lambda: attempts.made > 6)
+        assert not attempts.served
+    assert said(caplog) == [expected + "; trying again"]
+    assert caplog.records[0].getMessage().startswith(f"broker {broker.host}:{broker.port}: ")
+
+
+async def test_messages_go_both_ways_through_tls(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    async with tls_mosquitto(tmp_path, files) as running:
+        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca))
+        await reach(broker)
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: attempts.connected)
+            client = attempts.served[0]
+            payloads = [bytes([number]) * 100_000 for number in range(20)]
+            for payload in payloads:
+                await until(lambda: client.writable)
+                client.send("echo/1", payload, qos=1)
+            await until(lambda: len(attempts.heard) == len(payloads))
+            assert [message.payload for message in attempts.heard] == payloads
+    assert said(caplog) == ["connected, MQTT 5"]
+
+
+async def test_a_client_certificate_lets_in(tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = ("require_certificate true", "use_identity_as_username true", "allow_anonymous false")
+    certificate, key = files.client
+    async with tls_mosquitto(tmp_path, files, *needed) as running:
+        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca), certificate_file=str(certificate), key_file=str(key))
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: attempts.connected)
+
+
+async def test_several_messages_in_one_record_all_arrive_at_once(files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing more comes on the socket that could tell of those that wait in the decrypted part."""
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while packet := await reader.read(1000):
+            if packet[0] == 0x10:
+                writer.write(b"\x20\x03\x00\x00\x00")
+            elif packet[0] == 0x82:
+                acknowledged = b"\x90\x04" + packet[2:4] + b"\x00\x01"
+                writer.write(acknowledged + b"".join(b"\x30\x0a\x00\x06echo/1\x00%d" % number for number in range(5)))
+        writer.close()
+
+    server_tls = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    server_tls.load_cert_chain(*files.broker)
+    async with await asyncio.start_server(serve, "127.0.0.1", 0, ssl=server_tls) as server:
+        port = server.sockets[0].getsockname()[1]
+        broker = Mqtt(url=f"mqtts://localhost:{port}", ca_file=str(files.ca))
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: len(attempts.heard) == 5)
+    assert [message.payload for message in attempts.heard] == [b"0", b"1", b"2", b"3", b"4"]
+
+
+def test_nothing_older_than_tls_1_2_and_no_unknown_host(files: Files) -> None:
+    context = make_tls(Mqtt(url="mqtts://localhost", ca_file=str(files.ca)))
+    assert context.minimum_version == ssl.TLSVersion.TLSv1_2
+    assert context.verify_mode == ssl.CERT_REQUIRED
+    assert context.check_hostname
+
+
+def test_without_an_authority_of_its_own_it_is_the_systems(monkeypatch: pytest.MonkeyPatch, files: Files) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", str(files.ca))
+    assert [entry["serialNumber"] for entry in make_tls(Mqtt(url="mqtts://localhost")).get_ca_certs()]
+
+
+BROKEN_BROKERS: dict[str, tuple[Callable[[Files], trustme.LeafCert], str]] = {
+    "expired": (
+        lambda files: files.expired("localhost"),
+        "its certificate has expired; renew it, or mend this computer's clock",
+    ),
+    "not yet": (
+        lambda files: files.authority.issue_cert("localhost", not_before=datetime.now(UTC) + timedelta(days=1)),
+        "its certificate is not valid yet; mend the clock of this computer or of the one that made it",
+    ),
+    "of another host": (
+        lambda files: files.authority.issue_cert("elsewhere.example"),
+        "its certificate is not for localhost; have mqtt.url name the host as the certificate does",
+    ),
+    "of another authority": (
+        lambda files: trustme.CA().issue_cert("localhost"),
+        "its certificate is signed by no authority in {ca} (mqtt.ca_file)",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BROKEN_BROKERS)
+async def test_a_certificate_that_proves_nothing(
+    kind: str, tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    make, expected = BROKEN_BROKERS[kind]
+    async with tls_mosquitto(tmp_path, files, broker=files.pair("broken", make(files))) as running:
+        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca))
+        await assert_said_once(broker, expected.format(ca=files.ca), caplog, monkeypatch)
+
+
+async def test_an_authority_that_the_system_does_not_know(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = "its certificate is signed by no authority in this system's store; see mqtt.ca_file"
+    async with tls_mosquitto(tmp_path, files) as running:
+        await assert_said_once(Mqtt(url=running.tls_url), expected, caplog, monkeypatch)
+
+
+async def test_a_client_certificate_that_is_missing(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = "it asks for a client certificate (certificate required); see mqtt.certificate_file"
+    async with tls_mosquitto(tmp_path, files, "require_certificate true") as running:
+        await assert_said_once(Mqtt(url=running.tls_url, ca_file=str(files.ca)), expected, caplog, monkeypatch)
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("expired", "certificate expired"), ("unknown", "unknown ca")])
+async def test_a_client_certificate_that_proves_nothing(
+    kind: str,
+    reason: str,
+    tmp_path: Path,
+    files: Files,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    made = files.expired(common_name="left") if kind == "expired" else trustme.CA().issue_cert(common_name="left")
+    certificate, key = (str(path) for path in files.pair("bad", made))
+    async with tls_mosquitto(tmp_path, files, "require_certificate true", "allow_anonymous true") as running:
+        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca), certificate_file=certificate, key_file=key)
+        expected = f"it refuses the TLS connection ({reason}); see mqtt.certificate_file"
+        await assert_said_once(broker, expected, caplog, monkeypatch)
+
+
+async def test_a_wrong_password_through_tls(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    passwords = files.write("passwords", password_line("robot", "open sesame").encode())
+    password = files.write("password", b"tell-nobody\n")
+    async with tls_mosquitto(tmp_path, files, "allow_anonymous false", f"password_file {passwords}") as running:
+        keys = {"ca_file": str(files.ca), "username": "robot", "password_file": str(password)}
+        expected = "it refuses user 'robot' (Not authorized); see mqtt.username, mqtt.password_file"
+        await assert_said_once(Mqtt(url=running.tls_url, **keys), expected, caplog, monkeypatch)
+    assert "tell-nobody" not in caplog.text
+
+
+async def test_plain_mqtt_to_a_port_for_tls(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = "it ended the connection without an answer; if the port is for TLS, mqtt.url is mqtts://"
+    async with tls_mosquitto(tmp_path, files) as running:
+        await assert_said_once(Mqtt(url=running.url), expected, caplog, monkeypatch)
+
+
+async def test_tls_to_a_port_for_plain_mqtt(
+    mosquitto: Mosquitto, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    expected = "it ended the connection instead of speaking TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
+    await assert_said_once(Mqtt(url=mosquitto.tls_url, ca_file=str(files.ca)), expected, caplog, monkeypatch)
+
+
+async def test_files_are_read_again_with_each_connection(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    passwords = files.write("passwords", password_line("robot", "new").encode())
+    password = files.write("password", b"new")
+    settings = ("require_certificate true", "allow_anonymous false", f"password_file {passwords}")
+    async with tls_mosquitto(tmp_path, files, *settings) as running:
+        broker = Mqtt(
+            url=running.tls_url,
+            ca_file=str(files.ca),
+            certificate_file=str(files.client[0]),
+            key_file=str(files.client[1]),
+            username="robot",
+            password_file=str(password),
+        )
+        password.write_bytes(b"old")
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: len(caplog.records) == 1)
+            password.unlink()
+            await until(lambda: len(caplog.records) == 2)
+            password.write_bytes(b"new\r\n")
+            await until(lambda: attempts.connected)
+            certificate = files.client[0].read_bytes()
+            files.client[0].write_bytes(files.broker[0].read_bytes())
+            await running.kill()
+            await running.start()
+            await until(lambda: len(caplog.records) > 4)
+            files.client[0].write_bytes(certificate)
+            await until(lambda: attempts.connected)
+    lines = [line.removesuffix("; trying again") for line in said(caplog)]
+    lines = [line for line in lines if line != "connection lost" and "refused" not in line]
+    assert lines == [
+        "it refuses user 'robot' (Not authorized); see mqtt.username, mqtt.password_file, mqtt.certificate_file",
+        f"{password}: no such file; write the password into it, alone on one line",
+        "connected, MQTT 5",
+        f"{files.client[1]}: is not the key of {files.client[0]}; name both of a pair",
+        "connected, MQTT 5",
+    ]
+
+
+class Greeted:
+    """What a broker was greeted with."""
+
+    def __init__(self) -> None:
+        self.flags: list[tuple[int, str]] = []  # version of MQTT, and the name in it
+
+
+@asynccontextmanager
+async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, Greeted]]:
+    """Yields port and record of a broker whose answer depends on the version of MQTT."""
+    record = Greeted()
+
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        packet = await reader.read(1000)
+        record.flags.append((packet[8], "robot" if b"\x00\x05robot" in packet else TO_NOBODY))
+        writer.write(answer(packet[8]))
+        writer.close()
+
+    async with await asyncio.start_server(serve, "127.0.0.1", 0) as server:
+        yield server.sockets[0].getsockname()[1], record
+
+
+@pytest.mark.parametrize("to_5", [b"\x20\x02\x00\x01", b"\x20\x03\x00\x84\x00"])
+async def test_a_broker_that_speaks_neither_version(
+    to_5: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with greeted(lambda version: to_5 if version == 5 else b"\x20\x02\x00\x01") as (port, record):
+        broker = Mqtt(url=f"mqtt://127.0.0.1:{port}")
+        await assert_said_once(broker, "it speaks neither MQTT 5 nor 3.1.1", caplog, monkeypatch)
+    assert {version for version, _ in record.flags} == {4, 5}
+
+
+async def test_who_is_refused_asks_without_a_name_once_only(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with greeted(lambda _: NOT_AUTHORIZED) as (port, record):
+        broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
+        expected = "it refuses user 'robot' (Not authorized); see mqtt.username, mqtt.password_file"
+        await assert_said_once(broker, expected, caplog, monkeypatch)
+    assert [name for _, name in record.flags[:5]] == [TO_NOBODY, "robot", "robot", "robot", "robot"]
+
+
+async def test_a_broker_that_hangs_up_on_clients_without_a_name_is_told_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with greeted(lambda _: b"") as (port, record):
+        broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
+        async with keeping_connected(broker, monkeypatch):
+            await until(lambda: len(record.flags) > 1)
+    assert [name for _, name in record.flags[:2]] == [TO_NOBODY, "robot"]
+
+
+async def test_after_a_broker_was_away_it_is_not_asked_without_a_name_again(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    passwords = files.write("passwords", password_line("robot", "sesame").encode())
+    running = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}")
+    await running.start()
+    broker = Mqtt(url=running.url.replace("//", "//robot:sesame@"))
+    anonymous: list[str | None] = []
+    connect = BrokerClient._client_connect
+
+    def noted(client: BrokerClient) -> None:
+        anonymous.append(client._broker.username)
+        connect(client)
+
+    monkeypatch.setattr(BrokerClient, "_client_connect", noted)
+    async with keeping_connected(broker, monkeypatch) as attempts:
+        await until(lambda: attempts.connected)
+        attempts.served[0].abort()
+        await until(lambda: len(attempts.served) == 2)
+    await running.kill()
+    assert anonymous == [None, "robot", "robot"]
+
+
+async def test_a_host_without_a_broker_is_not_a_matter_of_tls(
+    files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    broker = Mqtt(url=f"mqtts://localhost:{free_port()}", ca_file=str(files.ca))
+    await assert_said_once(broker, "[Errno 111] Connection refused", caplog, monkeypatch)

@@ -1,0 +1,77 @@
+"""Each number of each payload has a unit that its key tells."""
+
+from collections.abc import Iterator
+from typing import Any, get_args
+
+import pytest
+from pydantic import BaseModel
+
+from resonator_daemon.publishing import payloads
+from resonator_daemon.publishing.units import DIMENSIONLESS, UNITS, unit_of
+
+MODELS = [kind for kind in vars(payloads).values() if isinstance(kind, type) and issubclass(kind, BaseModel)]
+
+
+def numbers(kind: type[BaseModel]) -> Iterator[str]:
+    """Keys whose values are floats, arrays of them or 64-bit integers."""
+
+    def parts(annotation: Any) -> Iterator[Any]:
+        yield annotation
+        for part in get_args(annotation):
+            yield from parts(part)
+
+    for key, field in kind.model_fields.items():
+        of_64_bits = any(getattr(item, "lt", None) == 2**64 for item in field.metadata)
+        found = [*parts(field.annotation)]
+        if of_64_bits or float in found or any("float32" in str(part) for part in found):
+            yield key
+
+
+def test_the_search_finds_numbers() -> None:
+    assert {"t_ns"} == set(numbers(payloads.Header))
+    assert {"traction_pascal", "traction_std_pascal", "displacement_m"} <= set(numbers(payloads.Decoded))
+    assert {"position_m", "position_std_m", "at_least_newton"} <= set(numbers(payloads.Contact))
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_each_number_has_a_unit(kind: type[BaseModel]) -> None:
+    assert [key for key in numbers(kind) if unit_of(key) is None] == []
+
+
+def test_each_dimensionless_key_is_there() -> None:
+    keys = {key.removesuffix("_std") for kind in MODELS for key in numbers(kind)}
+    assert keys >= DIMENSIONLESS
+
+
+@pytest.mark.parametrize(
+    ("key", "unit"),
+    [
+        ("t_ns", "ns"),
+        ("force_newton", "N"),
+        ("moment_newton_m", "N.m"),
+        ("moment_std_newton_m", "N.m"),
+        ("radius_of_curvature_m", "m"),
+        ("area_m2", "m2"),
+        ("plate_kelvin_std", "K"),
+        ("rss_mb", "MiBy"),
+        ("slip_margin_std", "1"),
+        ("noise_std", "1"),
+        ("rates_hz", "Hz"),
+        ("seq", None),
+        ("frames", None),
+        ("sites", None),
+        ("m", None),
+    ],
+)
+def test_the_longest_ending_tells_the_unit(key: str, unit: str | None) -> None:
+    assert unit_of(key) == unit
+
+
+def test_the_table_that_info_carries_is_enough() -> None:
+    """Read it as docs/mqtt.md says, with nothing but the table."""
+    for kind in MODELS:
+        for key in numbers(kind):
+            bare = key.removesuffix("_std")
+            endings = [ending for ending in UNITS if bare.endswith(f"_{ending}")]
+            told = UNITS[max(endings, key=len)] if endings else "1"
+            assert told == unit_of(key), key

@@ -1,0 +1,109 @@
+"""The register of commands is whole, and its requests take what they say and nothing more."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import jsonschema
+import pytest
+from pydantic import ValidationError
+
+from resonator_daemon import config
+from resonator_daemon.publishing.payloads import WITH_ARRAYS
+from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, obeyed
+
+PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
+SECTION = PAGE.read_text().partition("\n## Commands\n")[2].partition("\n## ")[0]
+EXAMPLES: dict[str, list[dict[str, Any]]] = {
+    "ping": [{}],
+    "health": [{}],
+    "snapshot": [{}, {"topics": ["info", "state/link"]}, {"topics": []}, {"topics": None}],
+    "tare": [{}],
+    "start_recording": [{}, {"label": "drop-test_3"}],
+    "stop_recording": [{}],
+    "mark": [{"text": "Finger über Stelle 7"}],
+    "set_window": [{"window_ms": 20}, {"window_ms": 10.0, "step_ms": 2.5}],
+    "set_rate": [{"topic": "forces", "rate_hz": 20}, {"topic": "decoded", "rate_hz": None}],
+    "identify": [{}],
+}
+REFUSED: list[tuple[str, dict[str, Any]]] = [
+    *((verb, {**examples[0], "more": 1}) for verb, examples in EXAMPLES.items()),
+    ("snapshot", {"topics": ["signals"]}),
+    ("snapshot", {"topics": "info"}),
+    ("snapshot", {"topics": {"info": 1}}),
+    ("snapshot", {"topics": ["info"] * 17}),
+    *(("start_recording", {"label": label}) for label in ("", "a/b", "..", "a b", "é", "a\n", "a" * 65, 7, ["a"])),
+    *(("mark", {"text": text}) for text in ("", "a\nb", "\x1b[2J", "\u202e", "\ud800", "x" * 201, 7, None)),
+    ("mark", {}),
+    *(("set_window", {"window_ms": ms}) for ms in (0, -1, 1001, float("nan"), "10", True, None, 10**400)),
+    ("set_window", {"step_ms": 5}),
+    ("set_window", {"window_ms": 10, "step_ms": 0}),
+    *(("set_rate", {"topic": "forces", "rate_hz": hz}) for hz in (0, 0.09, -5, 10_001, "20", True, float("inf"))),
+    ("set_rate", {"topic": "forces"}),
+    ("set_rate", {"topic": "state/daemon", "rate_hz": 1}),
+    ("set_rate", {"topic": "forces/20hz", "rate_hz": 1}),
+]
+
+
+@pytest.mark.parametrize(("verb", "request_"), [(verb, each) for verb, some in EXAMPLES.items() for each in some])
+def test_requests_are_taken_and_fit_their_schema(verb: str, request_: dict[str, Any]) -> None:
+    assert VERBS[verb].request.model_validate(request_)
+    jsonschema.validate(request_, VERBS[verb].request.model_json_schema())
+
+
+@pytest.mark.parametrize(("verb", "request_"), REFUSED)
+def test_all_else_is_refused(verb: str, request_: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        VERBS[verb].request.model_validate(request_)
+
+
+def test_each_verb_answers_with_its_name() -> None:
+    assert EXAMPLES.keys() == VERBS.keys()
+    for name, verb in VERBS.items():
+        assert verb.name == name
+        assert verb.answer.model_fields["verb"].default == name
+    assert [*Refusal.model_fields] == ["verb", "ok", "error"]
+
+
+def test_the_configuration_allows_just_those_that_change_something() -> None:
+    assert set(get_args(config.Verb)) == {verb.name for verb in VERBS.values() if verb.changes}
+
+
+def test_what_changes_nothing_is_always_obeyed() -> None:
+    assert obeyed(()) == ("ping", "health", "snapshot")
+    assert obeyed(("tare", "mark")) == ("ping", "health", "snapshot", "tare", "mark")
+
+
+def test_topics_that_verbs_name_are_those_there_are() -> None:
+    assert set(get_args(JsonTopic)) == {path for path, topic in TOPICS.items() if topic.payload not in WITH_ARRAYS}
+    assert set(get_args(StreamTopic)) == {path for path, topic in TOPICS.items() if topic.slow_hz is not None}
+
+
+def table(header: str) -> list[list[str]]:
+    """Return the rows of the page's table that begins with this header."""
+    lines = SECTION.partition(f"\n| {header} |")[2].partition("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def test_the_page_has_every_verb_and_key() -> None:
+    rows = {verb.strip("`"): (request, allowed) for verb, _, request, allowed in table("verb")}
+    assert list(rows) == list(VERBS)
+    for name, (request, allowed) in rows.items():
+        assert allowed == ("by name" if VERBS[name].changes else "always")
+        assert set(VERBS[name].request.model_fields) == set(re.findall(r"`([a-z_]{2,})`", request))
+
+
+def test_the_page_has_every_code() -> None:
+    assert [code.strip("`") for code, _ in table("code")] == list(get_args(ErrorCode))
+
+
+def test_the_answers_on_the_page_are_answers() -> None:
+    blocks = re.findall(r"(?:^    .*\n)+", SECTION, re.MULTILINE)
+    (block,) = (block for block in blocks if '"ok"' in block)
+    answers = [json.loads(text) for text in re.split(r"\n(?=    \{)", block.strip("\n"))]
+    assert [answer["verb"] for answer in answers] == ["tare", "start_recording", "stop_recording", "tare"]
+    for answer in answers:
+        kind = VERBS[answer["verb"]].answer if answer["ok"] else Refusal
+        assert json.loads(kind.model_validate(answer).model_dump_json()) == answer
