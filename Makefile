@@ -51,6 +51,8 @@ BROKER := mosquitto:mosquitto
 USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gir1.2-umockdev-1.0 \
   /usr/lib/python3/dist-packages/gi/__init__.py:python3-gi /usr/lib/*/libusb-1.0.so.0:libusb-1.0-0
 COMPILER := gcc:gcc /usr/include/stdio.h:libc6-dev
+# What programs in C subscribe and read payloads with.
+EXAMPLES := /usr/include/mosquitto.h:libmosquitto-dev /usr/include/cbor.h:libcbor-dev /usr/include/cjson/cJSON.h:libcjson-dev
 FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm
 
 help:  ## list the targets
@@ -63,7 +65,7 @@ demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live v
 
 test: .venv/test-stamp  ## linter, formatter check, type checker, import contracts and all tests
 	$(debian-packages)
-	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER)
+	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER) $(EXAMPLES)
 	step() { printf '\n== %s\n' "$$*"; ".venv/bin/$$@"; }
 	step ruff check
 	step ruff format --check
@@ -80,17 +82,19 @@ test-firmware: .venv/test-stamp  ## the C reference as a board program under QEM
 
 coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
 	$(debian-packages)
-	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER)
+	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER) $(EXAMPLES)
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
-bench: .venv/peers-stamp  ## figures as tables: demo, wire, clock, measurement, elastic fields, contact and decoding
+bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire, clock, measurement, elastic fields, decoding
 	$(debian-packages)
-	debian-packages $(USB)
+	debian-packages $(BROKER) $(USB)
 	run() { printf '\n== %s\n' "$$1"; .venv/bin/python benchmarks/$$1.py; }
 	for benchmark in demo_cost wire_faults; do run $$benchmark; done
+	.venv/bin/resonatord bench latency --seconds 60
+	.venv/bin/resonatord bench latency --plate skin32 --apart --seconds 60
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for benchmark in codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
+	for benchmark in publish_path decoders codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done
@@ -101,7 +105,7 @@ figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproducti
 	.venv/bin/python docs/figures/fingertip.py
 	.venv/bin/python benchmarks/elastic_convergence.py --picture docs/figures/convergence.svg
 
-fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C under sanitizers
+fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in Python and in C; a million commands
 	$(debian-packages)
 	debian-packages $(COMPILER)
 	mkdir -p build
@@ -109,11 +113,12 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 	  firmware_protocol/c/fuzz/fuzz.c firmware_protocol/c/resonator_*.c -o build/fuzz
 	build/fuzz 10000000 1
 	.venv/bin/python benchmarks/fuzz.py
+	.venv/bin/python benchmarks/command_fuzz.py
 
-soak: .venv/run-stamp  ## a broker killed for 30 s, 1000 hang-ups, 10 million frames under damage, loss, overflow and reboots
+soak: .venv/run-stamp  ## brokers frozen, dead, wiped, slow; 200 kills and restores; 1000 hang-ups; 10 million damaged frames
 	$(debian-packages)
 	debian-packages $(BROKER)
-	for benchmark in broker_outage hang_ups wire_accounts; do
+	for benchmark in broker_outage kill_restore hang_ups wire_accounts; do
 	  printf '\n== %s\n' "$$benchmark"
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done

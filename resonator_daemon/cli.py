@@ -7,20 +7,16 @@ import json
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
-from resonator_daemon.calibration.options import add_options as add_calibrate_options
+from resonator_daemon.arguments import Verb, make_parser
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.planning.options import add_parser as add_plan_codes
-
-Verb = Callable[[argparse.Namespace], ExitCode | None]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
-    options = _parser().parse_args(arguments)
+    options = make_parser(_VERBS).parse_args(arguments)
     logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO, stream=sys.stderr)
     verb: Verb = options.verb
     if sys.stdout is None:  # closed by whoever started us
@@ -132,20 +128,12 @@ def _record(options: argparse.Namespace) -> None:
     record(options.config, options.output, options.seconds, as_json=options.json)
 
 
-class _PrintScenarioSchema(argparse.Action):
-    """Like --help: prints and ends, whatever else is given or missing."""
-
-    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
-        from simulators.scenario_schema import scenario_schema
-
-        _print_json(scenario_schema())
-        parser.exit()
-
-
 def _watch(options: argparse.Namespace) -> None:
-    from resonator_daemon.view.watch import watch
+    from resonator_daemon.config import load_broker
+    from resonator_daemon.view.watch import broker_at, watch
 
-    asyncio.run(watch(options.url, options.prefix, as_json=options.json))
+    broker = load_broker(options.config) if options.config else broker_at(options.url, options.prefix)
+    asyncio.run(watch(broker, as_json=options.json, full_rate=options.full_rate))
 
 
 def _demo(options: argparse.Namespace) -> ExitCode:
@@ -202,229 +190,57 @@ def _tare(options: argparse.Namespace) -> ExitCode:
     return tare(options.config, as_json=options.json)
 
 
+def _schema(options: argparse.Namespace) -> None:
+    from resonator_daemon.schema import print_schema
+
+    print_schema(as_json=options.json)
+
+
+def _decode(options: argparse.Namespace) -> None:
+    from resonator_daemon.decode_service import serve
+    from resonator_daemon.decoder_config import load_decoder_config
+
+    asyncio.run(serve(load_decoder_config(options.config)))
+
+
+def _bench_latency(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.demo.latency import LatencyOptions, bench_latency
+
+    logging.getLogger().setLevel(logging.ERROR)  # what matters of it is in the result
+    return bench_latency(
+        LatencyOptions(
+            plate=options.plate,
+            seconds=options.seconds,
+            apart=options.apart,
+            broker=options.broker,
+            json=options.json,
+            picture=options.picture,
+        )
+    )
+
+
 def _print_json(value: Any) -> None:
     sys.stdout.write(json.dumps(value) + "\n")
 
 
-def _host_and_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65_535:
-        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 picks a free one)")
-    return host.strip("[]"), int(port)
-
-
-def _link(text: str) -> object:
-    from resonator_daemon.config import parse_link
-
-    try:
-        return parse_link(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
-    return value
-
-
-def _picture(text: str) -> Path:
-    path = Path(text)
-    if path.suffix not in (".svg", ".png", ".pdf"):
-        raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
-    return path
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="resonatord",
-        description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
-        "surface traction, published over MQTT.",
-        epilog="Exit codes: 0 done; 1 the run failed (touches or frames lost); 2 usage; 69 link or broker cannot ever "
-        "work; 78 configuration. Start with: resonatord demo",
-    )
-    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
-
-    def add(name: str, verb: Verb, summary: str, example: str) -> argparse.ArgumentParser:
-        sub = verbs.add_parser(
-            name,
-            help=summary,
-            description=f"{summary[0].upper()}{summary[1:]}.",
-            epilog=f"Example: {example}",
-        )
-        sub.set_defaults(verb=verb)
-        return sub
-
-    demo = add(
-        "demo",
-        _demo,
-        "touch emulated plates and show what the daemon makes of it, beside the truth",
-        "resonatord demo --plate quartz16 --seconds 20 --json",
-    )
-    demo.add_argument(
-        "--plate",
-        action="append",
-        metavar="NAME",
-        help="quartz16, skin32, fingertip400 or comb16; repeat it for several (default: the first two)",
-    )
-    demo.add_argument("--seconds", type=_positive, default=60.0, help="how long, from the first frame (default: 60)")
-    demo.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")
-    demo.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
-
-    run = add("run", _run, "measure one board and publish, until stopped", "resonatord run --config left-index.toml")
-    run.add_argument("--config", type=Path, required=True, metavar="FILE", help="see: resonatord config example")
-
-    emulate = add(
-        "emulate",
-        _emulate,
-        "stand in for a plate and its board, on a pseudo-terminal, TCP or USB",
-        "resonatord emulate --plate quartz16 --pty /tmp/board --truth truth.jsonl",
-    )
-    emulate.add_argument("--plate", required=True, metavar="NAME|FILE", help="a shipped plate or a plate file")
-    link = emulate.add_mutually_exclusive_group(required=True)
-    link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
-    link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
-    link.add_argument(
-        "--usb", action="store_true", help="an emulated USB device, for programs started with what is said of it"
-    )
-    emulate.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
-    emulate.add_argument(
-        "--scenario-schema", action=_PrintScenarioSchema, nargs=0, help="print the JSON Schema of scenario files"
-    )
-    emulate.add_argument("--truth", type=Path, metavar="FILE.jsonl", help="write what is true, a line a frame")
-    emulate.add_argument("--faults", default="", metavar="SPEC", help=_faults_help())
-    emulate.add_argument(
-        "--counter",
-        choices=("sums", "stamps"),
-        default="sums",
-        help="of a single-tone plate: sums in closed form, or of every time stamp, which is slow (default: sums)",
-    )
-    emulate.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
-    emulate.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times real time (default: 1)")
-    emulate.add_argument("--json", action="store_true", help="say link and accounts as JSON lines on stdout")
-
-    ports = add(
-        "ports", _ports, "list what a board may be connected to, and how a configuration names it", "resonatord ports"
-    )
-    ports.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
-
-    identify = add(
-        "identify",
-        _identify,
-        "ask the board on a link who it is and what it can do; one that counts goes on counting",
-        "resonatord identify serial:/dev/ttyACM0?baud=4000000",
-    )
-    identify.add_argument(
-        "link",
-        nargs="?",
-        type=_link,
-        metavar="LINK",
-        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports (default: the "
-        "configuration's)",
-    )
-    identify.add_argument("--config", type=Path, metavar="FILE", help="also say whether the board can serve it")
-    identify.add_argument("--blink", action="store_true", help="have the board make itself seen, where it can")
-    identify.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
-    identify.set_defaults(refuse=identify.error)
-
-    watch = add("watch", _watch, "show live what plates publish", "resonatord watch --url mqtt://127.0.0.1:1883")
-    watch.add_argument("--url", default="mqtt://127.0.0.1:1883", help="the broker (default: mqtt://127.0.0.1:1883)")
-    watch.add_argument("--prefix", default="resonator", help="first level of the topics (default: resonator)")
-    watch.add_argument("--json", action="store_true", help="one JSON object a message on stdout")
-
-    check = add("check", _check, "check a configuration and its plate file", "resonatord check left-index.toml")
-    check.add_argument("file", type=Path, metavar="FILE")
-    check.add_argument("--json", action="store_true", help="print the findings as one JSON object")
-
-    calibrate = add(
-        "calibrate",
-        _calibrate,
-        "calibrate a force plate with known masses, or the decoder's prior to a skin",
-        "resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --sites all",
-    )
-    add_calibrate_options(calibrate)
-
-    tare = add(
-        "tare",
-        _tare,
-        "have the running daemon take the present readings as untouched",
-        "resonatord tare --config left-index.toml",
-    )
-    tare.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
-    tare.add_argument("--json", action="store_true", help="print the daemon's answer as one JSON object")
-
-    record = add(
-        "record",
-        _record,
-        'write what happens on a board\'s link to a file that `link = "replay:FILE"` plays again',
-        "resonatord record --config left-index.toml --output run.mcap --seconds 60",
-    )
-    record.add_argument("--config", type=Path, required=True, metavar="FILE", help="names the plate and the link")
-    record.add_argument("--output", type=Path, required=True, metavar="FILE", help="the file to make, as run.mcap")
-    record.add_argument(
-        "--seconds", type=_positive, metavar="N", help="from the first frame on (default: until interrupted)"
-    )
-    record.add_argument("--json", action="store_true", help="print one JSON object at the end")
-
-    plan = verbs.add_parser("plan", help="help with the design of a plate")
-    plan_verbs = plan.add_subparsers(title="verbs", required=True, metavar="VERB")
-    sensors = plan_verbs.add_parser(
-        "sensors",
-        help="say what sensors under a skin can and cannot feel",
-        description="Say what a square lattice of sensors under a skin can and cannot feel: what it resolves of normal "
-        "and tangential load; bandwidth, symmetry and rank of the signals; what pitch and depth would do; a picture "
-        "of the signals' power over the plane of spatial frequencies. The skin counts as an elastic half-space.",
-        epilog="A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It counts as resolved "
-        "where a best linear estimate brings back at least half of it. docs/sensors.md tells more. "
-        "Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30",
-    )
-    sensors.add_argument(
-        "--set",
-        default="p_n,xz,yz",
-        metavar="NAMES",
-        help="what each sensor measures, by commas: p_n, the mean normal stress; strains xx yy zz xy xz yz, z into the "
-        "skin; stresses sigma_xx to sigma_yz (default: %(default)s)",
-    )
-    for option, default, meaning in (
-        ("--depth-mm", 1.0, "of the sensors under the surface"),
-        ("--pitch-mm", 0.4, "from sensor to sensor, at most four depths"),
-        ("--youngs-modulus-pascal", 2e5, "of the skin"),
-    ):
-        sensors.add_argument(option, type=float, default=default, metavar="X", help=f"{meaning} (default: %(default)g)")
-    sensors.add_argument(
-        "--poisson-ratio", type=float, default=0.5, metavar="X", help="of the skin, 0.5 for rubber (default: 0.5)"
-    )
-    sensors.add_argument(
-        "--snr-db",
-        type=float,
-        default=30.0,
-        metavar="X",
-        help="20 log10 of the rms of the signals under a load without favoured width over that of the noise, -40 to "
-        "100 (default: 30)",
-    )
-    sensors.add_argument("--picture", type=_picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
-    sensors.add_argument("--json", action="store_true", help="print one JSON object, in SI units, and nothing else")
-    sensors.set_defaults(verb=_plan_sensors, refuse=sensors.error)
-
-    add_plan_codes(plan_verbs).set_defaults(verb=_plan_codes)
-
-    config = verbs.add_parser("config", help="help with the configuration file")
-    config_verbs = config.add_subparsers(title="verbs", required=True, metavar="VERB")
-    example = config_verbs.add_parser("example", help="print a configuration to start from")
-    example.add_argument("--json", action="store_true", help="print it as a JSON string")
-    example.set_defaults(verb=_config_example)
-    return parser
-
-
-def _faults_help() -> str:
-    return (
-        "what goes wrong beside the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; "
-        "docs/emulator.md lists all"
-    )
+_VERBS: dict[str, Verb] = {
+    "bench latency": _bench_latency,
+    "calibrate": _calibrate,
+    "check": _check,
+    "config example": _config_example,
+    "decode": _decode,
+    "demo": _demo,
+    "emulate": _emulate,
+    "identify": _identify,
+    "plan codes": _plan_codes,
+    "plan sensors": _plan_sensors,
+    "ports": _ports,
+    "record": _record,
+    "run": _run,
+    "schema": _schema,
+    "tare": _tare,
+    "watch": _watch,
+}
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
-"""How the daemon itself fares: rates, losses, processor and memory."""
+"""How the daemon itself fares: rates, losses, processor, memory, and what it holds of the system."""
 
+import asyncio
 import time
 from dataclasses import asdict
 from typing import TypedDict
@@ -7,7 +8,7 @@ from typing import TypedDict
 import psutil
 
 from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.publishing.payloads import BootInfo, MessageAccount
+from resonator_daemon.publishing.payloads import BootInfo, LatencyInfo, MessageAccount, RecordingInfo
 
 
 class Vitals(TypedDict):
@@ -30,6 +31,12 @@ class Vitals(TypedDict):
     clock_restarts: int
     cpu_percent: float
     rss_mb: float
+    tasks: int
+    threads: int
+    file_descriptors: int
+    latency: dict[str, LatencyInfo]
+    recording: RecordingInfo | None
+    commands: dict[str, int]
     messages: MessageAccount
 
 
@@ -49,7 +56,11 @@ class HealthMonitor:
         clock_drift_ppm: float,
         frames_not_decoded: int,
         records_unusable: dict[str, int],
+        latency: dict[str, LatencyInfo],
+        recording: RecordingInfo | None,
+        commands: dict[str, int],
     ) -> Vitals:
+        """Take stock; from a task of the event loop, whose tasks are counted."""
         now = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
         self._last, self._last_frames = now, link.frames
@@ -90,5 +101,11 @@ class HealthMonitor:
             clock_restarts=link.clock_restarts,
             cpu_percent=self._process.cpu_percent(),
             rss_mb=self._process.memory_info().rss / 2**20,
+            tasks=len(asyncio.all_tasks()),
+            threads=self._process.num_threads(),
+            file_descriptors=self._process.num_fds(),
+            latency=latency,
+            recording=recording,
+            commands=commands,
             messages=messages,
         )

@@ -1,22 +1,22 @@
 """Readings to payloads: who measured what when, in the words and units of the MQTT contract."""
 
-import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any, TypedDict
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.acquisition.clock import Instant
-from resonator_daemon.acquisition.frames import BoardOnline, Outage
+from resonator_daemon.acquisition.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.config import Config
+from resonator_daemon.daemon_state import DaemonStanding
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
+from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement import contacts as measured
 from resonator_daemon.measurement.matching import SiteForce as MeasuredForce
@@ -32,14 +32,14 @@ from resonator_daemon.publishing.payloads import (
     DecodedSummary,
     EventContact,
     Forces,
-    Grid,
+    GridInfo,
     Info,
     Lost,
     OutageInfo,
-    Patch,
     Signals,
     SiteForce,
     SiteInfo,
+    SkinInfo,
     State,
     Status,
 )
@@ -50,62 +50,18 @@ from resonator_daemon.publishing.topics import (
     DECODED_SUMMARY,
     FORCES,
     INFO,
+    SCHEMA_VERSION,
     SIGNALS,
+    STATE_DAEMON,
+    STATE_LINK,
+    STATE_SENSOR,
     Topic,
 )
-
-Floats = NDArray[np.float64]
+from resonator_daemon.publishing.units import UNITS
+from resonator_daemon.publishing.verbs import obeyed
+from resonator_daemon.surface_reports import ContactFields, HeaderFields, MeasuredFields, SurfaceReporter
 
 _NS = 1_000_000_000
-_FRICTION_KNOWN = 0.25  # relative standard deviation
-
-
-class _Header(TypedDict):
-    seq: int
-    daemon_boot_id: str
-    board_boot_id: str | None
-    t_ns: int
-    t_unc_ns: int
-    lost: Lost
-
-
-class _Measured(_Header):
-    board_ticks: int
-
-
-class _ContactFields(TypedDict):
-    id: int
-    site: int
-    position_m: tuple[float, float]
-    position_std_m: tuple[float, float]
-    position_correlation: float
-    force_newton: float
-    noise_newton: float
-    systematic_newton: float
-    hidden_newton: float
-    peak_newton: float
-    since_t_ns: int
-    duration_s: float
-    status: Status
-    reason: str
-    at_least_newton: float | None
-
-
-class _SlipFields(TypedDict):
-    stick_ratio: float
-    slip_margin: float
-    slip_margin_std: float
-    friction_coefficient: float
-    friction_coefficient_std: float
-
-
-_UNKNOWN_SLIP = _SlipFields(
-    stick_ratio=math.nan,
-    slip_margin=math.nan,
-    slip_margin_std=math.nan,
-    friction_coefficient=math.nan,
-    friction_coefficient_std=math.nan,
-)
 
 
 class Reporter:
@@ -125,23 +81,34 @@ class Reporter:
         self._config = config
         self._plate = config.plate
         self._daemon_boot_id = daemon_boot_id
+        self.measurement = config.measurement
         self._lost = lost
         self._seq: Counter[str] = Counter()
-        self._since_utc_ns: dict[int, int] = {}  # of the present contacts, by id
+        self._surface = SurfaceReporter(
+            self._plate.site_ids,
+            self._plate.site_positions_m,
+            self._plate.grid,
+            uncertainty=config.decoding.uncertainty,
+        )
+        self._since_utc_ns: dict[int, int] = {}  # of the present contacts on force sites, by id
         self.board_boot_id: str | None = None
 
-    def header(self, topic: Topic[Any]) -> _Header:
+    def header(self, topic: Topic[Any]) -> HeaderFields:
         """Return the header of a message made now."""
         return self._header(topic, Instant(time.time_ns(), 0))
 
-    def state(
-        self,
-        topic: Topic[Any],
-        condition: Condition,
-        reason: str,
-        since_utc_ns: int,
-        outage: Outage | None = None,
-    ) -> State:
+    def daemon_state(self, standing: DaemonStanding) -> State:
+        return State(
+            **self.header(STATE_DAEMON),
+            state=standing.condition,
+            reason=standing.reason,
+            since_t_ns=standing.since_utc_ns,
+            connections=standing.connections,
+            connected_t_ns=standing.connected_utc_ns,
+        )
+
+    def link_state(self, link: LinkChange, outage: Outage | None, boots: int) -> State:
+        """Return the link's state, with its last outage and the boots of the board that were seen on it."""
         told = None
         if outage is not None:
             told = OutageInfo(
@@ -150,28 +117,90 @@ class Reporter:
                 frames_lost=outage.frames_lost,
                 reason=outage.reason,
             )
-        return State(**self.header(topic), state=condition, reason=reason, since_t_ns=since_utc_ns, last_outage=told)
+        return State(
+            **self.header(STATE_LINK),
+            state=Condition(link.state),
+            reason=link.reason,
+            since_t_ns=link.since_utc_ns,
+            last_outage=told,
+            boots=boots,
+        )
 
-    def info(self, board: BoardOnline, link: str) -> Info:
-        plate, measurement = self._plate, self._config.measurement
+    def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int) -> State:
+        return State(**self.header(STATE_SENSOR), state=condition, reason=reason, since_t_ns=since_utc_ns)
+
+    def info(self, board: BoardOnline, limits_hz: Mapping[str, float]) -> Info:
+        """Return what the plate is; `limits_hz` are rates of topics that were lowered by a command."""
+        plate = self._plate
         gate_s = 1 / plate.counter.frame_rate_hz
         windowed = plate.skin is None
         return Info(
             **self.header(INFO),
+            schema_version=SCHEMA_VERSION,
             daemon_version=version("resonatord"),
             plate=plate.name,
-            link=link,
+            link=str(self._config.link),
+            product=board.identity.product,
             serial_number=board.identity.serial_number,
+            firmware=board.identity.firmware,
+            counter=plate.counter.kind,
             frame_rate_hz=plate.counter.frame_rate_hz,
-            window_s=measurement.window_s if windowed else gate_s,
-            step_s=measurement.step_s if windowed else gate_s,
+            window_s=self.measurement.window_s if windowed else gate_s,
+            step_s=self.measurement.step_s if windowed else gate_s,
+            rates_hz=self._rates_hz(limits_hz),
+            units=UNITS,
+            commands=obeyed(self._config.commands.allow),
             force_max_newton=plate.force_max_newton,
-            outline_m=tuple((float(x), float(y)) for x, y in plate.outline_m),
+            outline_m=_pairs(plate.outline_m),
+            transducers_m=_pairs(plate.transducers_m),
             sites=tuple(
-                SiteInfo(site=int(site), position_m=(float(x), float(y)))
-                for site, (x, y) in zip(plate.site_ids, plate.site_positions_m, strict=True)
+                SiteInfo(site=int(site), position_m=position)
+                for site, position in zip(plate.site_ids, _pairs(plate.site_positions_m), strict=True)
             ),
+            grid=self._grid(),
+            skin=self._skin(),
             calibration=self._calibration(),
+        )
+
+    @property
+    def streams(self) -> tuple[str, ...]:
+        """Paths of the topics that come by themselves, their decimated copies aside."""
+        return tuple(topic.path for topic in self._streams())
+
+    def _streams(self) -> tuple[Topic[Any], ...]:
+        if self._plate.skin is None:
+            return FORCES, CONTACTS
+        in_daemon = self._config.decoding.method != "off" and not self._config.decoding.apart
+        return (SIGNALS, DECODED, DECODED_SUMMARY, CONTACTS) if in_daemon else (SIGNALS,)
+
+    def _rates_hz(self, limits_hz: Mapping[str, float]) -> dict[str, float]:
+        counter, windowed = self._plate.counter, self._plate.skin is None
+        rate_hz = 1 / self.measurement.step_s if windowed else counter.frame_rate_hz
+        rates_hz = {}
+        for topic in self._streams():
+            rates_hz[topic.path] = min(rate_hz, limits_hz.get(topic.path, rate_hz))
+            if topic.slow_hz is not None:
+                rates_hz[topic.slow_path] = min(rate_hz, topic.slow_hz)
+        return rates_hz
+
+    def _grid(self) -> GridInfo | None:
+        grid = self._plate.grid
+        if grid is None:
+            return None
+        origin_m, *_ = _pairs(self._plate.site_positions_m)
+        return GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
+
+    def _skin(self) -> SkinInfo | None:
+        skin = self._plate.skin
+        if skin is None:
+            return None
+        return SkinInfo(
+            youngs_modulus_pascal=skin.youngs_modulus_pascal,
+            poisson_ratio=skin.poisson_ratio,
+            depth_m=skin.depth_m,
+            gain_std=skin.gain_std,
+            correlation_length_m=skin.correlation_length_m,
+            tangential_ratio=skin.tangential_ratio,
         )
 
     def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
@@ -205,57 +234,24 @@ class Reporter:
         )
 
     def signals(self, reading: SkinReading, gate_middle: Instant) -> Signals:
-        p_n, eps_xz, eps_yz = (_median(std) for std in reading.noise_std)
         return Signals(
-            **self._measured(SIGNALS, reading, gate_middle), signals=reading.signals, noise_std=(p_n, eps_xz, eps_yz)
+            **self._measured(SIGNALS, reading, gate_middle),
+            signals=reading.signals,
+            noise_std=reading.noise_std,
+            status=Status(reading.status),
         )
 
     def decoded(self, reading: SkinReading, gate_middle: Instant, frame: DecodedFrame) -> Decoded:
-        grid = self._plate.grid
-        x, y = self._plate.site_positions_m[0]
-        return Decoded(
-            **self._measured(DECODED, reading, gate_middle),
-            traction_pascal=frame.traction_pascal,
-            traction_std_pascal=frame.traction_std_pascal,
-            displacement_m=frame.displacement_m,
-            grid=Grid(origin_m=(float(x), float(y)), pitch_m=grid.pitch_m) if grid else None,
-        )
+        return self._surface.decoded(self._measured(DECODED, reading, gate_middle), frame)
 
     def summary(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> DecodedSummary:
-        frame = surface.decoded
-        return DecodedSummary(
-            **self._measured(DECODED_SUMMARY, reading, gate_middle),
-            decoder=surface.decoder,
-            chi2=float(frame.chi2),
-            border_contact=bool(frame.border_contact),
-            status=Status(str(frame.status)),
-            reason=str(frame.reason),
-            patches=tuple(_patch(contact) for contact in surface.contacts),
-        )
+        return self._surface.summary(self._measured(DECODED_SUMMARY, reading, gate_middle), surface)
 
     def skin_contacts(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> Contacts:
-        return Contacts(
-            **self._measured(CONTACTS, reading, gate_middle),
-            status=Status(str(surface.decoded.status)),
-            contacts=tuple(
-                Contact(**self._skin_contact(contact, reading, gate_middle)) for contact in surface.contacts
-            ),
-        )
+        return self._surface.contacts(self._measured(CONTACTS, reading, gate_middle), surface)
 
     def skin_event(self, event: SkinEvent, reading: SkinReading, gate_middle: Instant) -> ContactEvent:
-        contact, slip = self._skin_contact(event.contact, reading, gate_middle), _slip(event.contact)
-        if event.event == "release":
-            del self._since_utc_ns[event.contact.id]
-        return ContactEvent(
-            **self._measured(CONTACT_EVENT, reading, gate_middle),
-            event=event.event,
-            contact=EventContact(
-                **contact,
-                slip_margin=slip["slip_margin"],
-                slip_margin_std=slip["slip_margin_std"],
-                friction_coefficient=slip["friction_coefficient"],
-            ),
-        )
+        return self._surface.event(self._measured(CONTACT_EVENT, reading, gate_middle), event)
 
     def _calibration(self) -> CalibrationInfo:
         calibration = self._plate.calibration
@@ -269,10 +265,10 @@ class Reporter:
             response="on" if self._plate.response else "off",
         )
 
-    def _header(self, topic: Topic[Any], at: Instant) -> _Header:
+    def _header(self, topic: Topic[Any], at: Instant) -> HeaderFields:
         seq = self._seq[topic.path]
         self._seq[topic.path] += 1
-        return _Header(
+        return HeaderFields(
             seq=seq,
             daemon_boot_id=self._daemon_boot_id,
             board_boot_id=self.board_boot_id,
@@ -281,9 +277,9 @@ class Reporter:
             lost=self._lost(),
         )
 
-    def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> _Measured:
+    def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> MeasuredFields:
         middle = gate_middle._replace(utc_ns=self._window_middle_ns(reading, gate_middle))
-        return _Measured(**self._header(topic, middle), board_ticks=reading.board_ticks)
+        return MeasuredFields(**self._header(topic, middle), board_ticks=reading.board_ticks)
 
     def _window_middle_ns(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> int:
         """Return the UTC of the middle of a window from that of its last gate."""
@@ -306,7 +302,7 @@ class Reporter:
         expired = self._plate.calibration.expired(datetime.now(UTC).date())
         return Status.UNCALIBRATED if expired and status in ("ok", "possibly_more") else Status(status)
 
-    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> _ContactFields:
+    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> ContactFields:
         if contact.id not in self._since_utc_ns:
             # Once and for all: told anew from the board's nominal rate, it would wander by milliseconds an hour.
             age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
@@ -314,7 +310,7 @@ class Reporter:
         touch = contact.touch
         x_std, y_std = np.sqrt(np.diag(touch.position_covariance_m2)).tolist()
         correlation = float(touch.position_covariance_m2[0, 1]) / (x_std * y_std) if x_std * y_std > 0 else 0.0
-        return _ContactFields(
+        return ContactFields(
             id=contact.id,
             site=int(self._plate.site_ids[touch.site]),
             position_m=touch.position_m,
@@ -332,72 +328,6 @@ class Reporter:
             at_least_newton=touch.at_least_newton,
         )
 
-    def _skin_contact(self, contact: SkinContact, reading: SkinReading, gate_middle: Instant) -> _ContactFields:
-        patch, middle_ns = contact.patch, self._window_middle_ns(reading, gate_middle)
-        nearest = int(np.hypot(*(self._plate.site_positions_m - patch.centroid_m).T).argmin())
-        since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
-        return _ContactFields(
-            id=contact.id,
-            site=int(self._plate.site_ids[nearest]),
-            position_m=_pair(patch.centroid_m),
-            position_std_m=_pair(patch.centroid_std_m),
-            position_correlation=math.nan,
-            force_newton=float(patch.force_newton[2]),
-            noise_newton=float(patch.force_std_newton[2]),
-            systematic_newton=math.nan,  # the plate file does not say how well its elastic constants are known
-            hidden_newton=0.0,
-            peak_newton=contact.peak_newton,
-            since_t_ns=since_ns,
-            duration_s=(middle_ns - since_ns) / _NS,
-            status=Status.OK,
-            reason="",
-            at_least_newton=None,
-        )
 
-
-def _patch(contact: SkinContact) -> Patch:
-    patch = contact.patch
-    return Patch(
-        id=contact.id,
-        centroid_m=_pair(patch.centroid_m),
-        centroid_std_m=_pair(patch.centroid_std_m),
-        area_m2=patch.area_m2,
-        force_newton=_triple(patch.force_newton),
-        force_std_newton=_triple(patch.force_std_newton),
-        moment_newton_m=_triple(patch.moment_newton_m),
-        moment_std_newton_m=_triple(patch.moment_std_newton_m),
-        at_border=patch.at_border,
-        radius_of_curvature_m=contact.radius_of_curvature_m,
-        slip_reason=contact.slip.reason if contact.slip else "nothing was fitted",
-        **_slip(contact),
-    )
-
-
-def _slip(contact: SkinContact) -> _SlipFields:
-    """Say what the fit tells of slip; a friction coefficient only where that is known to a quarter."""
-    slip = contact.slip
-    if slip is None:
-        return _UNKNOWN_SLIP
-    known = slip.friction_coefficient_std < _FRICTION_KNOWN * slip.friction_coefficient
-    return _SlipFields(
-        stick_ratio=slip.stick_ratio,
-        slip_margin=slip.slip_margin,
-        slip_margin_std=slip.slip_margin_std,
-        friction_coefficient=slip.friction_coefficient if known else math.nan,
-        friction_coefficient_std=slip.friction_coefficient_std if known else math.nan,
-    )
-
-
-def _pair(values: Floats) -> tuple[float, float]:
-    x, y = values.tolist()
-    return x, y
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = values.tolist()
-    return x, y, z
-
-
-def _median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if known.size else math.nan
+def _pairs(positions_m: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in positions_m)

@@ -4,6 +4,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 
+from resonator_daemon.measurement.drift_watch import DriftWatch
 from resonator_daemon.publishing.payloads import Condition
 
 _LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
@@ -30,6 +31,7 @@ class SensorState:
         self._announce = announce
         self._good = self._well = well
         self._expiry = ""
+        self._drift = DriftWatch()
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
         self._candidate_since_ns = self._since_utc_ns = 0
@@ -58,11 +60,17 @@ class SensorState:
         waiting = self._current is not None and self._current[0] is Condition.WAITING
         self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else time.time_ns())
 
-    def update(self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int) -> None:
-        """Take one reading's status; before the first judgement it counts at once."""
+    def update(
+        self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int, plate_kelvin: float = math.nan
+    ) -> None:
+        """Take one reading's status and baseline; before the first judgement it counts at once."""
         learnt = not all(map(math.isnan, common_mode))
+        drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
         if (condition := _CONDITIONS.get(status)) is None:
-            condition, reason = self._best if learnt else (Condition.STARTING, reason)
+            if drift:
+                condition, reason = Condition.DRIFTING, drift
+            else:
+                condition, reason = self._best if learnt else (Condition.STARTING, reason)
         seen = (condition, reason)
         if self._current is not None and condition == self._current[0]:
             self._candidate = None

@@ -4,11 +4,10 @@ import asyncio
 import contextlib
 import gc
 import logging
-import math
 import secrets
 import signal
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any
 
@@ -28,23 +27,26 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
+from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.chains import Chain, make_chain
-from resonator_daemon.config import Config, topic_level
+from resonator_daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
+from resonator_daemon.config import Config, Measurement, ReplayLink, plate_name
+from resonator_daemon.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.health import HealthMonitor
+from resonator_daemon.latency import Latencies
 from resonator_daemon.measurement.comb_chain import CombChain
 from resonator_daemon.measurement.contacts import ContactEvent
 from resonator_daemon.measurement.readings import ForceReading, SkinReading
 from resonator_daemon.measurement.single_tone_chain import ONSET_FRAMES, SingleToneChain
 from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.outlet import Outlet
 from resonator_daemon.plate import Plate
-from resonator_daemon.publishing.commands import CommandRefusedError, Respond
-from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, State
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, RecordingInfo, State
 from resonator_daemon.publishing.topics import (
     CONTACT_EVENT,
     CONTACTS,
@@ -59,16 +61,15 @@ from resonator_daemon.publishing.topics import (
     STATE_SENSOR,
     Topic,
 )
+from resonator_daemon.recording_commands import RecordingCommands
 from resonator_daemon.reports import Reporter
 from resonator_daemon.sensor_state import SensorState
+from resonator_daemon.silence import Silence
 
 log = logging.getLogger(__name__)
 
 _HEALTH_S = 1.0
 _TOGETHER = 50  # arrivals
-_NO_MESSAGES = MessageAccount(
-    made=0, restored=0, acknowledged=0, handed_to_socket=0, dropped=0, unknown_at_disconnect=0, waiting=0
-)
 
 
 async def serve(config: Config) -> None:
@@ -92,17 +93,22 @@ class Service:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._arrived = asyncio.Event()
-        single_tone = config.plate.counter.kind == "single-tone"
         wake = self._wake_from(asyncio.get_running_loop())
-        together = ONSET_FRAMES if single_tone else 1
-        self._reader = BoardReader(config.link, config.plate, wake, step_frames=together)
+        self._recording = RecordingSwitch()
+        steps = _steps(config.plate, config.measurement)
+        self._reader = BoardReader(config.link, config.plate, wake, step_frames=steps, tap=self._recording.tap)
         self._daemon_boot_id = secrets.token_hex(8)
         self._reporter = Reporter(config, self._daemon_boot_id, self._lost)
-        self._publisher: Publisher | None = None
+        self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
-        self._sensor = SensorState(self._set_sensor, _what_is_read(config.plate))
-        self._states: dict[Topic[State], State] = {}
+        self._latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
+        self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon)
+        self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
+        self._silence = Silence(asyncio.get_running_loop(), self._end_contacts)
+        self._board: BoardOnline | None = None
+        self._boots = 0
+        self._limits_hz: Mapping[str, float] = {}  # of topics whose rate a command has lowered
         self._link: LinkChange | None = None
         self._outage: Outage | None = None
         self._chain: Chain | None = None
@@ -121,21 +127,21 @@ class Service:
         self._reader.start()
         try:
             async with self._tasks:
-                helpers = [self._tasks.create_task(self._report_health(), name="health")]
+                helpers = [self._tasks.create_task(self._keep_reporting(), name="health")]
                 if self._stage is not None:
                     helpers.append(self._tasks.create_task(self._stage.run(), name="decoding"))
+                self._daemon.become(Condition.ONLINE, "measuring", self._started_utc_ns)
+                self._sensor.no_frames("the link is being opened")
                 if self._config.name is not None:
                     self._begin_publishing(self._config.name)
-                self._set_state(STATE_DAEMON, Condition.ONLINE, "measuring", self._started_utc_ns)
-                self._sensor.no_frames("the link is being opened")
                 await self._consume()
                 for helper in helpers:
                     helper.cancel()
-                self._publish_health()  # the last word on what was counted
-                if self._publisher is not None:
-                    await self._publisher.close(wait_for_broker=self._fatal is not None)
+                self._report_health()  # the last word on what was counted
+                await self._outlet.close(wait_for_broker=self._fatal is not None)
         finally:
             await asyncio.to_thread(self._reader.stop)
+            await asyncio.to_thread(self._recording.close)
         if self._fatal is not None:
             raise self._fatal
 
@@ -145,6 +151,10 @@ class Service:
         self._arrived.set()
 
     @property
+    def daemon_boot_id(self) -> str:
+        return self._daemon_boot_id
+
+    @property
     def link_account(self) -> LinkAccount:
         """Where the link's bytes and frames went."""
         return self._reader.account()
@@ -152,7 +162,7 @@ class Service:
     @property
     def message_account(self) -> MessageAccount:
         """Where the messages went."""
-        return self._publisher.account if self._publisher is not None else _NO_MESSAGES
+        return self._outlet.account
 
     def _wake_from(self, loop: asyncio.AbstractEventLoop) -> Callable[[], None]:
         pending = False
@@ -173,17 +183,37 @@ class Service:
         return wake
 
     def _begin_publishing(self, name: str) -> None:
-        self._publisher = Publisher(self._config.mqtt, name, self._make_offline, self._command)
-        for topic, state in self._states.items():
-            self._publisher.publish(topic, state)
-        self._tasks.create_task(self._publisher.run(), name="publishing")
+        parts = DaemonParts(
+            report_health=self._report_health,
+            last_messages=self._outlet.last_messages,
+            force_chain=self._force_chain,
+            locate=self._reader.locate,
+            streams=self._reporter.streams,
+            set_rate=self._outlet.set_rate,
+            settings_changed=self._settings_changed,
+        )
+        recording = RecordingCommands(self._config, name, self._recording)
+        handlers = CommandHandlers(self._config, self._daemon_boot_id, parts, recording)
+        self._outlet.begin(name, handlers.by_verb, self._daemon)
+        self._tasks.create_task(self._outlet.run(), name="publishing")
+
+    def _force_chain(self) -> ForceChain | None:
+        online = self._link is not None and self._link.state == "online"
+        return self._chain if online and isinstance(self._chain, SingleToneChain | CombChain) else None
+
+    def _settings_changed(self, measurement: Measurement, limits_hz: Mapping[str, float]) -> None:
+        self._reporter.measurement = measurement
+        self._reader.wake_at(_steps(self._config.plate, measurement))
+        self._limits_hz = dict(limits_hz)
+        self._say_info()
 
     def _make_offline(self, reason: str) -> State:
-        return self._reporter.state(STATE_DAEMON, Condition.OFFLINE, reason, time.time_ns())
+        return self._reporter.daemon_state(
+            self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=time.time_ns())
+        )
 
     def _publish(self, topic: Topic[Any], message: Any) -> None:
-        if self._publisher is not None:
-            self._publisher.publish(topic, message)
+        self._outlet.publish(topic, message)
 
     def _lost(self) -> Lost:
         loss = self._reader.lost
@@ -193,7 +223,7 @@ class Service:
             board_overflow=loss.board_overflow,
             host_overrun=loss.host_overrun,
             ring_overflow=loss.ring_overflow,
-            publish_dropped=self._publisher.dropped if self._publisher is not None else 0,
+            publish_dropped=self._outlet.dropped,
         )
 
     async def _consume(self) -> None:
@@ -223,6 +253,7 @@ class Service:
                 self._say_link(arrival)
                 if arrival.state != "online":
                     self._sensor.no_frames(f"link {arrival.state}: {arrival.reason}")
+                self._silence.watch(arrival.state)
             case Outage():
                 self._outage = arrival
                 if self._link is not None:
@@ -238,18 +269,22 @@ class Service:
 
     def _adopt(self, board: BoardOnline) -> None:
         """Take a board that counts; a boot that was not seen before has nothing in common with the past."""
-        if self._publisher is None:
+        if not self._outlet.open:
             try:
-                self._begin_publishing(topic_level(board.identity.serial_number))
+                self._begin_publishing(plate_name(board.identity.serial_number))
             except ValueError as error:
                 serial_number = board.identity.serial_number
                 self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
                 return
+        if board.boot_id != self._board_boot_id:
+            self._boots += 1
         if self._chain is None or not board.continues:
             self._board_boot_id = board.boot_id
             self._begin_measuring(board)
+        self._board = board
+        self._recording.name_board(board)
         self._reporter.board_boot_id = f"{board.boot_id:08x}"
-        self._publish(INFO, self._reporter.info(board, str(self._config.link)))
+        self._say_info()
 
     def _begin_measuring(self, board: BoardOnline) -> None:
         if self._chain is None:
@@ -257,35 +292,14 @@ class Service:
         elif isinstance(self._chain, SkinChain):
             self._chain.restart()
         else:
-            events = self._chain.restart()
-            if self._last_forces is not None:
-                self._tell(events, *self._last_forces)
+            self._tell_of_last_forces(self._chain.restart())
 
     def _refuse(self, refused: BoardRefused) -> None:
         if self._board_boot_id is not None:
             return  # the right board was here before and may come back
         error = IncompatibleBoardError if refused.other_protocol else ConfigError
         self._fatal = error(*refused.problems)
-        self._set_state(STATE_DAEMON, Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
-
-    def _command(self, verb: str, _payload: dict[str, Any], respond: Respond) -> None:
-        """Do what a subscriber asks for; called by the publisher."""
-        if verb != "tare":
-            raise CommandRefusedError("unknown_verb", f"no command is called {verb!r}", "known: tare")
-        link = self._states.get(STATE_LINK)
-        if (
-            link is None
-            or link.state is not Condition.ONLINE
-            or not isinstance(self._chain, SingleToneChain | CombChain)
-        ):
-            raise CommandRefusedError(
-                "not_ready", "no force sites are being measured", "see state/link and state/sensor"
-            )
-        if reason := self._chain.tare():
-            raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
-        common_mode = [None if math.isnan(g) else g for g in self._chain.compensation.common_mode]
-        log.info("tared: the present readings count as untouched")
-        respond({"ok": True, "did": "the present readings count as untouched", "common_mode": common_mode})
+        self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
 
     def _measure_single_tone(self, frame: SingleToneFrame) -> None:
         if isinstance(self._chain, SingleToneChain):
@@ -307,13 +321,32 @@ class Service:
         self._last_forces = (reading, gate_middle)
         self._tell(reading.events, reading, gate_middle)
         if reading.at_step:
-            self._sensor.update(reading.status, reading.reason, reading.compensation.common_mode, gate_middle.utc_ns)
+            compensation = reading.compensation
+            self._sensor.update(
+                reading.status,
+                reading.reason,
+                compensation.common_mode,
+                gate_middle.utc_ns,
+                compensation.plate_kelvin,
+            )
+            self._count_latency(FORCES, gate_middle)
             self._publish(FORCES, self._reporter.forces(reading, gate_middle))
             self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
 
     def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
         for event in events:
             self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_middle))
+
+    def _tell_of_last_forces(self, events: Sequence[ContactEvent]) -> None:
+        if self._last_forces is not None:
+            self._tell(events, *self._last_forces)
+
+    def _end_contacts(self, reason: str) -> None:
+        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
+        if isinstance(self._chain, SingleToneChain | CombChain):
+            self._tell_of_last_forces(self._chain.end_contacts(reason))
+        elif self._stage is not None:
+            self._stage.interrupt(reason)
 
     def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
         reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
@@ -329,6 +362,9 @@ class Service:
         if wanted.method == "off":
             self._sensor.explain("decoding is off")
             return None
+        if wanted.apart:
+            self._sensor.explain("decoded by another process: resonatord decode")
+            return None
         half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
         return DecodingStage(
             Skin(
@@ -339,7 +375,7 @@ class Service:
                 skin.correlation_length_m,
                 skin.tangential_ratio,
             ),
-            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient),
+            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
             self._decoded,
             self._sensor.explain,
         )
@@ -347,45 +383,58 @@ class Service:
     def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
         for event in surface.events:
             self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
+        self._count_latency(DECODED, origin[1])
         self._publish(DECODED, self._reporter.decoded(*origin, surface.decoded))
         self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
         self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
 
+    def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
+        if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording
+            self._latencies.count(topic, gate_middle)
+
+    def _say_daemon(self, standing: DaemonStanding) -> None:
+        self._publish(STATE_DAEMON, self._reporter.daemon_state(standing))
+
     def _say_link(self, link: LinkChange) -> None:
-        self._set_state(STATE_LINK, Condition(link.state), link.reason, link.since_utc_ns, self._outage)
+        self._publish(STATE_LINK, self._reporter.link_state(link, self._outage, self._boots))
 
-    def _set_state(
-        self,
-        topic: Topic[State],
-        condition: Condition,
-        reason: str,
-        since_utc_ns: int,
-        outage: Outage | None = None,
-    ) -> None:
-        state = self._reporter.state(topic, condition, reason, since_utc_ns, outage)
-        self._states[topic] = state
-        self._publish(topic, state)
+    def _say_sensor(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
+        self._publish(STATE_SENSOR, self._reporter.sensor_state(condition, reason, since_utc_ns))
 
-    def _set_sensor(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
-        self._set_state(STATE_SENSOR, condition, reason, since_utc_ns)
+    def _say_info(self) -> None:
+        if self._board is not None:
+            self._publish(INFO, self._reporter.info(self._board, self._limits_hz))
 
-    async def _report_health(self) -> None:
+    async def _keep_reporting(self) -> None:
         while True:
             self._sensor.calibration(self._config.plate.calibration.expiry_note(datetime.now(UTC).date()))
             await asyncio.sleep(_HEALTH_S)
-            self._publish_health()
+            self._report_health()
 
-    def _publish_health(self) -> None:
-        if self._publisher is None:
-            return
+    def _report_health(self) -> Health:
+        running = self._recording.current
         vitals = self._monitor.vitals(
             self.link_account,
             self.message_account,
             self._reader.clock_rate_ppm,
             self._stage.frames_skipped if self._stage is not None else 0,
             dict(self._chain.unusable) if isinstance(self._chain, SingleToneChain) else {},
+            latency=self._latencies.info(),
+            recording=RecordingInfo(file=str(running.path), since_t_ns=running.since_utc_ns, failure=running.failure)
+            if running
+            else None,
+            commands=self._outlet.command_counts,
         )
-        self._publish(HEALTH, Health(**self._reporter.header(HEALTH), **vitals))
+        health = Health(**self._reporter.header(HEALTH), **vitals)
+        self._publish(HEALTH, health)
+        return health
+
+
+def _steps(plate: Plate, measurement: Measurement) -> tuple[int, ...]:
+    """How many frames are of use together: those that may tell of an onset, and those of a message."""
+    if plate.counter.kind != "single-tone":
+        return (1,)
+    return ONSET_FRAMES, round(measurement.step_s * plate.counter.frame_rate_hz)
 
 
 def _what_is_read(plate: Plate) -> str:

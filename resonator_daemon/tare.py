@@ -10,7 +10,7 @@ from typing import Final
 from resonator_daemon.config import Config, load_config, parse_link
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.publishing.payloads import Condition, Info, State
-from resonator_daemon.publishing.requests import BrokerUnreachableError, NoAnswerError, reach, request
+from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, reach, request
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
 
@@ -28,6 +28,7 @@ _CODES: Final[dict[type[OperatorError], str]] = {
     BrokerUnreachableError: "no_broker",
     NoDaemonError: "no_daemon",
     NoAnswerError: "no_answer",
+    DeniedError: "denied",
 }
 
 

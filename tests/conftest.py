@@ -1,4 +1,4 @@
-"""What all tests share: a cache of their own, and brokers."""
+"""What all tests share: a cache and a spool of their own, and brokers."""
 
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -14,6 +14,13 @@ def _no_cache_at_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
         patch.delenv("CACHE_DIRECTORY", raising=False)
         yield
+
+
+@pytest.fixture(autouse=True)
+def _no_state_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spools and recordings go to each test's own directory."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
 
 
 @pytest.fixture

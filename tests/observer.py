@@ -15,7 +15,8 @@ DEADLINE_S = 30.0  # far beyond what any wait takes: it ends a test that hangs
 class Observer:
     """Messages in the order of their arrival."""
 
-    def __init__(self) -> None:
+    def __init__(self, client: aiomqtt.Client) -> None:
+        self.client = client
         self.heard: list[aiomqtt.Message] = []
         self._raw: dict[str, list[bytes]] = {}
         self._parsed: dict[str, list[Any]] = {}
@@ -60,8 +61,8 @@ class Observer:
 @asynccontextmanager
 async def observe(url: str, topics: str = "#") -> AsyncIterator[Observer]:
     parts = urlsplit(url)
-    observer = Observer()
     async with aiomqtt.Client(parts.hostname or "", parts.port or 1883) as client:
+        observer = Observer(client)
         await client.subscribe(topics, qos=1)
         listening = asyncio.create_task(observer.listen(client))
         yield observer

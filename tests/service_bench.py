@@ -48,11 +48,14 @@ class Bench:
         link: str | None = None,
         name: str | None = "hand",
         decoding: str = 'method = "fourier"',
+        allow: tuple[str, ...] = (),
     ) -> Service:
         config = self.folder / "board.toml"
         lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
         lines += [f'name = "{name}"'] if name else []
-        config.write_text("\n".join(lines) + f'\n[mqtt]\nurl = "{self.broker_url}"\n[decoding]\n{decoding}\n')
+        lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
+        lines += ["[commands]", f"allow = {json.dumps(allow)}"]
+        config.write_text("\n".join(lines) + "\n")
         return Service(load_config(config))
 
     @asynccontextmanager

@@ -55,7 +55,7 @@ def test_usage_errors_exit_with_2() -> None:
 
 def test_the_example_passes_its_own_check(config_path: Path) -> None:
     headers = [line for line in config_path.read_text().splitlines() if line.startswith("[")]
-    assert headers == ["[mqtt]", "[measurement]", "[decoding]"]
+    assert headers == ["[mqtt]", "[measurement]", "[decoding]", "[commands]"]
     run = resonatord("check", str(config_path), "--json")
     assert run.returncode == 0
     found = json.loads(run.stdout)

@@ -91,7 +91,7 @@ async def test_tare_is_refused_while_touched_and_done_while_untouched(
     async with (
         bench.emulated("comb16", scenario=scenario) as emulator,
         observe(mosquitto.url) as heard,
-        bench.running(bench.service("comb16", emulator.link.address)),
+        bench.running(bench.service("comb16", emulator.link.address, allow=("tare",))),
     ):
         await heard.until(lambda: len(events(heard)) == 1)
         code, answer = await tared(bench, capsys)

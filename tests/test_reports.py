@@ -10,12 +10,13 @@ import pytest
 from report_makers import LOST, NAN, Losses, configured, gate_middle, literal, reporter_of
 
 from firmware_protocol.messages import Configuration, Description, Identity
-from resonator_daemon.acquisition.frames import BoardOnline
+from resonator_daemon.acquisition.frames import BoardOnline, LinkChange, Outage
+from resonator_daemon.daemon_state import DaemonStanding
 from resonator_daemon.measurement.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.measurement.matching import SiteForce
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.publishing.payloads import Condition, Lost
-from resonator_daemon.publishing.topics import HEALTH, STATE_LINK, STATE_SENSOR
+from resonator_daemon.publishing.topics import HEALTH
 from resonator_daemon.reports import Reporter
 
 FORCE_SITE = """
@@ -44,6 +45,8 @@ frame_rate_hz = 1000
 )
 
 GATE_MIDDLE = gate_middle(1_000_000)
+ONLINE = LinkChange("online", "", 1)
+UNPLUGGED = LinkChange("lost", "unplugged", 1_788_999_990_000_000_001)
 
 
 @pytest.fixture
@@ -246,9 +249,9 @@ def test_each_topic_counts_its_own_messages(reporter: Reporter) -> None:
         reporter.forces(reading(), GATE_MIDDLE),
         reporter.contacts(reading(), GATE_MIDDLE),
         reporter.forces(reading(), GATE_MIDDLE),
-        reporter.state(STATE_LINK, Condition.ONLINE, "", 1),
-        reporter.state(STATE_SENSOR, Condition.ONLINE, "", 1),
-        reporter.state(STATE_LINK, Condition.LOST, "", 1),
+        reporter.link_state(ONLINE, None, 1),
+        reporter.sensor_state(Condition.ONLINE, "", 1),
+        reporter.link_state(UNPLUGGED, None, 1),
         reporter.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_MIDDLE),
         reporter.forces(reading(), GATE_MIDDLE),
     ]
@@ -259,7 +262,7 @@ def test_each_topic_counts_its_own_messages(reporter: Reporter) -> None:
 def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> None:
     losses = Losses()
     reporter = Reporter(configured(tmp_path, FORCE_PLATE), "9f3c", losses)
-    first = literal(reporter.state(STATE_LINK, Condition.WAITING, "", 1))
+    first = literal(reporter.sensor_state(Condition.WAITING, "", 1))
     assert first["board_boot_id"] is None
     losses.now = Lost(damaged=8)
     reporter.board_boot_id = "51ab"
@@ -270,7 +273,7 @@ def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> N
 
 def test_a_state_says_since_when_and_is_dated_when_it_is_made(reporter: Reporter) -> None:
     before_ns = time.time_ns()
-    said = literal(reporter.state(STATE_LINK, Condition.LOST, "unplugged", 1_788_999_990_000_000_001))
+    said = literal(reporter.link_state(UNPLUGGED, None, 1))
     assert said["state"] == "lost"
     assert said["reason"] == "unplugged"
     assert said["since_t_ns"] == "1788999990000000001"
@@ -295,17 +298,25 @@ def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str
     measured = reading(sites=(SiteForce(1, 1.2, 0.1, 0.1, "ok"),), contacts=(contact(),))
     assert literal(reporter.forces(measured, GATE_MIDDLE))["sites"][0]["status"] == status
     assert literal(reporter.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
-    said = literal(reporter.info(BOARD, "serial:/dev/ttyACM0?baud=4000000"))["calibration"]
+    said = literal(reporter.info(BOARD, {}))["calibration"]
     assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
 
 
 def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
     config = configured(tmp_path, FORCE_PLATE, measurement={"window_ms": 20, "step_ms": 4})
-    said = literal(reporter_of(config).info(BOARD, "serial:/dev/ttyACM0?baud=4000000"))
+    said = literal(reporter_of(config).info(BOARD, {}))
     expected = {
         "daemon_version": version("resonatord"),
         "plate": "three",
-        "link": "serial:/dev/ttyACM0?baud=4000000",
+        "link": str(config.link),
+        "product": "quartz board",
+        "firmware": "1.2.3",
+        "counter": "single-tone",
+        "transducers_m": [[0.0, 0.0], [0.02, 0.0], [0.02, 0.01], [0.0, 0.01]],
+        "rates_hz": {"forces": 250.0, "forces/20hz": 20.0, "contacts": 250.0, "contacts/20hz": 20.0},
+        "commands": ["ping", "health", "snapshot"],
+        "grid": None,
+        "skin": None,
         "serial_number": "0042",
         "frame_rate_hz": 1000.0,
         "window_s": 0.02,
@@ -320,10 +331,42 @@ def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
     )
 
 
+def test_rates_that_a_command_has_lowered_are_told(tmp_path: Path) -> None:
+    said = literal(reporter_of(configured(tmp_path, FORCE_PLATE)).info(BOARD, {"forces": 10.0, "contacts": 900.0}))
+    assert said["rates_hz"] == {"forces": 10.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0}
+
+
+def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) -> None:
+    reporter = reporter_of(configured(tmp_path, "skin32", decoding={"apart": True}))
+    assert reporter.streams == ("signals",)
+    assert set(literal(reporter.info(BOARD, {}))["rates_hz"]) == {"signals", "signals/5hz"}
+
+
+def test_the_link_tells_its_last_outage_and_the_boards_boots(reporter: Reporter) -> None:
+    said = literal(reporter.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, "unplugged"), 2))
+    assert said["boots"] == 2
+    assert said["last_outage"] == {
+        "start_t_ns": "1",
+        "end_t_ns": "3000000000",
+        "frames_lost": 2900,
+        "reason": "unplugged",
+    }
+
+
+def test_the_daemon_tells_its_connections(reporter: Reporter) -> None:
+    said = literal(reporter.daemon_state(DaemonStanding(Condition.ONLINE, "measuring", 5, 3, 7)))
+    assert (said["state"], said["reason"], said["since_t_ns"]) == ("online", "measuring", "5")
+    assert (said["connections"], said["connected_t_ns"]) == (3, "7")
+
+
 def test_info_of_a_skin_whose_every_gate_is_a_window(tmp_path: Path) -> None:
     config = configured(tmp_path, "skin32", measurement={"window_ms": 20, "step_ms": 4})  # of no use here
-    said = literal(reporter_of(config).info(BOARD, "tcp://127.0.0.1:5000"))
+    said = literal(reporter_of(config).info(BOARD, {}))
     assert said["window_s"] == said["step_s"] == 0.01  # of 100 frames/s
     assert len(said["sites"]) == 1024
+    assert said["grid"] == {"origin_m": pytest.approx([-6.2e-3, -6.2e-3]), "pitch_m": 4e-4, "shape": [32, 32]}
+    assert (said["skin"]["youngs_modulus_pascal"], said["skin"]["depth_m"]) == (2e5, 1e-3)
+    assert said["rates_hz"]["decoded"] == said["rates_hz"]["signals"] == 100.0
+    assert (said["rates_hz"]["decoded/5hz"], said["rates_hz"]["decoded/summary/20hz"]) == (5.0, 20.0)
     assert said["sites"][1]["site"] == 2
     assert said["sites"][1]["position_m"] == pytest.approx([-5.8e-3, -6.2e-3])

@@ -216,3 +216,32 @@ def test_an_explanation_waits_until_the_sensor_is_well() -> None:
     assert sensor.said[-1][1].endswith("; decoding is on")
     assert "off" not in sensor.said[-1][1]
     assert "judged" not in sensor.said[-1][1]
+
+
+def drifting(sensor: Sensor, from_ms: int, until_ms: int) -> None:
+    for at_ms in range(from_ms, until_ms, 100):
+        sensor.read(at_ms, "ok", common_mode=(1e-10 * at_ms, 0.0, 0.0, 0.0))
+
+
+def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    (_, (condition, reason, since_ns)) = sensor.said
+    assert condition is Condition.DRIFTING
+    assert "ppm" in reason
+    assert 5000 * MS <= since_ns - T0_NS <= 6000 * MS
+
+
+def test_worse_than_drifting_is_said_instead() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    sensor.read(8000, "no_signal")
+    assert sensor.read(8300, "no_signal") == [Condition.STALLED]
+
+
+def test_a_sensor_at_rest_again_is_online() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    for at_ms in range(8000, 30_000, 100):
+        sensor.read(at_ms, "ok", common_mode=(8e-7 + 1e-16 * at_ms, 0.0, 0.0, 0.0))
+    assert [condition for condition, _, _ in sensor.said] == [Condition.ONLINE, Condition.DRIFTING, Condition.ONLINE]

@@ -164,10 +164,11 @@ async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
         await asyncio.to_thread(wait_for_frames, service, service.link_account.frames + 200)
         assert service.link_account.lost.total == 0
     account = service.message_account
-    known = account.acknowledged + account.handed_to_socket + account.dropped + account.unknown_at_disconnect
+    dropped = sum(account.dropped.values())
+    known = account.acknowledged + account.handed_to_socket + dropped + account.unknown_at_disconnect
     assert account.made == known + account.waiting
     assert account.waiting == 0
-    assert account.dropped > 0
+    assert account.dropped["no_connection"] > 0
 
 
 def wait_for_frames(service: Service, count: int) -> None:
@@ -300,3 +301,20 @@ async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
             turns += time.monotonic() < give_up_s
     assert turns == 10
     assert time.monotonic() < give_up_s
+
+
+async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
+    async with (
+        bench.emulated(scenario=bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=10)), faults=faults),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until(lambda: len(events(heard)) == 2)
+        assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"
+        await heard.until(lambda: len(events(heard)) == 3)
+    first, lost, again = events(heard)
+    assert [event["event"] for event in (first, lost, again)] == ["onset", "release", "onset"]
+    assert lost["reason"] == "no frames for 0.5 s"
+    assert lost["contact"]["id"] == first["contact"]["id"] != again["contact"]["id"]
+    assert again["contact"]["site"] == 7

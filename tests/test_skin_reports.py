@@ -210,6 +210,7 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
         "status": "ok",
         "reason": "2 signals lost",
         "patches": [PATCH_LITERAL],
+        "decoder_id": None,
     }
 
 
@@ -286,13 +287,19 @@ def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: 
     assert again.contact.since_t_ns == onset.contact.since_t_ns + 30_000_000
 
 
-def test_signals_come_with_the_median_noise_of_each_channel(skin_reporter: Reporter) -> None:
-    noise = np.tile([[1e-3], [2e-3], [NAN]], 1024)
-    noise[0, :511], noise[1, :600] = 9.0, np.inf  # less than half; not known, which does not count
-    measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise)
-    raw = cbor2.loads(encode(skin_reporter.signals(measured, GATE_MIDDLE)))
-    assert raw["noise_std"][:2] == [1e-3, 2e-3]
-    assert math.isnan(raw["noise_std"][2])
+def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_reporter: Reporter) -> None:
+    noise = np.random.default_rng(6).uniform(1e-3, 2e-3, (3, 1024))
+    noise[0, 7], noise[1, 8] = NAN, np.inf
+    measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise, status="settling")
+    message = decode(payloads.Signals, encode(skin_reporter.signals(measured, GATE_MIDDLE)))
+    np.testing.assert_array_equal(message.noise_std, noise.astype(np.float32))
+    assert message.status == "settling"
+
+
+def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: Reporter) -> None:
+    event = SkinEvent("release", skin_contact(), "unplugged")
+    said = literal(skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE))
+    assert (said["event"], said["reason"]) == ("release", "unplugged")
 
 
 def test_messages_of_a_skin_count_apart(skin_reporter: Reporter) -> None:

@@ -4,22 +4,20 @@ import asyncio
 import json
 import sys
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
 
 from brokers import Mosquitto, free_port
+from commanded import commanded, state
 
-from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.commands import CommandRefusedError, Handler, Respond
-from resonator_daemon.publishing.payloads import CalibrationInfo, Info, Lost, State
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.commands import CommandRefusedError, Handler
+from resonator_daemon.publishing.message_examples import EXAMPLES
+from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON
+from resonator_daemon.publishing.verbs import Tare, TareAnswer
 
 TIMEOUT_S = 60
-HEADER: dict[str, Any] = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": 1, "t_unc_ns": 1}
-HEADER["lost"] = Lost()
 LINK = "tcp://127.0.0.1:9"
 
 
@@ -35,45 +33,21 @@ async def tare(folder: Path, url: str, *arguments: str, name: str = 'name = "lef
 
 
 @asynccontextmanager
-async def daemon(url: str, handler: Handler, name: str = "left") -> AsyncIterator[None]:
-    """As much of a daemon as a command needs."""
-
-    def state(condition: str, reason: str) -> State:
-        return State(**HEADER, state=condition, reason=reason, since_t_ns=None)
-
-    publisher = Publisher(Mqtt(url=url), name, lambda reason: state("offline", reason), handler)
-    publisher.publish(STATE_DAEMON, state("online", "measuring"))
-    publisher.publish(
-        INFO,
-        Info(
-            **HEADER,
-            daemon_version="0",
-            plate="quartz16",
-            link=LINK,
-            serial_number=name,
-            frame_rate_hz=1000.0,
-            window_s=0.01,
-            step_s=0.005,
-            force_max_newton=10.0,
-            outline_m=(),
-            sites=(),
-            calibration=CalibrationInfo(
-                id=None, date=None, unit=None, expiry=None, model_error=0.015, sensitivity_std=0.0, response="off"
-            ),
-        ),
-    )
-    running = asyncio.create_task(publisher.run())
-    yield
-    await publisher.close(wait_for_broker=True)
-    await running
+async def daemon(
+    url: str, handler: Handler, name: str = "left", allowed: Collection[str] = ("tare",)
+) -> AsyncIterator[None]:
+    async with commanded(url, {"tare": handler}, allowed, name) as running:
+        running.publisher.publish(running.base, STATE_DAEMON, state("online", "measuring"))
+        info = Info.model_validate({**EXAMPLES["Info"], "link": LINK, "serial_number": name})
+        running.publisher.publish(running.base, INFO, info)
+        yield
 
 
-def tared(verb: str, payload: dict[str, Any], respond: Respond) -> None:
-    assert (verb, payload) == ("tare", {})
-    respond({"ok": True, "did": "common mode taken as untouched", "common_mode": [1e-6, None, None, None]})
+def tared(_: Tare) -> TareAnswer:
+    return TareAnswer(did="common mode taken as untouched", common_mode=(1e-6, *[float("nan")] * 3))
 
 
-def touched(*_: object) -> None:
+def touched(_: Tare) -> TareAnswer:
     raise CommandRefusedError("not_untouched", "site 7 is touched", "release it")
 
 
@@ -97,12 +71,18 @@ async def test_a_refusal_is_told_and_fails(mosquitto: Mosquitto, tmp_path: Path)
     assert told == "resonatord: not tared: site 7 is touched; release it\n"
 
 
-def silent(*_: object) -> None:
-    """A command that nobody answers."""
+async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosquitto, tmp_path: Path) -> None:
+    async with daemon(mosquitto.url, tared, allowed=()):
+        code, said, told = await tare(tmp_path, mosquitto.url)
+    assert (code, said) == (1, "")
+    assert told == (
+        "resonatord: not tared: tare is not permitted; "
+        'add "tare" to allow in [commands] of the daemon\'s configuration, and start it again\n'
+    )
 
 
 async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tmp_path: Path) -> None:
-    async with daemon(mosquitto.url, silent):
+    async with daemon(mosquitto.url, tared):
         pass
     for name in ('name = "left"', ""):
         code, said, told = await tare(tmp_path, mosquitto.url, name=name)

@@ -42,7 +42,8 @@ class Capture:
 
     def take(self, message: Signals, count: int) -> None:
         """Keep a frame whose noise is known."""
-        frame, noise = message.signals.reshape(3, -1).astype(np.float64), np.array(message.noise_std)
+        frame = message.signals.reshape(3, -1).astype(np.float64)
+        noise = _median_noise(message.noise_std.reshape(3, -1).astype(np.float64))
         if frame.shape[1] != count:
             raise ConfigError(f"plate {self.plate!r} publishes {frame.shape[1]} sites, the plate file has {count}")
         if not ((noise > 0.0) & np.isfinite(noise)).all():
@@ -162,3 +163,9 @@ def _silence(config: Config) -> str:
 def _tell(line: str) -> None:
     sys.stderr.write(f"{line}\n")
     sys.stderr.flush()
+
+
+def _median_noise(noise_std: Floats) -> Floats:
+    """Return the median over the sites of each row, NaN where none is known."""
+    rows = (row[np.isfinite(row)] for row in noise_std)
+    return np.array([np.median(known) if known.size else np.nan for known in rows])

@@ -30,3 +30,5 @@ class Wanted:
     method: Literal["open-plane", "fourier"] = "open-plane"
     contact_physics: bool = True
     friction_coefficient: float | None = None  # None: not known
+    displacement: bool = True  # of the surface, too
+    background: bool = True  # contact physics prepares its matrices in another thread; False: while it decodes

@@ -42,6 +42,7 @@ class SkinEvent:
 
     event: Literal["onset", "release", "incipient_slip", "gross_slip"]
     contact: SkinContact
+    reason: str = ""  # of a release that no frame has told of
 
 
 @dataclass
@@ -101,31 +102,48 @@ class SkinContacts:
         for missing in self._lives.keys() - found.keys():
             self._lives[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
-        sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
-        noise_std = np.hypot(self._noise_std, self._gain_std * sound)
-        slips, slip_events = self._watch.update(signals, noise_std, {i: _start(patch) for i, patch in real.items()})
+        slips, slip_events = self._watch.update(signals, self._noise_of(signals), _starts(real))
         self.friction_estimate = _learned(slips) or self.friction_estimate
         contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
         events = self._follow(contacts)
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
         return tuple(contacts.values()), tuple(events)
 
+    def alone(self, signals: Floats, patches: Sequence[Patch]) -> tuple[SkinContact, ...]:
+        """Contacts of a frame (3, n) that stands for itself, numbered from 1; those that are followed stay as they are.
+
+        What slip has taught of friction is left out, too: frames may be those of many skins.
+        """
+        real = {i: patch for i, patch in enumerate(patches, 1) if _is_significant(patch)}
+        slips, _ = SlipWatch(self._model, self._friction).update(signals, self._noise_of(signals), _starts(real))
+        force = {i: float(patch.force_newton[2]) for i, patch in real.items()}
+        return tuple(
+            SkinContact(i, patch, slips.get(i), self._curvature_m(slips.get(i)), force[i]) for i, patch in real.items()
+        )
+
     def _is_real(self, contact: int, patch: Patch) -> bool:
         """Whether a patch is a contact: significant in some frames in a row, and from then on while it is tracked."""
         if contact not in self._lives:
             self._lives[contact] = _Life(SkinContact(contact, patch, None, np.nan, 0.0))
         life = self._lives[contact]
-        significant = patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2]
-        life.frames = life.frames + 1 if significant else 0
+        life.frames = life.frames + 1 if _is_significant(patch) else 0
         return life.announced or life.frames >= _ONSET_FRAMES
 
     def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
-        curvature_m = np.nan
-        if slip is not None and np.isfinite(slip.radius_m):
-            # a^3 = 3 F R (1 - nu^2) / (4 E) of a paraboloid (Johnson, Contact Mechanics, section 4.2)
-            curvature_m = self._curvature * slip.radius_m**3 / float(slip.force_newton[2])
         force = float(patch.force_newton[2])
-        return SkinContact(contact, patch, slip, curvature_m, max(self._lives[contact].last.peak_newton, force))
+        peak_newton = max(self._lives[contact].last.peak_newton, force)
+        return SkinContact(contact, patch, slip, self._curvature_m(slip), peak_newton)
+
+    def _curvature_m(self, slip: PartialSlip | None) -> float:
+        if slip is None or not np.isfinite(slip.radius_m):
+            return np.nan
+        # a^3 = 3 F R (1 - nu^2) / (4 E) of a paraboloid (Johnson, Contact Mechanics, section 4.2)
+        return self._curvature * slip.radius_m**3 / float(slip.force_newton[2])
+
+    def _noise_of(self, signals: Floats) -> Floats:
+        """Noise and gain errors of a frame, (3, n)."""
+        sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
+        return np.hypot(self._noise_std, self._gain_std * sound)
 
     def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:
         """Onsets and releases; lives whose patch is no longer tracked end."""
@@ -143,8 +161,15 @@ class SkinContacts:
         return events
 
 
-def _start(patch: Patch) -> ContactStart:
-    return ContactStart((float(patch.centroid_m[0]), float(patch.centroid_m[1])), patch.radius_m)
+def _starts(patches: Mapping[int, Patch]) -> dict[int, ContactStart]:
+    return {
+        i: ContactStart((float(patch.centroid_m[0]), float(patch.centroid_m[1])), patch.radius_m)
+        for i, patch in patches.items()
+    }
+
+
+def _is_significant(patch: Patch) -> bool:
+    return bool(patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2])
 
 
 def _learned(slips: Mapping[int, PartialSlip]) -> float | None:

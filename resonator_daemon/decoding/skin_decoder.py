@@ -81,12 +81,26 @@ class SkinDecoder:
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
         """Read a frame; both arrays (3, n). What is far noisier than usual, or of unknown noise, counts as lost."""
-        frame = np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
+        frame = self._heard(signals, noise_std)
         decoded, patches = self._reader.read(frame)
         reading = SurfaceReading(self.name, decoded, *self.contacts.update(frame, patches))
         if self._reader.physics is not None:
             self._reader.physics.friction_estimate = self.contacts.friction_estimate
         return reading
+
+    def decode_alone(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+        """Read a frame, both arrays (3, n), as if it were the first: contacts have no past, and there are no events.
+
+        With `Wanted.background`, contact physics would have no matrices for it.
+        """
+        frame = self._heard(signals, noise_std)
+        if self._reader.physics is not None:
+            self._reader.physics.reset()
+        decoded, patches = self._reader.read(frame)
+        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, patches))
+
+    def _heard(self, signals: Floats, noise_std: Floats) -> Floats:
+        return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
 
     @property
     def rebuild_wanted(self) -> bool:

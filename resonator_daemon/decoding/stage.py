@@ -24,6 +24,7 @@ log = logging.getLogger(__name__)
 Floats = NDArray[np.float64]
 Origin = TypeVar("Origin")
 
+CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
 _REBUILD_REST = 2.4  # times as long as a rebuild took: together at most 30 % of a core
 
 
@@ -40,6 +41,17 @@ class DecodingStage(Generic[Origin]):
     announce
         Called on the event loop with what is being set up, with "" when that is done, and with the reason where these
         sites cannot be decoded.
+    before
+        `latest` of a stage that has ended, and whose place this one takes: numbers of contacts go on from there, and
+        the first reading ends those that it followed.
+
+    Attributes
+    ----------
+    frames_skipped
+        A newer one came first, nothing told the noise yet, or the stage ended; all frames that were offered are
+        delivered, here, or in `waiting`.
+    frames_without_noise
+        Of those skipped.
     """
 
     def __init__(
@@ -48,21 +60,45 @@ class DecodingStage(Generic[Origin]):
         wanted: Wanted,
         deliver: Callable[[Origin, SurfaceReading], None],
         announce: Callable[[str], None],
+        before: SkinDecoder | None = None,
     ) -> None:
         self._skin = skin
         self._wanted = wanted
         self._deliver = deliver
         self._announce = announce
         self._decoder: SkinDecoder | None = None
+        self._before = before
+        self._busy = False
         self._newest: tuple[Origin, Floats, Floats] | None = None
+        self._interruption = ""
+        self._last_origin: Origin | None = None
         self._offered = asyncio.Event()
         self._rebuild_due = asyncio.Event()
         self.frames_skipped = 0
+        self.frames_without_noise = 0
+
+    @property
+    def latest(self) -> SkinDecoder | None:
+        """The decoder that followed contacts last, this stage's or one before."""
+        return self._decoder or self._before
+
+    @property
+    def waiting(self) -> int:
+        """Frames that are being decoded, or are next."""
+        return self._busy + (self._newest is not None)
 
     def offer(self, origin: Origin, signals: Floats, noise_std: Floats) -> None:
         """Take one frame, both arrays (3, sites), the dimensionless triple; never waits."""
         self.frames_skipped += self._newest is not None
         self._newest = (origin, signals, noise_std)
+        self._offered.set()
+
+    def interrupt(self, reason: str) -> None:
+        """End all contacts, because frames have stopped coming; never waits.
+
+        Where there are any, a reading without a surface, but with their releases, is delivered with the last origin.
+        """
+        self._interruption = reason
         self._offered.set()
 
     async def run(self) -> None:
@@ -74,6 +110,8 @@ class DecodingStage(Generic[Origin]):
             try:
                 await self._run(pool)
             finally:
+                self.frames_skipped += self.waiting
+                self._busy, self._newest = False, None
                 rebuilding.cancel()
                 with contextlib.suppress(asyncio.CancelledError):
                     await rebuilding
@@ -86,51 +124,52 @@ class DecodingStage(Generic[Origin]):
         while True:
             await self._offered.wait()
             self._offered.clear()
+            if self._interruption:
+                ended += await self._end_contacts(pool)
             if self._newest is None:
                 continue
             (origin, signals, noise_std), self._newest = self._newest, None
+            self._busy = True
             if self._decoder is None or not self._decoder.fits(noise_std):
                 built_for = rounded_noise(self._skin, noise_std)
                 if built_for is None:
                     self.frames_skipped += 1
+                    self.frames_without_noise += 1
+                    self._busy = False
                     continue
                 started = time.monotonic()
                 try:
-                    decoder = await loop.run_in_executor(pool, self._build, built_for, loop)
-                except (ValueError, ArithmeticError, MemoryError) as error:
+                    decoder = await loop.run_in_executor(
+                        pool, set_up, self._skin, self._wanted, built_for, announcer(self._announce, loop)
+                    )
+                except CANNOT_DECODE as error:
                     log.error("nothing is decoded: %s", error)
                     self._announce(f"nothing is decoded: {error}")
                     return
                 log.info("decoder %s ready after %.1f s", decoder.name, time.monotonic() - started)
                 self._announce("")
-                if self._decoder is not None:
-                    ended = decoder.succeed(self._decoder)
-                self._decoder = decoder
-            reading = await loop.run_in_executor(pool, self._decode, self._decoder, signals, noise_std)
+                if (before := self.latest) is not None:
+                    ended = decoder.succeed(before)
+                self._decoder, self._before = decoder, None
+            reading = await loop.run_in_executor(pool, _decode, self._decoder, signals, noise_std)
+            self._busy = False
             if self._decoder.rebuild_wanted:
                 self._rebuild_due.set()
+            self._last_origin = origin
             self._deliver(origin, replace(reading, events=ended + reading.events))
             ended = ()
 
-    def _build(self, noise_std: Floats, loop: asyncio.AbstractEventLoop) -> SkinDecoder:
-        def progress(step: str) -> None:
-            log.info("decoder is being set up: %s", step)
-            loop.call_soon_threadsafe(self._announce, f"decoder is being set up: {step}")
-
-        return cached(
-            (self._skin, self._wanted, noise_std),
-            lambda: SkinDecoder(self._skin, self._wanted, noise_std, progress),
-        )
-
-    def _decode(self, decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        try:
-            return decoder.decode(signals, noise_std)
-        except Exception as error:  # whatever one frame does, the next one is decoded
-            log.exception("frame could not be decoded")
-            unknown = np.full((3, *decoder.shape), np.nan)
-            reason = f"decoder failed: {error!r}"
-            decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, "rejected", reason)
-            return SurfaceReading(decoder.name, decoded, events=decoder.reset())
+    async def _end_contacts(self, pool: ThreadPoolExecutor) -> tuple[SkinEvent, ...]:
+        """End contacts of an interruption; returns releases that go with a frame which has come meanwhile."""
+        reason, self._interruption = self._interruption, ""
+        if self._decoder is None or self._last_origin is None:
+            return ()
+        events = await asyncio.get_running_loop().run_in_executor(pool, self._decoder.reset)
+        events = tuple(replace(event, reason=reason) for event in events)
+        if not events or self._newest is not None:
+            return events
+        self._deliver(self._last_origin, _unknown(self._decoder, "no_signal", reason, events))
+        return ()
 
     async def _rebuild(self, pool: ThreadPoolExecutor) -> None:
         while True:
@@ -143,3 +182,37 @@ class DecodingStage(Generic[Origin]):
                 except Exception:  # until one succeeds, the decoder shows its map without contact physics
                     log.exception("contact physics could not follow a contact")
                 await asyncio.sleep(_REBUILD_REST * (time.monotonic() - started))
+
+
+def announcer(announce: Callable[[str], None], loop: asyncio.AbstractEventLoop) -> Callable[[str], None]:
+    """Make what tells the log, and from a thread the event loop, what is being set up."""
+
+    def progress(step: str) -> None:
+        log.info("decoder is being set up: %s", step)
+        loop.call_soon_threadsafe(announce, f"decoder is being set up: {step}")
+
+    return progress
+
+
+def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
+    """Build a decoder, or take it from the cache; one of CANNOT_DECODE where that is not possible."""
+    return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
+
+
+def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
+    """Return what is to be said of a frame whose decoding failed."""
+    log.error("frame could not be decoded", exc_info=error)
+    return _unknown(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
+
+
+def _unknown(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
+    unknown = np.full((3, *decoder.shape), np.nan)
+    decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, status, reason)
+    return SurfaceReading(decoder.name, decoded, events=events)
+
+
+def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> SurfaceReading:
+    try:
+        return decoder.decode(signals, noise_std)
+    except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
+        return failed(decoder, error)

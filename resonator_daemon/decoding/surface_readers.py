@@ -70,12 +70,13 @@ class MapReader:
             )
             if wanted.contact_physics:
                 progress("contact physics")
-                self.physics = ContactDecoder(self._linear, wanted.friction_coefficient, background=True)
+                self.physics = ContactDecoder(self._linear, wanted.friction_coefficient, background=wanted.background)
                 self.name += "+contact"
+        self._displacement = wanted.displacement
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
 
     def read(self, frame: Floats) -> tuple[Decoded, list[Patch]]:
-        decoded = (self.physics or self._linear).decode(frame.reshape(3, *self.shape), displacement=True)
+        decoded = (self.physics or self._linear).decode(frame.reshape(3, *self.shape), displacement=self._displacement)
         patches = self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
         if self.physics is not None:
             patches = with_net_loads(patches, self.physics, frame.shape[1])
@@ -115,7 +116,8 @@ class TemplateReader:
     name = "template"
     physics: ContactDecoder | None = None
 
-    def __init__(self, skin: Skin, noise_std: Floats, progress: Callable[[str], None]) -> None:
+    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
+        self._displacement = wanted.displacement
         self.shape: tuple[int, ...] = (len(skin.site_positions_m),)
         progress(f"template of a contact under {self.shape[0]} sites")
         self._decoder = TemplateDecoder(
@@ -123,12 +125,12 @@ class TemplateReader:
         )
 
     def read(self, frame: Floats) -> tuple[Decoded, list[Patch]]:
-        decoded, patch = self._decoder.decode_with_patch(frame, displacement=True)
+        decoded, patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
         return decoded, [] if patch is None else [patch]
 
 
 def surface_reader(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SurfaceReader:
     """Choose by the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
     if wanted.method == "open-plane" and is_sparse(skin.site_positions_m, skin.depth_m):
-        return TemplateReader(skin, noise_std, progress)
+        return TemplateReader(skin, wanted, noise_std, progress)
     return MapReader(skin, wanted, noise_std, progress)

@@ -43,7 +43,7 @@ class _Run:
     arrived_utc_ns: int | None = None
     last: dict[str, tuple[Header, int]] = field(default_factory=dict)  # message, and when it arrived
     first_arrived_utc_ns: dict[str, int] = field(default_factory=dict)
-    arrivals_utc_ns: dict[str, deque[int]] = field(default_factory=dict)  # within the last second
+    arrivals: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)  # within the last second: when, and seq
     missed: Counter[str] = field(default_factory=Counter)
 
     def take(self, path: str, message: Header, arrived_utc_ns: int) -> None:
@@ -54,29 +54,32 @@ class _Run:
         self.arrived_utc_ns = arrived_utc_ns
         self.last[path] = (message, arrived_utc_ns)
         self.first_arrived_utc_ns.setdefault(path, arrived_utc_ns)
-        arrivals = self.arrivals_utc_ns.setdefault(path, deque())
-        arrivals.append(arrived_utc_ns)
+        arrivals = self.arrivals.setdefault(path, deque())
+        arrivals.append((arrived_utc_ns, message.seq))
         # A clock that was set back leaves arrivals in the future, which must not pile up.
-        while not arrived_utc_ns - _RATE_NS < arrivals[0] <= arrived_utc_ns:
+        while not arrived_utc_ns - _RATE_NS < arrivals[0][0] <= arrived_utc_ns:
             arrivals.popleft()
 
 
 class PlateView:
     """The last message on each topic of a plate, message rates, and messages that this subscriber missed.
 
+    Without `full_rate` it is given the decimated copies of those topics that have one.
+
     A new run of the daemon (`daemon_boot_id`) starts with nothing. Retained messages come in any order and may be of
     an earlier run: they begin a new run only when they are newer than all of the present one.
     """
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, full_rate: bool = True) -> None:
         self.name = name
+        self._decimated = () if full_rate else tuple(path for path, topic in TOPICS.items() if topic.slow_hz)
         self._run = _Run()
         self._runs: dict[str, _Run] = {}
 
     @property
     def missed(self) -> Mapping[str, int]:
-        """Messages that did not arrive, by path: gaps in `seq` since the first message."""
-        return self._run.missed
+        """Messages that did not arrive, by path: gaps in `seq` since the first; of a decimated copy nothing tells."""
+        return Counter({path: count for path, count in self._run.missed.items() if path not in self._decimated})
 
     @property
     def lost(self) -> Lost | None:
@@ -108,12 +111,15 @@ class PlateView:
         return self.last(topic) if now_utc_ns - arrived_utc_ns <= max(1.0, 3 * period_s) * 1e9 else None
 
     def rate_hz(self, topic: Topic[Any], now_utc_ns: int) -> float:
-        """Messages per second on a topic over the last second; NaN in the first one."""
+        """Messages that the plate makes a second, over the last second; NaN in the first one."""
         begun_utc_ns = now_utc_ns - _RATE_NS
         if self._run.first_arrived_utc_ns.get(topic.path, now_utc_ns) > begun_utc_ns:
             return math.nan
-        arrivals = self._run.arrivals_utc_ns[topic.path]
-        return float(sum(begun_utc_ns < arrived <= now_utc_ns for arrived in arrivals))
+        recent = [arrival for arrival in self._run.arrivals[topic.path] if begun_utc_ns < arrival[0] <= now_utc_ns]
+        if topic.path in self._decimated and len(recent) > 1:
+            (first_utc_ns, first), (last_utc_ns, last) = recent[0], recent[-1]
+            return (last - first) / max(last_utc_ns - first_utc_ns, 1) * 1e9
+        return float(len(recent))
 
     def age_s(self, now_utc_ns: int) -> float:
         """Seconds since the last message of any kind; NaN before the first."""

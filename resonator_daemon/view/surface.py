@@ -41,7 +41,8 @@ class SurfacePanel:
         highest = [0.0]
         if self._decoded is not None:
             self._add_map("measured", self._decoded.traction_pascal[2])
-            highest.append(_max_known(self._decoded.traction_std_pascal[2]) / _NOISE_OF_SCALE)
+            if (std := self._decoded.traction_std_pascal) is not None:
+                highest.append(_max_known(std[2]) / _NOISE_OF_SCALE)
         if truth is not None and truth.traction_z_pascal is not None:
             self._add_map("true", truth.traction_z_pascal)
         self._full_pascal = round_scale(max(highest + [_max_known(traction) for traction in self._maps.values()]))
@@ -75,7 +76,7 @@ class SurfacePanel:
         table = Table(box=None, padding=(0, 2, 0, 0), pad_edge=False)
         table.add_column("contact" if patches else self._contacts())
         for patch in patches:
-            table.add_column(str(patch.id), no_wrap=True)
+            table.add_column(_name(patch), no_wrap=True)
         if self._truth is not None:
             forces.append(_sum_newton(self._truth.contacts))
             table.add_column("true", no_wrap=True)
@@ -88,12 +89,7 @@ class SurfacePanel:
     def _contacts(self) -> str:
         if self._summary is None or self._summary.status not in _KNOWN:
             return "contacts unknown"
-        told = [
-            f"contact {patch.id} {newtons(z)} normal, {newtons(math.hypot(x, y))} shear, slip margin {_margin(patch)}"
-            for patch in self._summary.patches
-            for x, y, z in (patch.force_newton,)
-        ]
-        return ", ".join(told) or "no contact"
+        return ", ".join(map(_in_words, self._summary.patches)) or "no contact"
 
     def _fit(self) -> str:
         if self._decoded is None or self._summary is None:
@@ -125,6 +121,16 @@ def _direction(x_newton: float, y_newton: float) -> str:
     if not math.hypot(x_newton, y_newton) >= _SHEAR_MIN_NEWTON:
         return UNKNOWN
     return f"{round(math.degrees(math.atan2(y_newton, x_newton)))}°"
+
+
+def _name(patch: Patch) -> str:
+    return UNKNOWN if patch.id is None else str(patch.id)
+
+
+def _in_words(patch: Patch) -> str:
+    x, y, z = patch.force_newton
+    shear = newtons(math.hypot(x, y))
+    return f"contact {_name(patch)} {newtons(z)} normal, {shear} shear, slip margin {_margin(patch)}"
 
 
 def _margin(patch: Patch) -> str:

@@ -30,22 +30,18 @@ _LINES_S: Final = 1.0
 Draw = Callable[[Sequence[PlateView]], None]
 
 
-async def watch(url: str, prefix: str, *, as_json: bool) -> None:
+async def watch(broker: Mqtt, *, as_json: bool, full_rate: bool = False) -> None:
     """Show what plates publish on stdout until SIGINT, SIGTERM, SIGHUP, or the reader of a pipe leaves.
 
-    Raises
-    ------
-    OperatorError
-        The address or the prefix cannot be used.
+    Without `full_rate` streams come as often as people can follow, by their decimated copies.
     """
-    broker = _broker(url, prefix)
     console = Console()
     if as_json:
-        showing = asyncio.create_task(_print_messages(broker))
+        showing = asyncio.create_task(_print_messages(broker, full_rate))
     elif sys.stdout.isatty() and not console.is_dumb_terminal:
-        showing = asyncio.create_task(_show_page(broker, console))
+        showing = asyncio.create_task(_show_page(broker, full_rate, console))
     else:
-        showing = asyncio.create_task(_redraw(broker, _print_lines(broker), _LINES_S))
+        showing = asyncio.create_task(_redraw(broker, full_rate, _print_lines(broker), _LINES_S))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         asyncio.get_running_loop().add_signal_handler(number, showing.cancel)
     try:
@@ -64,7 +60,14 @@ def json_line(plate: str, path: str, message: Message) -> str:
     return f'{{"plate": {json.dumps(plate)}, "topic": {json.dumps(path)}, "message": {payload}}}\n'
 
 
-def _broker(url: str, prefix: str) -> Mqtt:
+def broker_at(url: str, prefix: str) -> Mqtt:
+    """Return the broker that the options of the command line say.
+
+    Raises
+    ------
+    OperatorError
+        The address or the prefix cannot be used.
+    """
     try:
         return Mqtt(url=url, prefix=prefix)
     except ValidationError as error:
@@ -78,14 +81,14 @@ def _discard_stdout() -> None:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-async def _print_messages(broker: Mqtt) -> None:
-    async with aclosing(subscribe(broker)) as messages:
+async def _print_messages(broker: Mqtt, full_rate: bool) -> None:
+    async with aclosing(subscribe(broker, full_rate=full_rate)) as messages:
         async for plate, path, message in messages:
             sys.stdout.write(json_line(plate, path, message))
             sys.stdout.flush()
 
 
-async def _show_page(broker: Mqtt, console: Console) -> None:
+async def _show_page(broker: Mqtt, full_rate: bool, console: Console) -> None:
     first_notice = f"waiting for a broker at {broker.host}:{broker.port}"
     with _last_log_line(first_notice) as notice, Live(console=console, screen=True, auto_refresh=False) as live:
 
@@ -94,7 +97,7 @@ async def _show_page(broker: Mqtt, console: Console) -> None:
             page = render(views, {}, time.time_ns(), title=title) if views else Text(f"{title}\n{_waiting(broker)}")
             live.update(page, refresh=True)
 
-        await _redraw(broker, draw, _PAGE_S)
+        await _redraw(broker, full_rate, draw, _PAGE_S)
 
 
 def _print_lines(broker: Mqtt) -> Draw:
@@ -111,9 +114,9 @@ def _print_lines(broker: Mqtt) -> Draw:
     return draw
 
 
-async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
+async def _redraw(broker: Mqtt, full_rate: bool, draw: Draw, period_s: float) -> None:
     views: dict[str, PlateView] = {}
-    listening = asyncio.create_task(_listen(broker, views))
+    listening = asyncio.create_task(_listen(broker, full_rate, views))
     try:
         while not listening.done():
             draw(list(views.values()))
@@ -124,10 +127,10 @@ async def _redraw(broker: Mqtt, draw: Draw, period_s: float) -> None:
         await asyncio.wait([listening])
 
 
-async def _listen(broker: Mqtt, views: dict[str, PlateView]) -> None:
-    async with aclosing(subscribe(broker)) as messages:
+async def _listen(broker: Mqtt, full_rate: bool, views: dict[str, PlateView]) -> None:
+    async with aclosing(subscribe(broker, full_rate=full_rate)) as messages:
         async for plate, path, message in messages:
-            views.setdefault(plate, PlateView(plate)).take(path, message, time.time_ns())
+            views.setdefault(plate, PlateView(plate, full_rate=full_rate)).take(path, message, time.time_ns())
 
 
 def _waiting(broker: Mqtt) -> str:

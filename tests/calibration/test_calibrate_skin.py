@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from resonator_daemon.calibration import skin as calibrate_module
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.plate import load_plate
-from resonator_daemon.publishing.payloads import Lost, Signals, State
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.payloads import Lost, Signals
 from resonator_daemon.publishing.publisher import Publisher
 from resonator_daemon.publishing.topics import SIGNALS
 from simulators.half_space_fields import hertz_fields
@@ -87,17 +88,16 @@ def pressed(frame: int, directory: Path) -> Floats:
 @asynccontextmanager
 async def plate(url: str, frames: list[Floats], name: str = "left", noise: float = NOISE) -> AsyncIterator[None]:
     """A plate that publishes these frames again and again, a quarter of a second apart by their own time."""
-    publisher = Publisher(
-        Mqtt(url=url),
-        name,
-        lambda reason: State(seq=0, t_ns=0, state="offline", reason=reason, since_t_ns=None, **HEADER),
-    )
+    will = Outgoing(f"resonator/{name}/state/daemon", b"{}")
+    publisher = Publisher(Mqtt(url=url), identifier=name, make_will=lambda: will)
 
     async def publish() -> None:
         for seq in range(100_000):
             signals = frames[seq % len(frames)].reshape(3, 7, -1).astype(np.float32)
-            message = Signals(seq=seq, t_ns=seq * FRAME_NS, signals=signals, noise_std=(noise,) * 3, **HEADER)
-            publisher.publish(SIGNALS, message)
+            noise_std = np.full_like(signals, noise)
+            at_ns = seq * FRAME_NS
+            message = Signals(seq=seq, t_ns=at_ns, signals=signals, noise_std=noise_std, status="ok", **HEADER)
+            publisher.publish(f"resonator/{name}", SIGNALS, message)
             await asyncio.sleep(0.01)
 
     tasks = [asyncio.create_task(publisher.run()), asyncio.create_task(publish())]

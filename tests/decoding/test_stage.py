@@ -5,139 +5,36 @@ import logging
 import queue
 import threading
 import time
-from collections.abc import AsyncIterator, Callable
-from contextlib import asynccontextmanager
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
-from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, RADIUS_M, E, grid, noisy, press
+from skin_scenes import DEPTH_M, FRICTION, PITCH_M, RADIUS_M
+from stage_bench import (
+    DEADLINE_S,
+    LINEAR,
+    NAN,
+    NOISE,
+    NOTHING,
+    SHAPE,
+    SITES,
+    SKIN,
+    Floats,
+    HeldDecoder,
+    Stage,
+    SubstituteDecoder,
+    marked,
+    pressed,
+)
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding import stage as stage_module
 from resonator_daemon.decoding.skin import Skin, Wanted
-from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
-from resonator_daemon.decoding.stage import DecodingStage
-from resonator_daemon.elastic import HalfSpace
 from simulators.contact import pixel_tractions
-
-Floats = NDArray[np.float64]
-
-SHAPE, SITES = (12, 12), 144
-SKIN = Skin(HalfSpace(E, NU), grid(SHAPE), DEPTH_M)
-NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)  # powers of two, which rounding keeps
-NOTHING = np.zeros((3, SITES))
-LINEAR = Wanted(contact_physics=False)
-NAN = np.nan
-DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
-
-
-class Stage:
-    """A stage, and what it has delivered and announced."""
-
-    def __init__(self, wanted: Wanted = LINEAR, skin: Skin = SKIN) -> None:
-        self.delivered: asyncio.Queue[tuple[str, SurfaceReading]] = asyncio.Queue()
-        self.announced: list[str] = []
-        self.called_in: set[threading.Thread] = set()
-        self.stage = DecodingStage[str](skin, wanted, self._deliver, self._announce)
-
-    def _deliver(self, origin: str, reading: SurfaceReading) -> None:
-        self.called_in.add(threading.current_thread())
-        self.delivered.put_nowait((origin, reading))
-
-    def _announce(self, note: str) -> None:
-        self.called_in.add(threading.current_thread())
-        self.announced.append(note)
-
-    @asynccontextmanager
-    async def running(self) -> AsyncIterator["asyncio.Task[None]"]:
-        task = asyncio.create_task(self.stage.run())
-        try:
-            yield task
-        finally:
-            task.cancel()
-            await asyncio.wait([task])
-
-    async def next(self) -> tuple[str, SurfaceReading]:
-        return await asyncio.wait_for(self.delivered.get(), DEADLINE_S)
-
-    async def read(self, signals: Floats, noise_std: Floats = NOISE) -> SurfaceReading:
-        """Offer a frame and wait for what it gives."""
-        self.stage.offer("frame", signals, noise_std)
-        return (await self.next())[1]
-
-
-class SubstituteDecoder:
-    """In the place of the real one: knows its noise, and answers with the first signal as chi2."""
-
-    name, shape, rebuild_wanted = "substitute", (SITES,), False
-
-    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
-        self.built_for = noise_std
-
-    def fits(self, noise_std: Floats) -> bool:
-        return bool(noise_std[0, 0] == self.built_for[0, 0])
-
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, float(signals[0, 0]), "ok", ""))
-
-    def succeed(self, other: "SubstituteDecoder") -> tuple[SkinEvent, ...]:
-        return ()
-
-    def rebuild(self) -> None:
-        pass
-
-
-@pytest.fixture
-def substitute(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[SubstituteDecoder]], None]:
-    """Put another decoder in the place of the real one, and keep none in files."""
-
-    def put(decoder: type[SubstituteDecoder]) -> None:
-        monkeypatch.setattr(stage_module, "SkinDecoder", decoder)
-        monkeypatch.setattr(stage_module, "cached", lambda _, build: build())
-
-    return put
-
-
-class HeldDecoder(SubstituteDecoder):
-    """Decodes when it is told to."""
-
-    entered: "queue.Queue[float]"
-    released: threading.Semaphore
-    threads: set[threading.Thread]
-
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        self.threads.add(threading.current_thread())
-        self.entered.put(float(signals[0, 0]))
-        assert self.released.acquire(timeout=DEADLINE_S)
-        return super().decode(signals, noise_std)
-
-    @classmethod
-    async def wait_until_entered(cls) -> float:
-        return await asyncio.to_thread(cls.entered.get, timeout=DEADLINE_S)
-
-
-@pytest.fixture
-def held(substitute: Callable[[type[SubstituteDecoder]], None]) -> type[HeldDecoder]:
-    """Substitute a decoder that waits."""
-    HeldDecoder.entered, HeldDecoder.released, HeldDecoder.threads = queue.Queue(), threading.Semaphore(0), set()
-    substitute(HeldDecoder)
-    return HeldDecoder
-
-
-def pressed(seed: int = 0) -> Floats:
-    """A frame of 1 N with some shear in the middle."""
-    signals = press(shear_newton=(0.3, 0.0), sites_m=SKIN.site_positions_m)
-    return noisy(signals, np.random.default_rng(seed), NOISE)
-
-
-def marked(value: float) -> Floats:
-    return np.full((3, SITES), value)
 
 
 async def test_results_are_those_of_the_decoder_and_come_with_their_origin() -> None:

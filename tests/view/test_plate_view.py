@@ -69,7 +69,7 @@ def test_rate_forgets_what_arrived_before_the_clock_was_set_back(view: PlateView
         for number in range(1, 101):
             view.take("forces", forces(), NOW_NS + hours * 3600 * S + number * S // 50)
     assert view.rate_hz(FORCES, NOW_NS + 3 * S) == 0.0
-    assert len(view._run.arrivals_utc_ns["forces"]) == 50
+    assert len(view._run.arrivals["forces"]) == 50
 
 
 def test_gaps_are_counted_by_topic(view: PlateView) -> None:
@@ -78,6 +78,17 @@ def test_gaps_are_counted_by_topic(view: PlateView) -> None:
     view.take("health", health(), NOW_NS)
     assert view.missed["forces"] == 2 + 3
     assert view.missed["health"] == 0
+
+
+def test_of_decimated_copies_the_rate_is_that_of_the_stream_and_nothing_is_missed() -> None:
+    view = PlateView("left", full_rate=False)
+    for number in range(40):  # every tenth of 200/s
+        view.take("forces", forces(seq=10 * number), NOW_NS + number * S // 20)
+    view.take("health", health(), NOW_NS)
+    view.take("health", health().model_copy(update={"seq": 4}), NOW_NS)
+    assert view.rate_hz(FORCES, NOW_NS + 2 * S) == pytest.approx(200)
+    assert view.rate_hz(FORCES, NOW_NS + 295 * S // 100) == 0.0
+    assert view.missed == {"health": 2}
 
 
 def test_a_retained_message_that_comes_again_is_no_gap(view: PlateView) -> None:

@@ -96,6 +96,15 @@ def test_true_forces_stand_beside_the_measured() -> None:
     assert "latency p99 7.9 ms" in words(text)
 
 
+def test_a_contact_that_nobody_follows_and_a_map_without_errors_are_shown() -> None:
+    """As many decoders that share a skin make them."""
+    alone = PRESSED.model_copy(update={"id": None})
+    bare = decoded(skin_tractions()).model_copy(update={"traction_std_pascal": None})
+    view = quartz16(("decoded", bare), ("decoded/summary", summary(alone)))
+    assert "measured" in page(view)
+    assert "contact - 1.000 N normal" in summary_line(view, NOW_NS)
+
+
 def test_a_true_touch_between_sites_is_shown_where_it_is() -> None:
     truth = Truth((TrueContact(None, (0.004, 0.001), (0.0, 0.0, 10.0)),), None, None)
     text = page(quartz16(("forces", forces())), truth=truth)

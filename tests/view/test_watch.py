@@ -10,18 +10,22 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
-from view_messages import decoded, forces, info, site_force, state
+from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
-from resonator_daemon.config import Mqtt
+from resonator_daemon.config import Mqtt, load_broker
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.publishing import topics
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.publisher import Publisher
-from resonator_daemon.view.watch import json_line, watch
+from resonator_daemon.view.watch import broker_at, json_line, watch
 
+LEFT = "resonator/left"
 NOBODY = "mqtt://127.0.0.1:9"
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "watch")
 TIMEOUT_S = 30
@@ -43,9 +47,10 @@ async def watching(*options: str, stdout: int = PIPE) -> AsyncIterator[Process]:
 @asynccontextmanager
 async def plate(url: str) -> AsyncIterator[Publisher]:
     """A plate "left" that said who it is, and is silent since."""
-    publisher = Publisher(Mqtt(url=url), "left", lambda reason: state("offline", reason))
-    publisher.publish(topics.STATE_DAEMON, state("online"))
-    publisher.publish(topics.INFO, info({7: (0.0, 0.0)}))
+    will = Outgoing(f"{LEFT}/state/daemon", encode(state("offline")), retained=True)
+    publisher = Publisher(Mqtt(url=url), identifier="left", make_will=lambda: will)
+    publisher.publish(LEFT, topics.STATE_DAEMON, state("online"))
+    publisher.publish(LEFT, topics.INFO, info({7: (0.0, 0.0)}))
     running = asyncio.create_task(publisher.run())
     yield publisher
     await publisher.close()
@@ -58,7 +63,8 @@ async def pressed_plate(url: str) -> AsyncIterator[None]:
 
     async def press(publisher: Publisher) -> None:
         for seq in range(10_000):
-            publisher.publish(topics.FORCES, forces(site_force(7, 1.234), seq=seq))
+            at = {"seq": seq, "t_ns": NOW_NS + seq * S // 20}
+            publisher.publish(LEFT, topics.FORCES, forces(site_force(7, 1.234), **at))
             await asyncio.sleep(0.05)
 
     async with plate(url) as publisher:
@@ -108,12 +114,27 @@ async def test_json_is_one_object_a_line(broker) -> None:
 
     async with plate(broker.url) as publisher, watching("--url", broker.url, "--json") as process:
         await hear(process, "state/daemon", "info")
-        publisher.publish(topics.FORCES, forces(site_force(7, 1.234)))
+        publisher.publish(LEFT, topics.FORCES, forces(site_force(7, 1.234)))
         await hear(process, "forces")
         assert "Traceback" not in await end(process, signal.SIGINT)
     assert heard["forces"]["sites"][0]["force_newton"] == 1.234
     assert heard["state/daemon"]["state"] == "online"
     assert heard["info"]["t_ns"] == "1789000000000000000"
+
+
+@pytest.mark.parametrize(("options", "heard"), [((), [1, 4]), (("--full-rate",), [1, 2, 3, 4])])
+async def test_streams_come_as_often_as_people_follow_or_in_full(
+    mosquitto, options: tuple[str, ...], heard: list[int]
+) -> None:
+    async with plate(mosquitto.url) as publisher, watching("--url", mosquitto.url, "--json", *options) as process:
+        assert process.stdout is not None
+        while json.loads(await process.stdout.readline())["topic"] != "info":
+            pass
+        for seq, later_s in ((1, 0.0), (2, 0.02), (3, 0.04), (4, 0.06)):
+            at = {"seq": seq, "t_ns": NOW_NS + round(later_s * S)}
+            publisher.publish(LEFT, topics.FORCES, forces(site_force(7, 1.0), **at))
+        lines = [json.loads(await process.stdout.readline()) for _ in heard]
+    assert [line["message"]["seq"] for line in lines if line["topic"] == "forces"] == heard
 
 
 @pytest.mark.parametrize("form", [("--json",), ()])
@@ -166,15 +187,15 @@ class Screen:
 @pytest.mark.parametrize(
     ("url", "prefix", "message"),
     [
-        ("mqtts://me:secret@host", "resonator", "--url: got 'mqtts://***@host'; mqtts: (TLS) is not available"),
-        ("localhost", "resonator", "--url: got 'localhost'; must be mqtt://host:port"),
+        ("http://me:secret@host", "resonator", "--url: got 'http://***@host'; must be mqtt"),
+        ("localhost", "resonator", "--url: got 'localhost'; must be mqtt"),
         (NOBODY, "a/#", "--prefix: got 'a/#'; becomes part of MQTT topics"),
         (NOBODY, "a" * 300, "should have at most 200 characters"),
     ],
 )
 async def test_addresses_that_cannot_be_used_are_refused(url: str, prefix: str, message: str) -> None:
     with pytest.raises(OperatorError) as refused:
-        await watch(url, prefix, as_json=True)
+        await watch(broker_at(url, prefix), as_json=True)
     (line,) = refused.value.messages
     assert message in line
     assert "\n" not in line
@@ -195,8 +216,27 @@ def test_json_line_has_arrays_as_lists_and_null_for_what_is_not_known() -> None:
     line = json_line(
         "left",
         "signals",
-        Signals(**header, signals=np.float32([[0.5, math.nan]] * 3), noise_std=(1e-4, 1e-4, math.nan)),
+        Signals(**header, signals=np.float32([[0.5, math.nan]] * 3), noise_std=np.full((3, 2), 1e-4), status="ok"),
     )
     assert json.loads(line)["message"]["signals"] == [[0.5, None]] * 3
     line = json_line("left", "forces", forces(site_force(7, math.nan)))
     assert json.loads(line)["message"]["sites"][0]["force_newton"] is None
+
+
+async def test_broker_and_credentials_of_a_configuration(tmp_path: Path) -> None:
+    (tmp_path / "secret").write_text("word\n")
+    config = tmp_path / "board.toml"
+    config.write_text(f'plate = 7\n[mqtt]\nurl = "{NOBODY}"\nusername = "eve"\npassword_file = "secret"\n')
+    broker = load_broker(config)
+    assert (broker.username, broker.password) == ("eve", "word")
+    async with watching("--config", str(config)) as process:
+        assert process.stdout is not None
+        line = await asyncio.wait_for(process.stdout.readline(), 20)
+    assert b"waiting for a plate" in line
+
+
+async def test_a_configuration_that_is_not_there_is_one_line(tmp_path: Path) -> None:
+    async with watching("--config", str(tmp_path / "none.toml")) as process:
+        _, said = await process.communicate()
+    assert process.returncode == 78
+    assert len(said.splitlines()) == 1

@@ -43,16 +43,26 @@ def state(word: str, reason: str = "", since_s_ago: float = 10.0, **changes: Any
 def info(sites: dict[int, tuple[float, float]], **changes: Any) -> Info:
     return Info(
         **header(**changes),
+        schema_version="1.0",
         daemon_version="0.1.0",
         plate="quartz16",
         link="tcp://127.0.0.1:5555",
+        product="board",
         serial_number="EMU-0001",
+        firmware="1.2.0",
+        counter="single-tone",
         frame_rate_hz=1000.0,
         window_s=0.01,
         step_s=0.005,
+        rates_hz={},
+        units={},
+        commands=(),
         force_max_newton=10.0,
         outline_m=((-0.01, -0.01), (0.01, -0.01), (0.01, 0.01), (-0.01, 0.01)),
+        transducers_m=(),
         sites=tuple(SiteInfo(site=site, position_m=position) for site, position in sites.items()),
+        grid=None,
+        skin=None,
         calibration=CalibrationInfo(
             id=None, date=None, unit=None, expiry=None, model_error=0.015, sensitivity_std=0.0, response="off"
         ),
@@ -104,7 +114,7 @@ def contacts(site: int, force_newton: float, since_s_ago: float) -> Contacts:
 
 
 def health(**changes: Any) -> Health:
-    nothing = dict.fromkeys(MessageAccount.model_fields, 0)
+    nothing: dict[str, Any] = {**dict.fromkeys(MessageAccount.model_fields, 0), "dropped": {}}
     fields = {
         "uptime_s": 100.0,
         "frames": 100_000,
@@ -124,6 +134,11 @@ def health(**changes: Any) -> Health:
         "boots": (),
         "clock_outliers": 0,
         "clock_restarts": 0,
+        "tasks": 9,
+        "threads": 4,
+        "file_descriptors": 23,
+        "latency": {},
+        "recording": None,
     }
     return Health(**header(), **{**fields, **changes})
 

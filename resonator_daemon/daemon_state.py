@@ -1,0 +1,99 @@
+"""The daemon's own state: what it is doing, how often it met the broker, and whether another bears its name."""
+
+import json
+import logging
+import time
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.payloads import Condition
+
+_BOOT_ID_LENGTH_MAX: Final = 64
+
+log = logging.getLogger(__name__)
+
+
+class DaemonStanding(NamedTuple):
+    """What `state/daemon` says beside its header."""
+
+    condition: Condition
+    reason: str
+    since_utc_ns: int
+    connections: int
+    connected_utc_ns: int | None
+
+
+class DaemonState:
+    """Announces each change of the daemon's state; to be used from the event loop's thread only.
+
+    Two daemons of one name overwrite each other's states. Each hears what is published on its `state/daemon`: a live
+    message of another boot id is a conflict, said once by both, until the other says that it is offline. An `offline`
+    of another is the will of an earlier run which came late: the present state is announced again. What the broker
+    had retained tells nothing: it may be of a daemon that is long gone.
+
+    Parameters
+    ----------
+    daemon_boot_id
+        Of this run.
+    announce
+        Publishes a standing.
+    """
+
+    def __init__(self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None]) -> None:
+        self._daemon_boot_id = daemon_boot_id
+        self._announce = announce
+        self._condition = Condition.STARTING
+        self._reason = ""
+        self._since_utc_ns = time.time_ns()
+        self._connections = 0
+        self._connected_utc_ns: int | None = None
+        self._others: set[str] = set()
+
+    @property
+    def standing(self) -> DaemonStanding:
+        reason = self._reason
+        if self._others:
+            reason += (
+                f"; another daemon (boot id {', '.join(sorted(self._others))}) publishes under this name: stop one of "
+                "them, or give it another name"
+            )
+        return DaemonStanding(self._condition, reason, self._since_utc_ns, self._connections, self._connected_utc_ns)
+
+    def become(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
+        self._condition, self._reason, self._since_utc_ns = condition, reason, since_utc_ns
+        self._announce(self.standing)
+
+    def connected(self, number: int) -> None:
+        """Take note of the connection to the broker of this number, which begins now."""
+        self._connections, self._connected_utc_ns = number, time.time_ns()
+        self._others.clear()  # whoever is still there speaks up when it hears of this one
+        self._announce(self.standing)
+
+    def heard(self, message: Incoming) -> None:
+        """Take a message that came on this daemon's `state/daemon`, whoever sent it."""
+        if message.retained:
+            return
+        try:
+            content = json.loads(message.payload)
+            boot_id, state = content["daemon_boot_id"], content["state"]
+        except (ValueError, RecursionError, TypeError, KeyError):
+            return
+        if not isinstance(boot_id, str) or not boot_id.isprintable() or not 0 < len(boot_id) <= _BOOT_ID_LENGTH_MAX:
+            return
+        if boot_id == self._daemon_boot_id:
+            return
+        if state == Condition.OFFLINE:
+            if boot_id in self._others:
+                log.warning("the other daemon of this name (boot id %s) is gone", boot_id)
+                self._others.remove(boot_id)
+            self._announce(self.standing)
+        elif boot_id not in self._others:
+            self._others.add(boot_id)
+            log.warning(
+                "another daemon (boot id %s) publishes under this name on %s; "
+                "stop one of them, or give it another name",
+                boot_id,
+                message.topic,
+            )
+            self._announce(self.standing)

@@ -1,0 +1,249 @@
+"""Latency from the board's edge to a subscriber's callback, with every part as a process of its own."""
+
+import asyncio
+import contextlib
+import gc
+import json
+import signal
+import sys
+import tempfile
+import time
+from asyncio.subprocess import DEVNULL
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import aiomqtt
+import psutil
+
+from resonator_daemon.config import Measurement, Mqtt
+from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
+from resonator_daemon.demo.latency_report import LatencyReport
+from resonator_daemon.demo.local_broker import local_broker
+from resonator_daemon.demo.processes import Child, start_emulator
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.plate import load_plate
+from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.topics import DECODED, FORCES, HEALTH, full_topic
+
+_HEAD_BYTES: Final = 512  # of arrays; the keys that are read are within
+_START_S: Final = 120.0  # the first time, a decoder is set up for more than ten seconds
+_SETTLE_S: Final = 3.0  # caches are warm and the board's clock is known
+_LOOK_S: Final = 0.5
+_SUBSCRIBER: Final = "subscriber"
+_NAME: Final = "bench"
+
+
+@dataclass(frozen=True, slots=True)
+class LatencyOptions:
+    """What to measure, for how long."""
+
+    plate: str
+    seconds: float
+    apart: bool = False  # decode in a process of its own
+    broker: str | None = None  # None: one is started
+    json: bool = False
+    picture: Path | None = None
+
+
+def bench_latency(options: LatencyOptions) -> ExitCode:
+    """Measure and tell; FAILED when a message is missing.
+
+    Raises
+    ------
+    OperatorError
+        A part does not start, or ends by itself.
+    """
+    report = asyncio.run(_Bench(options).run())
+    if options.picture is not None:
+        report.write_picture(options.picture)
+    sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.in_words())
+    return ExitCode.FAILED if report.latency.missing else ExitCode.DONE
+
+
+class _Subscriber:
+    """Notes when messages came, and reads nothing: that would delay those behind them."""
+
+    def __init__(self, prefix: str, path: str) -> None:
+        self._topic = full_topic(prefix, _NAME, path)
+        self.topics = (self._topic, full_topic(prefix, _NAME, HEALTH.path))
+        self._path = path
+        self._health: list[bytes] = []
+        self.arrivals: list[Arrival] = []
+        self.first_came = asyncio.Event()
+        self.counting = False
+
+    def take(self, message: Incoming) -> None:
+        now_ns = time.time_ns()
+        if message.topic != self._topic:
+            if self.counting:
+                self._health.append(message.payload)
+            return
+        if self.counting:
+            arrays = not message.payload.startswith(b"{")
+            self.arrivals.append(Arrival(now_ns, message.payload[:_HEAD_BYTES] if arrays else message.payload))
+        elif not self.first_came.is_set():
+            self.first_came.set()
+
+    def daemon_counts(self) -> tuple[int, ...] | None:
+        """Return the daemon's own histogram from the first `health` to the last; None where it keeps none."""
+        if not self._health:
+            return None
+        first, last = (json.loads(self._health[at])["latency"].get(self._path) for at in (0, -1))
+        if first is None or last is None:
+            return None
+        return tuple(after - before for before, after in zip(first["counts"], last["counts"], strict=True))
+
+
+class _Bench:
+    def __init__(self, options: LatencyOptions) -> None:
+        self._options = options
+        self._plate = load_plate(options.plate)
+        self._topic = FORCES if self._plate.skin is None else DECODED
+        if options.apart and self._plate.skin is None:
+            raise OperatorError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
+        self._ended = asyncio.Event()
+
+    async def run(self) -> LatencyReport:
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, self._ended.set)
+        async with AsyncExitStack() as stack:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-bench-")))
+            if self._options.broker is None:
+                broker, url = await stack.enter_async_context(local_broker(folder))
+            else:
+                broker = url = self._options.broker
+            settings = Mqtt(url=url)
+            subscriber = _Subscriber(settings.prefix, self._topic.path)
+            await stack.enter_async_context(_listening(settings, subscriber))
+            _tell(f"broker: {broker}")
+            children: list[Child] = []
+            stack.push_async_callback(_stop, children)
+            truth = await self._start(children, folder, url)
+            await self._wait_for_messages(subscriber, children)
+            seconds, usage = await self._measure(subscriber, children)
+            await _stop(children)  # upon which the truth is written in full
+            _tell("reading the truth")
+            with truth.open() as lines:
+                gates = read_gates(lines)
+        if not subscriber.arrivals:
+            raise OperatorError(f"no message on {self._topic.path} within {seconds:.1f} s")
+        rate_hz = self._plate.counter.frame_rate_hz
+        gates_apart = round(Measurement().step_s * rate_hz) if self._topic is FORCES else 1
+        return LatencyReport(
+            plate=self._options.plate,
+            topic=self._topic.path,
+            apart=self._options.apart,
+            broker=broker,
+            seconds=seconds,
+            latency=measure(subscriber.arrivals, gates, gates_apart),
+            daemon_counts=subscriber.daemon_counts(),
+            cpu_percent_by_part=usage,
+            load_average=psutil.getloadavg()[0],
+        )
+
+    async def _start(self, children: list[Child], folder: Path, url: str) -> Path:
+        """Start the parts as a user would; return the truth file."""
+        plate, decoding = self._options.plate, "[decoding]\napart = true\n" if self._options.apart else ""
+        _tell(f"starting an emulated board and its daemon: {plate}")
+        emulator, link, truth = await start_emulator(plate, folder, self._plate.counter.kind)
+        children.append(emulator)
+        config = folder / "bench.toml"
+        config.write_text(f'name = "{_NAME}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n{decoding}')
+        for verb in ("run", "decode") if self._options.apart else ("run",):
+            children.append(await _start_command(verb, folder, ("--config", str(config))))
+        return truth
+
+    async def _wait_for_messages(self, subscriber: _Subscriber, children: list[Child]) -> None:
+        _tell(f"waiting for {self._topic.path}")
+        for event, seconds in ((subscriber.first_came, _START_S), (self._ended, _SETTLE_S)):
+            deadline = time.monotonic() + seconds
+            while not event.is_set() and not self._ended.is_set() and time.monotonic() < deadline:
+                _complain_of_dead(children)
+                await asyncio.sleep(_LOOK_S)
+        if not subscriber.first_came.is_set():
+            raise OperatorError(f"no message on {self._topic.path} within {_START_S:g} s")
+
+    async def _measure(self, subscriber: _Subscriber, children: list[Child]) -> tuple[float, dict[str, float]]:
+        """Count messages for the time asked for; return how long that was, and processor time by part."""
+        _tell(f"measuring for {self._options.seconds:g} s")
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # a look through all that has arrived would delay what comes meanwhile
+        await asyncio.sleep(_LOOK_S)  # what came during that look is over
+        own = psutil.Process()
+        own_mark_s = _cpu_s(own)
+        for child in children:
+            child.mark()
+        started = time.monotonic()
+        subscriber.counting = True
+        while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._ended.is_set():
+            _complain_of_dead(children)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._ended.wait(), min(left_s, 10.0))
+        subscriber.counting = False
+        seconds = time.monotonic() - started
+        gc.enable()
+        used_s = {child.part: child.cpu_s() for child in children} | {_SUBSCRIBER: _cpu_s(own) - own_mark_s}
+        return seconds, {part: round(100 * part_s / seconds, 1) for part, part_s in used_s.items()}
+
+
+@asynccontextmanager
+async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[None]:
+    """Listen as long as the context lasts; what comes goes to the subscriber in the callback that read it."""
+    closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+
+    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
+        return BrokerClient(broker, version, on_message=subscriber.take)
+
+    async def serve(client: BrokerClient) -> None:
+        for topic in subscriber.topics:
+            await client.subscribe(topic, qos=0)
+        await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
+
+    connection = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
+    try:
+        yield
+    finally:
+        closing.set_result(None)
+        await connection
+
+
+async def _start_command(verb: str, folder: Path, arguments: tuple[str, ...]) -> Child:
+    log = folder / f"{verb}.log"
+    with log.open("w") as stderr:
+        # A session of its own: Ctrl-C at the terminal ends the measurement, which then ends its children in order.
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, "-m", "resonator_daemon.cli", verb, *arguments),
+            stdin=DEVNULL,
+            stdout=DEVNULL,
+            stderr=stderr,
+            start_new_session=True,
+        )
+    return Child(f"resonatord {verb}", process, log)
+
+
+def _complain_of_dead(children: list[Child]) -> None:
+    for child in children:
+        if complaint := child.complaint():
+            raise OperatorError(complaint)
+
+
+async def _stop(children: list[Child]) -> None:
+    for child in reversed(children):  # the board last: its daemon is not to say that it went away
+        await child.stop()
+    children.clear()
+
+
+def _cpu_s(process: psutil.Process) -> float:
+    times = process.cpu_times()
+    return float(times.user + times.system)
+
+
+def _tell(text: str) -> None:
+    sys.stderr.write(text + "\n")
+    sys.stderr.flush()

@@ -1,0 +1,43 @@
+"""What the two ways to decode have in common for the process around them."""
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from resonator_daemon.decoder_config import DecoderConfig
+from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth
+from resonator_daemon.publishing.publisher import Subscription
+from resonator_daemon.publishing.topics import MessageT, Topic
+
+SILENT_S = 2.0  # without signals, a decoder waits
+
+
+class Publish(Protocol):
+    """Publishes a message below the topics of a plate; never waits."""
+
+    def __call__(self, plate: str, topic: Topic[MessageT], message: MessageT) -> None: ...
+
+
+class Mode(Protocol):
+    """Takes signals and publishes what they show."""
+
+    topic_filter: str  # of the signals
+
+    @property
+    def subscriptions(self) -> Sequence[Subscription]: ...
+
+    def condition(self) -> tuple[Condition, str]:
+        """Return how it goes now, and why."""
+
+    def health(self) -> dict[str, DecoderPlateHealth]:
+        """Account of each plate's signals."""
+
+    async def run(self) -> None:
+        """Decode until cancelled."""
+
+
+def wanted_of(config: DecoderConfig, *, background: bool) -> Wanted:
+    decoding = config.decoding
+    return Wanted(
+        config.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement, background
+    )

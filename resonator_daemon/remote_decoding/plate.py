@@ -1,0 +1,168 @@
+"""What a decoder process knows of a plate, from its messages alone, and where the plate's signals went."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.skin import Skin
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.publishing.codec import decode
+from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
+from resonator_daemon.publishing.topics import SCHEMA_VERSION
+from resonator_daemon.surface_reports import MeasuredFields
+
+Floats = NDArray[np.float64]
+
+NO_INFO = "no info yet"
+
+
+@dataclass(frozen=True)
+class SkinPlate:
+    """The skin of a plate and the names of its sites."""
+
+    skin: Skin
+    site_ids: NDArray[np.intp]  # (n,)
+    grid: GridInfo | None
+
+    @cached_property
+    def geometry(self) -> tuple[object, ...]:
+        """What two skins have in common that one decoder serves."""
+        skin = self.skin
+        elastic = (skin.half_space.youngs_modulus_pascal, skin.half_space.poisson_ratio, skin.depth_m)
+        prior = (skin.gain_std, skin.correlation_length_m, skin.tangential_ratio)
+        return (skin.site_positions_m.tobytes(), *elastic, *prior)
+
+    def is_same(self, other: "SkinPlate | None") -> bool:
+        """Whether nothing that matters to decoding has changed."""
+        return other is not None and (
+            self.geometry == other.geometry
+            and self.grid == other.grid
+            and np.array_equal(self.site_ids, other.site_ids)
+        )
+
+
+class RemotePlate:
+    """Reads what a plate publishes; what cannot be read is counted, nothing raises.
+
+    Attributes
+    ----------
+    name
+    skin
+        As the last `info` has it; None where that is missing, unreadable, or of a plate that cannot be decoded.
+    problem
+        Why there is none; "" where there is one.
+    received
+        Messages on `signals`.
+    unusable
+        Of those: not a message, not of this skin, or not good enough to be decoded.
+    missed
+        Gaps in `seq` while the daemon stayed the same.
+    last_s
+        When signals came last that could be used, by the caller's clock.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.skin: SkinPlate | None = None
+        self.problem = NO_INFO
+        self.received = self.unusable = self.missed = 0
+        self.last_s = -math.inf
+        self._last: tuple[str, int] | None = None  # boot of the daemon, seq
+
+    def take_info(self, payload: bytes) -> bool:
+        """Read an `info`, or b"" where it was taken back; returns whether the skin is another one now."""
+        before = self.skin
+        self.skin, self.problem = _read_info(payload)
+        if self.skin is None:
+            return before is not None
+        if self.skin.is_same(before):
+            self.skin = before
+            return False
+        return True
+
+    def refuse(self, problem: str) -> None:
+        """Decode nothing until the next `info`."""
+        self.skin, self.problem = None, problem
+
+    def take_signals(self, payload: bytes, now_s: float) -> Signals | None:
+        """Read a `signals`; None where it cannot be decoded, which is counted."""
+        self.received += 1
+        try:
+            message = decode(Signals, payload)
+        except (ValueError, RecursionError, MemoryError, OverflowError):
+            self.unusable += 1
+            return None
+        self._follow(message)
+        sites = 0 if self.skin is None else len(self.skin.site_ids)
+        usable = message.status is Status.OK and message.signals.shape == message.noise_std.shape == (3, sites)
+        if not usable or self.skin is None:
+            self.unusable += 1
+            return None
+        self.last_s = now_s
+        return message
+
+    def _follow(self, message: Signals) -> None:
+        if self._last is not None and self._last[0] == message.daemon_boot_id:
+            self.missed += max(message.seq - self._last[1] - 1, 0)
+            if message.seq < self._last[1]:
+                return
+        self._last = message.daemon_boot_id, message.seq
+
+
+def header_of(message: Signals) -> MeasuredFields:
+    """Return the header for what is decoded of these signals: it belongs to the same instant and has the same `seq`."""
+    return MeasuredFields(
+        seq=message.seq,
+        daemon_boot_id=message.daemon_boot_id,
+        board_boot_id=message.board_boot_id,
+        t_ns=message.t_ns,
+        t_unc_ns=message.t_unc_ns,
+        lost=message.lost,
+        board_ticks=message.board_ticks,
+    )
+
+
+def _read_info(payload: bytes) -> tuple[SkinPlate | None, str]:
+    """Read an `info`; without a skin that can be decoded, why there is none."""
+    if not payload:
+        return None, NO_INFO
+    try:
+        info = decode(Info, payload)
+    except (ValueError, RecursionError) as error:
+        first = str(error).splitlines()[0][:200]
+        return None, f"info cannot be read: {first}"
+    if (version := info.schema_version).partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
+        return None, f"its messages have schema version {version[:20]!a}, this decoder reads {SCHEMA_VERSION}"
+    if info.skin is None:
+        return None, "has no skin: there is nothing to decode"
+    positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
+    try:
+        half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)
+    except ValueError as error:
+        return None, f"skin in info: {error}"
+    skin = Skin(
+        half_space,
+        positions_m,
+        info.skin.depth_m,
+        info.skin.gain_std,
+        info.skin.correlation_length_m,
+        info.skin.tangential_ratio,
+    )
+    if problem := _problem(skin):
+        return None, f"info: {problem}"
+    return SkinPlate(skin, np.array([site.site for site in info.sites], np.intp), info.grid), ""
+
+
+def _problem(skin: Skin) -> str:
+    """Say what no decoder could be built for; what only building shows is said then."""
+    if not len(skin.site_positions_m):
+        return "no sites"
+    if not np.isfinite(skin.site_positions_m).all():
+        return "sites without a place"
+    numbers = (skin.depth_m, skin.correlation_length_m, skin.tangential_ratio)
+    if not all(0.0 < number < np.inf for number in numbers) or not 0.0 <= skin.gain_std < 1.0:
+        return f"depth, correlation length and tangential ratio {numbers} must be above 0, gain_std in 0 .. 1"
+    return ""

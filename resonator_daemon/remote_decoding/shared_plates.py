@@ -1,0 +1,156 @@
+"""Many plates whose frames many decoders share: a broker hands each frame to one of them."""
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
+from resonator_daemon.publishing.publisher import Subscription
+from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, SIGNALS, full_topic, split_topic
+from resonator_daemon.remote_decoding.mode import SILENT_S, Publish
+from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
+from resonator_daemon.remote_decoding.shared_stage import SharedStage
+from resonator_daemon.surface_reports import SurfaceReporter
+
+PLATES_MAX: Final = 4096
+
+_SAID = 3  # plates whose problem is said
+
+log = logging.getLogger(__name__)
+
+
+class _Origin(NamedTuple):
+    signals: Signals
+    reporter: SurfaceReporter
+
+
+class SharedPlates:
+    """Decodes each frame that the broker hands to this process on its own: no contacts, no events.
+
+    Parameters
+    ----------
+    prefix
+        Of the topics.
+    plates
+        Names, or "+" alone for all below the prefix.
+    group
+        Whose decoders share the frames.
+    wanted, decoder_id, publish, uncertainty
+        As of `FollowedPlate`.
+    """
+
+    def __init__(
+        self,
+        prefix: str,
+        plates: Sequence[str],
+        group: str,
+        wanted: Wanted,
+        decoder_id: str,
+        publish: Publish,
+        *,
+        uncertainty: bool = True,
+    ) -> None:
+        self._prefix = prefix
+        self._names = plates
+        self._group = group
+        self._decoder_id = decoder_id
+        self._publish = publish
+        self._uncertainty = uncertainty
+        self._plates: dict[str, RemotePlate] = {}
+        self._reporters: dict[str, SurfaceReporter] = {}
+        self._decoded: Counter[str] = Counter()
+        self._stage = SharedStage[_Origin](wanted, self._deliver, self._announce, self._refuse)
+        self._note = ""
+        self._is_full = False
+        self.topic_filter = " ".join(self._filter(name, SIGNALS.path) for name in plates)
+
+    @property
+    def subscriptions(self) -> Sequence[Subscription]:
+        infos = [
+            Subscription(full_topic(self._prefix, name, INFO.path), INFO.qos, self._take_info) for name in self._names
+        ]
+        signals = [Subscription(self._filter(name, SIGNALS.path), 0, self._take_signals) for name in self._names]
+        return (*infos, *signals)
+
+    def condition(self) -> tuple[Condition, str]:
+        if self._note:
+            return Condition.STARTING, self._note
+        now_s = time.monotonic()
+        heard = [plate for plate in self._plates.values() if now_s - plate.last_s <= SILENT_S]
+        problems = [f"{plate.name}: {plate.problem}" for plate in self._plates.values() if plate.problem]
+        if len(problems) > _SAID:
+            problems[_SAID:] = [f"and {len(problems) - _SAID} more"]
+        what = f"signals of {len(heard)} plates are decoded" if heard else "no signals that could be decoded"
+        return (Condition.ONLINE if heard else Condition.WAITING), "; ".join((what, *problems))
+
+    def health(self) -> dict[str, DecoderPlateHealth]:
+        return {
+            name: DecoderPlateHealth(
+                received=plate.received,
+                decoded=self._decoded[name],
+                skipped=self._stage.skipped[name],
+                unusable=plate.unusable + self._stage.unusable[name],
+                waiting=self._stage.waiting(name),
+                missed=plate.missed,
+            )
+            for name, plate in self._plates.items()
+        }
+
+    async def run(self) -> None:
+        await self._stage.run()
+
+    def _filter(self, name: str, path: str) -> str:
+        return f"$share/{self._group}/{full_topic(self._prefix, name, path)}"
+
+    def _plate(self, message: Incoming) -> RemotePlate | None:
+        """Return whose message it is; None where there are too many plates to keep account of."""
+        name, _ = split_topic(self._prefix, message.topic)
+        if name not in self._plates:
+            if len(self._plates) >= PLATES_MAX:
+                if not self._is_full:
+                    log.warning("more than %d plates: %s and others are not decoded", PLATES_MAX, name)
+                self._is_full = True
+                return None
+            self._plates[name] = RemotePlate(name)
+        return self._plates[name]
+
+    def _take_info(self, message: Incoming) -> None:
+        plate = self._plate(message)
+        if plate is not None and plate.take_info(message.payload):
+            self._reporters.pop(plate.name, None)
+
+    def _take_signals(self, message: Incoming) -> None:
+        plate = self._plate(message)
+        if plate is None:
+            return
+        signals = plate.take_signals(message.payload, time.monotonic())
+        if signals is None or plate.skin is None:
+            return
+        skin = plate.skin
+        if plate.name not in self._reporters:
+            self._reporters[plate.name] = SurfaceReporter(
+                skin.site_ids, skin.skin.site_positions_m, skin.grid, self._decoder_id, uncertainty=self._uncertainty
+            )
+        origin = _Origin(signals, self._reporters[plate.name])
+        self._stage.offer(
+            plate.name, origin, skin, signals.signals.astype(np.float64), signals.noise_std.astype(np.float64)
+        )
+
+    def _announce(self, note: str) -> None:
+        self._note = note
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._plates[name].refuse(reason)
+
+    def _deliver(self, name: str, origin: _Origin, surface: SurfaceReading) -> None:
+        self._decoded[name] += 1
+        header = header_of(origin.signals)
+        self._publish(name, DECODED, origin.reporter.decoded(header, surface.decoded))
+        self._publish(name, DECODED_SUMMARY, origin.reporter.summary(header, surface, numbered=False))

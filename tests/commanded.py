@@ -1,0 +1,48 @@
+"""As much of a daemon as commands need: a publisher that hears them and answers."""
+
+import asyncio
+from collections.abc import AsyncIterator, Collection, Mapping
+from contextlib import asynccontextmanager
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.commands import Commands, Handler
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.payloads import Lost, State
+from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.topics import STATE_DAEMON
+
+HEADER = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": 1, "t_unc_ns": 1, "lost": Lost()}
+
+
+def state(condition: str, reason: str) -> State:
+    return State.model_validate({**HEADER, "state": condition, "reason": reason, "since_t_ns": None})
+
+
+class Commanded:
+    """A publisher of one name and the commands to it."""
+
+    def __init__(self, url: str, handlers: Mapping[str, Handler], allowed: Collection[str], name: str) -> None:
+        self.base = f"resonator/{name}"
+        self.commands = Commands(self.base, handlers, allowed, lambda answer: self.publisher.answer(answer))
+        self.publisher = Publisher(
+            Mqtt(url=url),
+            identifier=f"test-{name}",
+            make_will=lambda: Outgoing(f"{self.base}/state/daemon", b"gone", retained=True),
+            subscriptions=(Subscription(self.commands.topic_filter, 1, self.commands.take),),
+        )
+
+
+@asynccontextmanager
+async def commanded(
+    url: str, handlers: Mapping[str, Handler], allowed: Collection[str] = (), name: str = "left"
+) -> AsyncIterator[Commanded]:
+    """Run one; at the end it says that it stopped."""
+    daemon = Commanded(url, handlers, allowed, name)
+    running = asyncio.create_task(daemon.publisher.run())
+    try:
+        yield daemon
+    finally:
+        await daemon.commands.close()
+        farewell = (daemon.base, STATE_DAEMON, state("offline", "stopped"))
+        await daemon.publisher.close(farewell, wait_for_broker=True)
+        await running

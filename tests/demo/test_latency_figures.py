@@ -1,0 +1,122 @@
+"""Latencies, and what is missing, from messages and a truth that the test makes; and how they are told."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from resonator_daemon.demo.latency_figures import Arrival, Gates, measure, read_gates
+from resonator_daemon.demo.latency_report import LatencyReport
+from resonator_daemon.latency import BOUNDS_MS
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Decoded, Lost
+
+TICKS_PER_GATE = 250_000
+GATE_NS = 1_000_000
+START_NS = 1_789_000_000_000_000_000
+
+
+def ends_ns(gate: int) -> int:
+    return START_NS + gate * GATE_NS
+
+
+def truth(count: int) -> Gates:
+    lines = [
+        json.dumps({"sequence": n, "board_ticks": 7 + n * TICKS_PER_GATE, "t_ns": str(ends_ns(n)), "contacts": []})
+        for n in range(count)
+    ]
+    return read_gates(lines)
+
+
+def message(seq: int, gate: int, late_ms: float) -> Arrival:
+    payload = json.dumps({"seq": seq, "board_ticks": str(7 + gate * TICKS_PER_GATE), "sites": []}).encode()
+    return Arrival(ends_ns(gate) + round(late_ms * 1e6), payload)
+
+
+def test_a_latency_runs_from_the_end_of_the_last_gate_to_the_callback() -> None:
+    arrivals = [message(seq, 4 + 5 * seq, late_ms) for seq, late_ms in enumerate((1.5, 30.0, 20.0, 2.5))]
+    latency = measure(arrivals, truth(30), gates_apart=5)
+    np.testing.assert_allclose(latency.milliseconds, [1.5, 30.0, 20.0, 2.5])
+    assert (latency.late, latency.unheard, latency.not_made, latency.missing) == (1, 0, 0, 0)
+    occupied = {bound_ms: count for bound_ms, count in zip(BOUNDS_MS, latency.counts(), strict=False) if count}
+    assert occupied == {2.0: 1, 2.8: 1, 20.0: 1, 35.0: 1}
+    assert sum(latency.counts()) == 4
+
+
+def test_what_is_missing_was_lost_on_the_way_or_never_made() -> None:
+    # Numbers 1 and 2 were made and did not come; of the gates 19 to 24 no message was made.
+    arrivals = [message(0, 4, 1.0), message(3, 19, 1.0), message(4, 29, 1.0)]
+    latency = measure(arrivals, truth(30), gates_apart=5)
+    assert (latency.unheard, latency.not_made, latency.missing) == (2, 1, 3)
+
+
+def test_a_message_of_another_board_is_no_latency() -> None:
+    with pytest.raises(ValueError, match="1 of 2 messages tell of gates that the truth does not have"):
+        measure([message(0, 4, 1.0), message(1, 40, 1.0)], truth(30), gates_apart=5)
+    with pytest.raises(ValueError, match="no arrivals"):
+        measure([], truth(3), gates_apart=1)
+
+
+def test_arrays_are_read_from_their_beginning() -> None:
+    array = np.zeros((3, 32, 32), np.float32)
+    decoded = Decoded(
+        seq=70_000,
+        daemon_boot_id="9f3c52d07b1e4a60",
+        board_boot_id="51aa03c4",
+        t_ns=2**63,
+        t_unc_ns=42_000,
+        lost=Lost(link_gap=2**31),
+        board_ticks=7 + 2 * TICKS_PER_GATE,
+        traction_pascal=array,
+        traction_std_pascal=array,
+        displacement_m=array,
+        grid=None,
+    )
+    latency = measure([Arrival(ends_ns(2) + 3_000_000, encode(decoded)[:512])], truth(3), gates_apart=1)
+    np.testing.assert_allclose(latency.milliseconds, [3.0])
+
+
+def report(**fields: Any) -> LatencyReport:
+    arrivals = [message(seq, seq, late_ms) for seq, late_ms in enumerate((1.5, 1.6, 1.7, 30.0))]
+    told: dict[str, Any] = {
+        "plate": "quartz16",
+        "topic": "forces",
+        "apart": False,
+        "broker": "Mosquitto",
+        "seconds": 4.0,
+        "latency": measure(arrivals, truth(10), gates_apart=1),
+        "daemon_counts": None,
+        "cpu_percent_by_part": {"resonatord run": 33.0},
+        "load_average": 1.0,
+    }
+    return LatencyReport(**(told | fields))
+
+
+def test_the_histogram_has_bars_by_count_and_the_daemons_own_beside() -> None:
+    counts = [0] * (len(BOUNDS_MS) + 1)
+    counts[BOUNDS_MS.index(1.0)] = 77
+    rows = report(daemon_counts=tuple(counts)).in_words().splitlines()
+    bins = {row.split(" ms ")[0].strip(): row for row in rows if row.strip().startswith("<=")}
+    assert list(bins) == [f"<= {bound_ms:g}" for bound_ms in BOUNDS_MS if 1.0 <= bound_ms <= 35.0]
+    assert bins["<= 1"].endswith(" 77")
+    assert bins["<= 2"].count("█") == 40
+    assert 12 <= bins["<= 35"].count("█") <= 14
+    assert "daemon" not in report().in_words().split("\n", 3)[3]
+
+
+def test_words_and_json_tell_the_same() -> None:
+    told = report()
+    assert told.as_json()["latency_ms"]["p50"] == 1.65
+    assert "p50 1.65 ms" in told.in_words()
+    assert "4 messages, 1 over 20 ms, 0 missing" in told.in_words()
+    assert json.loads(json.dumps(told.as_json()))["histogram"]["bounds_ms"] == list(BOUNDS_MS)
+    assert told.as_json()["count"] == 4
+    assert told.as_json()["over_20_ms"] == 1
+
+
+def test_a_picture_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    report(daemon_counts=(0, 5, *[0] * (len(BOUNDS_MS) - 1))).write_picture(tmp_path / "latency.svg")
+    assert (tmp_path / "latency.svg").read_text().count("<svg") == 1

@@ -1,0 +1,56 @@
+"""The subscribers of docs/examples, in C and in Python, print what was published, whatever MQTT the broker speaks."""
+
+import math
+
+import numpy as np
+import pytest
+from example_messages import decoded, force, forces, publish
+from example_programs import LANGUAGES, next_line, running
+
+from resonator_daemon.publishing.payloads import Grid
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+async def test_forces(broker, language: str) -> None:
+    at_topic = "resonator/left/forces t_ns 1789000000000000123"
+    await publish(broker.url, "forces", forces(1, force(7, 1.234), force(12, math.nan, "overload")))
+    async with running(language, "forces", broker.url) as program:
+        assert await next_line(program) == f"{at_topic} site 7 1.234 N ok"
+        unknown = {"c": "nan", "python": "None"}[language]
+        assert await next_line(program) == f"{at_topic} site 12 {unknown} N overload"
+        await publish(broker.url, "forces", forces(2))
+        await publish(broker.url, "forces", forces(3, force(3, -0.5)))
+        assert await next_line(program) == f"{at_topic} site 3 -0.5 N ok"
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+async def test_decoded(broker, language: str) -> None:
+    random = np.random.default_rng(7)
+    on_grid, scattered = random.normal(size=(3, 4, 5)) * 1e3, random.normal(size=(3, 7)) * 1e3
+    scattered[2, 0] = math.nan
+    grid = Grid(origin_m=(-0.0012, 0.0034), pitch_m=4e-4)
+    await publish(broker.url, "decoded", decoded(5, on_grid, grid))
+    async with running(language, "decoded", broker.url) as program:
+        words = (await next_line(program)).replace(",", "").split()
+        await publish(broker.url, "decoded", decoded(2**40, scattered, None))
+        last = (await next_line(program)).split()
+    row, column = np.unravel_index(on_grid[2].argmax(), (4, 5))
+    assert words[:4] == ["resonator/left/decoded", "seq", "5", "peak"]
+    numbers = [float(word) for word in (words[4], *words[7:9], *words[12:15])]
+    place_m = (-0.0012 + 4e-4 * column, 0.0034 + 4e-4 * row)
+    net_newton = on_grid.sum(axis=(1, 2)) * 4e-4**2
+    np.testing.assert_allclose(numbers, [on_grid[2].max(), *place_m, *net_newton], rtol=1e-5)
+    assert last[:4] == ["resonator/left/decoded", "seq", str(2**40), "peak"]
+    assert float(last[4]) == pytest.approx(np.nanmax(scattered[2]), rel=1e-5)
+    assert last[5:] == ["Pa", "at", "point", str(np.nanargmax(scattered[2]))]
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+async def test_a_restart_of_the_broker_is_survived(mosquitto, language: str) -> None:
+    await publish(mosquitto.url, "forces", forces(1, force(7, 1.0)))
+    async with running(language, "forces", mosquitto.url) as program:
+        assert "site 7 1" in await next_line(program)
+        await mosquitto.kill()
+        await mosquitto.start()
+        await publish(mosquitto.url, "forces", forces(2, force(8, 2.0)))
+        assert "site 8 2" in await next_line(program)

@@ -1,0 +1,249 @@
+"""A followed plate without a broker: the same results as in the daemon, contacts that end, and an exact account."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+from decoder_bench import NU, SITES_M, E, Floats, incoming, info, pressed, signals, until
+
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.decoding.stage import DecodingStage, set_up
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Info, Message, Signals
+from resonator_daemon.remote_decoding import followed_plate
+from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.remote_decoding.plate import header_of
+from resonator_daemon.surface_reports import SurfaceReporter
+
+SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
+LINEAR = Wanted(contact_physics=False)
+REPRODUCIBLE = Wanted(background=False)
+NOTHING = np.zeros((3, len(SITES_M)))
+
+
+class Followed:
+    """A followed plate, and what it has published."""
+
+    def __init__(self, wanted: Wanted = LINEAR, **options: Any) -> None:
+        self.published: list[tuple[str, str, Message]] = []
+        self.plate = FollowedPlate("resonator", "hand", wanted, "host-1", self._publish, **options)
+        self._info, self._signals = self.plate.subscriptions
+
+    def _publish(self, plate: str, topic: Any, message: Message) -> None:
+        self.published.append((plate, topic.path, message))
+
+    def on(self, path: str) -> list[Any]:
+        return [message for _, topic, message in self.published if topic == path]
+
+    async def tell(self, message: Info) -> None:
+        """Send an info, and wait until it has taken effect: frames before that are skipped."""
+        self._info.take(incoming(self._info.topic_filter, encode(message)))
+        await until(lambda: not self.plate._changed.is_set())
+        await asyncio.sleep(0)
+
+    def send(self, message: Signals) -> None:
+        self._signals.take(incoming(self._signals.topic_filter, encode(message)))
+
+    async def read(self, message: Signals) -> None:
+        """Send a frame and wait until it is decoded."""
+        before = self.account.decoded
+        self.send(message)
+        await until(lambda: self.account.decoded > before)
+
+    @property
+    def account(self) -> Any:
+        return self.plate.health()["hand"]
+
+    @property
+    def is_exact(self) -> bool:
+        account = self.account
+        return bool(account.received == account.decoded + account.skipped + account.unusable + account.waiting)
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator["Followed"]:
+        task = asyncio.create_task(self.plate.run())
+        try:
+            yield self
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+        assert self.is_exact
+        assert self.account.waiting == 0
+
+
+def as_sent(message: Message) -> bytes:
+    return encode(message)
+
+
+@pytest.mark.parametrize("wanted", [LINEAR, REPRODUCIBLE], ids=["linear", "contact physics"])
+async def test_results_are_those_of_the_daemons_own_stage(wanted: Wanted) -> None:
+    frames = [signals(seq, pressed(seq)) for seq in range(8)] + [signals(seq, NOTHING) for seq in range(8, 13)]
+    noise = frames[0].noise_std.astype(np.float64)
+    set_up(SKIN, wanted, noise, [].append)  # into the cache: both take it from there, laid out in memory alike
+    delivered: asyncio.Queue[tuple[Signals, SurfaceReading]] = asyncio.Queue()
+    stage = DecodingStage[Signals](SKIN, wanted, lambda *result: delivered.put_nowait(result), [].append)
+    running = asyncio.create_task(stage.run())
+    reporter = SurfaceReporter(np.arange(100, 244), SITES_M, info().grid, "host-1")
+    expected: dict[str, list[bytes]] = {"decoded": [], "decoded/summary": [], "contacts": [], "contacts/event": []}
+    for frame in frames:
+        stage.offer(frame, frame.signals.astype(np.float64), noise)
+        origin, surface = await asyncio.wait_for(delivered.get(), 30)
+        head = header_of(origin)
+        for event in surface.events:
+            own = head | {"seq": len(expected["contacts/event"])}
+            expected["contacts/event"].append(as_sent(reporter.event(own, event)))
+        expected["decoded"].append(as_sent(reporter.decoded(head, surface.decoded)))
+        expected["decoded/summary"].append(as_sent(reporter.summary(head, surface)))
+        expected["contacts"].append(as_sent(reporter.contacts(head, surface)))
+    running.cancel()
+    await asyncio.wait([running])
+
+    async with Followed(wanted).running() as followed:
+        await followed.tell(info())
+        for frame in frames:
+            await followed.read(frame)
+    assert {path: [as_sent(message) for message in followed.on(path)] for path in expected} == expected
+    assert [event.event for event in followed.on("contacts/event")] == ["onset", "release"]
+    assert {plate for plate, _, _ in followed.published} == {"hand"}
+
+
+async def test_messages_carry_the_numbers_of_their_signals() -> None:
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        for seq in (3, 4, 9):
+            await followed.read(signals(seq))
+    for path in ("decoded", "decoded/summary", "contacts"):
+        assert [message.seq for message in followed.on(path)] == [3, 4, 9]
+    assert [message.seq for message in followed.on("contacts/event")] == [0]
+    sent, found = signals(4), followed.on("decoded")[1]
+    for name in ("daemon_boot_id", "board_boot_id", "t_ns", "t_unc_ns", "lost", "board_ticks"):
+        assert getattr(found, name) == getattr(sent, name)
+    assert found.decoder_id == followed.on("decoded/summary")[1].decoder_id == "host-1"
+    assert found.grid is not None
+    assert (found.grid.origin_m, found.grid.pitch_m) == (info().grid.origin_m, info().grid.pitch_m)  # type: ignore[union-attr]
+    assert followed.account.missed == 4
+
+
+@pytest.mark.parametrize(("uncertainty", "displacement"), [(True, False), (False, True)])
+async def test_only_what_is_asked_for_is_published(uncertainty: bool, displacement: bool) -> None:
+    wanted = Wanted(contact_physics=False, displacement=displacement)
+    async with Followed(wanted, uncertainty=uncertainty).running() as followed:
+        await followed.tell(info())
+        await followed.read(signals(0))
+    (found,) = followed.on("decoded")
+    assert (found.traction_std_pascal is not None, found.displacement_m is not None) == (uncertainty, displacement)
+
+
+async def test_of_frames_in_a_burst_the_newest_is_decoded_and_the_others_are_skipped() -> None:
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        await followed.read(signals(0))
+        for seq in range(1, 31):
+            followed.send(signals(seq))
+        assert followed.account.waiting <= 2
+        assert followed.is_exact
+        await until(lambda: bool(followed.on("decoded")) and followed.on("decoded")[-1].seq == 30)
+        account = followed.account
+    assert account.skipped >= 28
+    assert account.received == 31 == account.decoded + account.skipped
+
+
+async def test_before_there_is_an_info_frames_are_unusable_and_it_says_so() -> None:
+    async with Followed().running() as followed:
+        assert followed.plate.condition() == ("waiting", "hand: no info yet")
+        followed.send(signals(0))
+        assert followed.account.unusable == 1
+        await followed.tell(info())
+        await until(lambda: followed.plate.condition() == ("waiting", "hand: no signals that could be decoded"))
+        await followed.read(signals(1))
+        await until(lambda: followed.plate.condition() == ("online", "signals of hand are decoded"))
+
+
+async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_told_apart() -> None:
+    on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
+    async with Followed(Wanted("fourier")).running() as followed:
+        await followed.tell(info(skin=None))
+        assert followed.plate.condition() == ("waiting", "hand: has no skin: there is nothing to decode")
+        await followed.tell(info(sites=on_a_line, grid=None))
+        followed.send(signals(0))
+        await until(lambda: followed.plate.condition()[0] == "refused")
+        assert "square grid" in followed.plate.condition()[1]
+        for seq in range(1, 4):  # in vain; the last one waits until there is another skin
+            followed.send(signals(seq))
+        assert followed.is_exact
+        assert followed.is_exact
+        await followed.tell(info())
+        await followed.read(signals(1))
+        await until(lambda: followed.plate.condition()[0] == "online")
+
+
+async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> None:
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        for seq in range(3):
+            await followed.read(signals(seq))
+        sites = tuple(site.model_copy(update={"site": site.site + 1000}) for site in info().sites)
+        await followed.tell(info(sites=sites))
+        for seq in range(3, 6):
+            await followed.read(signals(seq))
+    events = followed.on("contacts/event")
+    assert [(event.event, event.contact.id) for event in events] == [("onset", 1), ("release", 1), ("onset", 2)]
+    assert events[0].contact.site < 1000 < events[2].contact.site
+    assert events[1].contact.since_t_ns == events[0].contact.since_t_ns  # the onset is not forgotten
+    assert events[1].contact.duration_s == pytest.approx(0.02)
+
+
+async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(followed_plate, "INTERRUPTED_S", 0.05)
+    monkeypatch.setattr(followed_plate, "_LOOK_S", 0.01)
+    told: list[str] = []
+    interrupt = DecodingStage.interrupt
+    monkeypatch.setattr(DecodingStage, "interrupt", lambda stage, why: (told.append(why), interrupt(stage, why)))
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        for seq in range(3):
+            await followed.read(signals(seq))
+        await until(lambda: len(followed.on("contacts/event")) == 2)
+        await until(lambda: followed.on("contacts")[-1].contacts == ())
+        onset, release = followed.on("contacts/event")
+        assert (onset.event, onset.reason) == ("onset", "")
+        assert (release.event, release.reason) == ("release", "no signals for 0.05 s")
+        assert len(followed.on("decoded")) == len(followed.on("decoded/summary")) == 3
+        await asyncio.sleep(0.05)  # looked some times more
+        silences = len(told)
+        for seq in range(3, 5):
+            await followed.read(signals(seq))
+        assert followed.on("contacts/event")[2].contact.id == 2
+    assert followed.account.decoded == 5
+    assert silences <= 3  # one for each time that signals stopped, with slow frames one between them
+
+
+async def test_frames_whose_noise_nobody_knows_are_unusable() -> None:
+    deaf = np.full((3, len(SITES_M)), np.nan, np.float32)
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        followed.send(signals(0, noise_std=deaf))
+        await until(lambda: followed.account.unusable == 1)
+        await followed.read(signals(1))
+    assert len(followed.on("decoded")) == 1
+
+
+def unknown(values: Floats) -> Floats:
+    return np.full_like(values, np.nan)
+
+
+@pytest.mark.parametrize("values", [unknown(NOTHING), NOTHING + 1e30, NOTHING + np.inf], ids=["nan", "huge", "inf"])
+async def test_odd_numbers_give_a_status_and_spoil_no_other_frame(values: Floats) -> None:
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        await followed.read(signals(0))
+        await followed.read(signals(1, values))
+        await followed.read(signals(2))
+    assert [message.status for message in followed.on("decoded/summary")][::2] == ["ok", "ok"]
+    assert followed.on("decoded/summary")[1].status in ("no_signal", "rejected")
+    assert np.isnan(followed.on("decoded")[1].traction_pascal).all()

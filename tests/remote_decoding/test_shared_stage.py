@@ -1,0 +1,212 @@
+"""Frames of many skins in one decoder: each on its own, plates in turn, decoders shared and few."""
+
+import asyncio
+import threading
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+
+import numpy as np
+import pytest
+from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
+from resonator_daemon.decoding.stage import set_up
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.remote_decoding import shared_stage
+from resonator_daemon.remote_decoding.plate import SkinPlate
+from resonator_daemon.remote_decoding.shared_stage import DECODERS_MAX, SharedStage
+
+COLD = Wanted(background=False)
+LINEAR = Wanted(contact_physics=False, background=False)
+
+
+def skin(depth_m: float = 1e-3, sites_m: Floats = SITES_M) -> SkinPlate:
+    return SkinPlate(Skin(HalfSpace(E, NU), sites_m, depth_m), np.arange(len(sites_m)), info().grid)
+
+
+class Stage:
+    """A stage and what it has delivered."""
+
+    def __init__(self, wanted: Wanted = LINEAR) -> None:
+        self.delivered: list[tuple[str, int, SurfaceReading]] = []
+        self.refused: list[tuple[str, str]] = []
+        self.notes: list[str] = []
+        self.stage = SharedStage[int](
+            wanted,
+            lambda *result: self.delivered.append(result),
+            self.notes.append,
+            lambda *said: self.refused.append(said),
+        )
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator["Stage"]:
+        task = asyncio.create_task(self.stage.run())
+        try:
+            yield self
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+
+    def offer(self, plate: str, number: int, values: Floats, noise_std: Floats = NOISE, of: SkinPlate | None = None):  # type: ignore[no-untyped-def]
+        self.stage.offer(plate, number, of or skin(), values, noise_std)
+
+    async def read(
+        self, plate: str, values: Floats, noise_std: Floats = NOISE, of: SkinPlate | None = None
+    ) -> SurfaceReading:
+        count = len(self.delivered)
+        self.offer(plate, count, values, noise_std, of)
+        await until(lambda: len(self.delivered) > count)
+        return self.delivered[-1][2]
+
+
+class Substitute:
+    """In the place of the real decoder: counts how often it is set up, and decodes when it may."""
+
+    name, shape = "substitute", (144,)
+    built: list[tuple[float, float]]
+    released = threading.Semaphore()
+
+    def __init__(self, of: Skin, noise_std: Floats) -> None:
+        self.noise = noise_std[0, 0]
+        self.built.append((of.depth_m, self.noise))
+
+    def fits(self, noise_std: Floats) -> bool:
+        return bool(noise_std[0, 0] == self.noise)
+
+    def decode_alone(self, signals: Floats, _noise_std: Floats) -> SurfaceReading:
+        assert self.released.acquire(timeout=20)
+        if signals[0, 0] == 7.0:
+            raise ZeroDivisionError("seven")
+        return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, 1.0, "ok", ""))
+
+    def reset(self) -> tuple[()]:
+        return ()
+
+
+@pytest.fixture
+def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
+    Substitute.built = []
+    Substitute.released = threading.Semaphore(0)
+
+    def put(of: Skin, _wanted: Wanted, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
+        return Substitute(of, noise_std)
+
+    monkeypatch.setattr(shared_stage, "set_up", put)
+    return Substitute
+
+
+def marked(value: float) -> Floats:
+    return np.full((3, 144), value)
+
+
+def surfaces(reading: SurfaceReading) -> list[object]:
+    decoded = reading.decoded
+    patches = [(c.patch.force_newton.tolist(), c.slip and c.slip.radius_m, c.peak_newton) for c in reading.contacts]
+    return [decoded.traction_pascal.tolist(), decoded.displacement_m.tolist(), decoded.status, patches]  # type: ignore[union-attr]
+
+
+async def test_a_frame_is_decoded_alike_whatever_came_before_it() -> None:
+    """So it does not matter which decoder gets it."""
+    set_up(skin().skin, COLD, NOISE, [].append)
+    alone = [set_up(skin().skin, COLD, NOISE, [].append).decode_alone(pressed(i), NOISE) for i in range(0, 40, 8)]
+    async with Stage(COLD).running() as stage:
+        for order in (range(5), (4, 2, 0, 3, 1)):
+            for i in order:
+                found = await stage.read(f"plate {i % 2}", pressed(8 * i))
+                assert surfaces(found) == surfaces(alone[i])
+                assert found.events == ()
+    assert all(reading.contacts for reading in alone)
+
+
+def test_decoded_alone_a_frame_is_as_a_first_one_with_contacts_at_once() -> None:
+    following, alone = (SkinDecoder(skin().skin, COLD, NOISE, [].append) for _ in range(2))
+    first = following.decode(pressed(3), NOISE)
+    found = alone.decode_alone(pressed(3), NOISE)
+    np.testing.assert_allclose(found.decoded.traction_pascal, first.decoded.traction_pascal, atol=1e-3)
+    second = following.decode(pressed(3), NOISE)
+    (contact,), (followed,) = found.contacts, second.contacts
+    np.testing.assert_allclose(contact.patch.force_newton, followed.patch.force_newton, rtol=0.02, atol=0.005)
+    assert contact.slip is not None
+    assert contact.radius_of_curvature_m == pytest.approx(followed.radius_of_curvature_m, rel=0.05)
+    for number in range(3):  # neither contacts nor friction are kept
+        assert alone.decode_alone(pressed(number), NOISE).events == ()
+    assert alone.contacts.friction_estimate is None
+    assert alone.decode(pressed(3), NOISE).contacts == ()
+
+
+async def test_plates_take_turns_and_of_each_the_newest_is_decoded(substitute: type[Substitute]) -> None:
+    async with Stage().running() as stage:
+        stage.offer("a", 0, marked(0.0))
+        await until(lambda: stage.stage.waiting("a") == 1 and bool(substitute.built))
+        for number in range(1, 5):
+            for plate in ("a", "b", "c"):
+                stage.offer(plate, number, marked(0.0))
+        assert [stage.stage.waiting(plate) for plate in "abc"] == [2, 1, 1]
+        assert dict(stage.stage.skipped) == {"a": 3, "b": 3, "c": 3}
+        substitute.released.release(4)
+        await until(lambda: len(stage.delivered) == 4)
+    assert [(plate, number) for plate, number, _ in stage.delivered] == [("a", 0), ("a", 4), ("b", 4), ("c", 4)]
+
+
+async def test_equal_skins_share_a_decoder_and_others_do_not(substitute: type[Substitute]) -> None:
+    substitute.released.release(100)
+    async with Stage().running() as stage:
+        for plate in range(20):
+            await stage.read(f"plate {plate}", marked(0.0))
+        assert substitute.built == [(1e-3, 2.0**-7)]
+        await stage.read("noisy", marked(0.0), 2 * NOISE)
+        await stage.read("deep", marked(0.0), of=skin(2e-3))
+        await stage.read("as before", marked(0.0))
+    assert substitute.built == [(1e-3, 2.0**-7), (1e-3, 2.0**-6), (2e-3, 2.0**-7)]
+
+
+async def test_of_many_different_skins_the_decoders_used_last_are_kept(substitute: type[Substitute]) -> None:
+    substitute.released.release(100)
+    depths_m = [1e-3 * (1 + i) for i in range(DECODERS_MAX + 1)]
+    async with Stage().running() as stage:
+        for depth_m in depths_m[:-1]:
+            await stage.read("plate", marked(0.0), of=skin(depth_m))
+        await stage.read("plate", marked(0.0), of=skin(depths_m[0]))  # used again: the second is the oldest now
+        await stage.read("plate", marked(0.0), of=skin(depths_m[-1]))
+        assert len(substitute.built) == DECODERS_MAX + 1
+        await stage.read("plate", marked(0.0), of=skin(depths_m[0]))
+        assert len(substitute.built) == DECODERS_MAX + 1
+        await stage.read("plate", marked(0.0), of=skin(depths_m[1]))
+    assert len(substitute.built) == DECODERS_MAX + 2
+
+
+async def test_a_frame_that_fails_is_flagged_and_the_next_one_is_decoded(substitute: type[Substitute]) -> None:
+    substitute.released.release(100)
+    async with Stage().running() as stage:
+        failed = await stage.read("a", marked(7.0))
+        after = await stage.read("a", marked(1.0))
+    assert (failed.decoded.status, after.decoded.status) == ("rejected", "ok")
+    assert "ZeroDivisionError('seven')" in failed.decoded.reason
+
+
+async def test_a_skin_that_cannot_be_decoded_is_refused_and_the_others_go_on() -> None:
+    on_a_line = np.column_stack([np.arange(144) * 1e-4, np.zeros(144)])
+    async with Stage(Wanted("fourier", background=False)).running() as stage:
+        stage.offer("line", 0, marked(0.0), of=skin(sites_m=on_a_line))
+        await stage.read("grid", pressed(0))
+        assert stage.stage.unusable["line"] == 1
+        assert stage.stage.waiting("line") == 0
+    ((plate, why),) = stage.refused
+    assert plate == "line"
+    assert "square grid" in why
+    assert stage.notes[-1] == ""
+    assert [plate for plate, _, _ in stage.delivered] == ["grid"]
+
+
+async def test_what_waits_when_it_ends_is_counted_as_skipped(substitute: type[Substitute]) -> None:
+    stage = Stage()
+    async with stage.running():
+        stage.offer("a", 0, marked(0.0))
+        await until(lambda: bool(substitute.built))
+        stage.offer("b", 0, marked(0.0))
+        substitute.released.release(100)
+    counted = len(stage.delivered) + stage.stage.skipped.total()
+    assert counted == 2
+    assert stage.stage.waiting("a") == stage.stage.waiting("b") == 0

@@ -1,0 +1,179 @@
+"""Decoder processes on real brokers: one that follows a plate, many that share plates, and what they say."""
+
+import asyncio
+import os
+import signal
+import sys
+from asyncio.subprocess import DEVNULL
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import pytest
+from brokers import Amqtt, Mosquitto
+from decoder_bench import assert_exact, config_file, daemon, info, process, running, signals, until
+from observer import Observer, observe
+
+from resonator_daemon.decode_service import CannotShareError, own_id
+from resonator_daemon.errors import ExitCode
+
+RESONATORD = Path(sys.executable).with_name("resonatord")
+STATE = "resonator/decoder/host-1/state"
+SHARING = 'plates = ["+"]\ngroup = "touch"\ncontact_physics = false'
+LINEAR = "contact_physics = false"
+
+
+def seqs(observer: Observer, plate: str, path: str = "decoded") -> list[int]:
+    return [cbor2.loads(payload)["seq"] for payload in observer.raw(f"resonator/{plate}/{path}")]
+
+
+def topics(observer: Observer) -> set[str]:
+    return {message.topic.value for message in observer.heard}
+
+
+async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
+    tmp_path: Path, broker: Mosquitto | Amqtt
+) -> None:
+    async with observe(broker.url) as heard, daemon(broker.url) as hand:
+        decoder = process(tmp_path, broker.url, decoding=LINEAR)
+        async with running(decoder):
+            await heard.until_last(STATE, state="waiting", reason="hand: no info yet")
+            await hand.tell("hand", info())
+            await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+            for seq in range(5):
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda seq=seq: seq in seqs(heard, "hand"))
+            await heard.until_last(STATE, state="online", reason="signals of hand are decoded")
+            await hand.send_raw("hand", b"garbage")
+            await until(lambda: decoder.health().plates["hand"].unusable == 1)
+            assert_exact(decoder)
+        last = await heard.until_last(STATE, state="offline", reason="stopped")
+        assert last["decoder_id"] == "host-1"
+        assert last["topic_filter"] == "resonator/hand/signals"
+        (*_, health) = heard.payloads("resonator/decoder/host-1/health")
+        assert health["plates"] == {
+            "hand": {"received": 6, "decoded": 5, "skipped": 0, "unusable": 1, "waiting": 0, "missed": 0}
+        }
+        assert health["messages"]["made"] > 15
+    assert seqs(heard, "hand") == [0, 1, 2, 3, 4]
+    summaries = heard.payloads("resonator/hand/decoded/summary")
+    assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
+    assert [event["event"] for event in heard.payloads("resonator/hand/contacts/event")] == ["onset"]
+
+
+async def test_it_starts_without_a_broker_and_outlives_one(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    await mosquitto.kill()
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with running(decoder):
+        for seq in range(2):
+            await mosquitto.start()
+            async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+                await heard.until(lambda heard=heard: bool(heard.raw(STATE)))
+                await hand.tell("hand", info())
+                await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda heard=heard, seq=seq: seq in seqs(heard, "hand"))
+            await mosquitto.kill()
+        assert_exact(decoder)
+
+
+async def test_frames_of_many_plates_are_shared_and_none_is_decoded_twice(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    plates, frames = ("left", "right"), 40
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+        for plate in plates:
+            await hand.tell(plate, info())
+        decoders = [
+            process(tmp_path, mosquitto.url, f"host-{number}", decoding=SHARING, name=None) for number in (1, 2)
+        ]
+        async with running(decoders[0]), running(decoders[1]):
+            await until(lambda: all(set(decoder.health().plates) == set(plates) for decoder in decoders))
+            for seq in range(frames):
+                for plate in plates:
+                    await hand.send(plate, signals(seq))
+                    # One at a time, so that nothing needs to be skipped.
+                    await until(
+                        lambda plate=plate, seq=seq: sum(d.health().plates[plate].decoded for d in decoders) > seq
+                    )
+            await heard.until(lambda: all(len(seqs(heard, plate)) == frames for plate in plates))
+            for decoder in decoders:
+                assert_exact(decoder)
+                assert sum(plate.received for plate in decoder.health().plates.values()) > 0
+    for plate in plates:
+        assert sorted(seqs(heard, plate)) == list(range(frames))
+        summaries = heard.payloads(f"resonator/{plate}/decoded/summary")
+        assert {summary["decoder_id"] for summary in summaries} <= {"host-1", "host-2"}
+        assert {patch["id"] for summary in summaries for patch in summary["patches"]} == {None}
+        assert any(summary["patches"] for summary in summaries)
+        assert heard.raw(f"resonator/{plate}/contacts") == heard.raw(f"resonator/{plate}/contacts/event") == []
+
+
+async def test_a_decoder_that_is_killed_loses_at_most_what_it_held(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    """Every frame is decoded, skipped by a count of its decoder, or was in the hands of the one that died."""
+    path = config_file(tmp_path, mosquitto.url, decoding=SHARING, name=None)
+    victim = await asyncio.create_subprocess_exec(RESONATORD, "decode", "--config", path, stderr=DEVNULL)
+    try:
+        async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+            await hand.tell("left", info())
+            survivor = process(tmp_path, mosquitto.url, "survivor", decoding=SHARING, name=None)
+            async with running(survivor):
+
+                def last_health() -> dict[str, Any]:
+                    topic = next((t for t in topics(heard) if t.endswith("/health") and "/survivor/" not in t), None)
+                    plates = heard.payloads(topic)[-1]["plates"] if topic else {}
+                    return dict(plates.get("left", {}))
+
+                async def send(seq: int) -> None:
+                    await hand.send("left", signals(seq))
+                    await asyncio.sleep(0.003)
+
+                seq = 0
+                while last_health().get("decoded", 0) < 3 or survivor.health().plates["left"].decoded < 3:
+                    await send(seq)
+                    seq += 1
+                    assert seq < 5000
+                os.kill(victim.pid, signal.SIGKILL)
+                await victim.wait()
+                end = seq + 60
+                for number in range(seq, end):
+                    await send(number)
+                will = next(topic for topic in topics(heard) if topic.endswith("/state") and "survivor" not in topic)
+                await heard.until_last(will, state="offline", reason="connection lost")
+                async with observe(mosquitto.url) as late:
+                    await late.until_last(will, state="offline", reason="connection lost")
+                await hand.send("left", signals(end))
+                await heard.until(lambda: end in seqs(heard, "left"))
+                assert_exact(survivor)
+                account = survivor.health().plates["left"]
+            decoded = Counter(seqs(heard, "left"))
+        assert max(decoded.values()) == 1
+        by_survivor = sum(
+            cbor2.loads(payload)["decoder_id"] == "survivor" for payload in heard.raw("resonator/left/decoded")
+        )
+        assert by_survivor == account.decoded
+        # Frames after the death go to the survivor, all of them; those it did not decode, it counts as skipped.
+        missing_late = sum(number not in decoded for number in range(seq + 2, end + 1))
+        assert missing_late <= account.skipped
+    finally:
+        if victim.returncode is None:
+            victim.kill()
+            await victim.wait()
+
+
+async def test_a_broker_that_cannot_share_is_refused_with_one_sentence(tmp_path: Path, amqtt: Amqtt) -> None:
+    decoder = process(tmp_path, amqtt.url, decoding=SHARING, name=None)
+    with pytest.raises(
+        CannotShareError, match=r"MQTT 3\.1\.1, where nothing is shared; use a broker of MQTT 5"
+    ) as raised:
+        await asyncio.wait_for(decoder.run(), 30)
+    assert raised.value.exit_code is ExitCode.UNAVAILABLE
+    assert len(raised.value.messages) == 1
+    assert "\n" not in raised.value.messages[0]
+
+
+def test_its_id_is_one_level_of_a_topic(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.gethostname", lambda: "$a/b+c#d e\x00" + "x" * 200)
+    name = own_id()
+    assert name.endswith(f"-{os.getpid()}")
+    assert not set(name) & set("/+# \0$")
+    assert len(name) < 100

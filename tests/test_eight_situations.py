@@ -1,0 +1,176 @@
+"""One who comes late tells eight situations apart by what is retained, with the example that users are given."""
+
+import asyncio
+import json
+import os
+import runpy
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Mosquitto
+from observer import Observer, observe
+from service_bench import Bench
+
+from simulators.faults import parse_faults
+
+EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "python" / "situation.py"))
+situation: Callable[[dict[str, Any]], str] = EXAMPLE["situation"]
+
+BASE = "resonator/hand/state"
+STILL = "[plate]\nideal = true\n"
+WARMED = "environment_kelvin = [[0, 298.15], [1, 298.15], [6, 318.15]]\n" + STILL
+S = 1_000_000_000
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+async def well(heard: Observer) -> None:
+    for word in ("daemon", "link", "sensor"):
+        await heard.until_last(f"{BASE}/{word}", state="online")
+
+
+async def seen_late(broker: Mosquitto) -> dict[str, Any]:
+    """The retained states, as one hears them who comes now; the last word on its own topic marks the end of them."""
+    async with observe(broker.url) as late:
+        await late.client.publish("mark/end", b"{}", qos=1)
+        await late.until_count("mark/end", 1)
+        said = [message for message in late.heard if message.retain and message.topic.matches(f"{BASE}/+")]
+    return {message.topic.value.rpartition("/")[2]: json.loads(message.payload) for message in said}
+
+
+def since_s(state: dict[str, Any]) -> float:
+    return int(state["since_t_ns"]) / S
+
+
+async def test_never_started(mosquitto: Mosquitto) -> None:
+    states = await seen_late(mosquitto)
+    assert states == {}
+    assert situation(states) == "never started"
+
+
+async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario=bench.scenario(STILL)), observe(mosquitto.url) as heard:
+        async with bench.running(bench.service()):
+            await well(heard)
+            assert situation(await seen_late(mosquitto)) == "well"
+            stopped_s = time.time()
+        states = await seen_late(mosquitto)
+    assert situation(states) == "clean stop"
+    assert since_s(states["daemon"]) >= stopped_s
+    assert len({state["daemon_boot_id"] for state in states.values()}) == 1
+
+
+async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
+    bench.service()  # which writes the configuration
+    command = (sys.executable, "-m", "resonator_daemon.cli", "run", "--config", str(bench.folder / "board.toml"))
+    async with bench.emulated(scenario=bench.scenario(STILL)), observe(mosquitto.url) as heard:
+        daemon = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.DEVNULL)
+        await well(heard)
+        os.kill(daemon.pid, signal.SIGKILL)
+        await daemon.wait()
+        await heard.until_last(f"{BASE}/daemon", state="offline")
+        states = await seen_late(mosquitto)
+    assert situation(states) == "crash"
+    assert states["daemon"]["since_t_ns"] is None
+
+
+async def test_broker_restarted_empty(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario=bench.scenario(STILL)), bench.running(bench.service()):
+        async with observe(mosquitto.url) as heard:
+            await well(heard)
+            first = heard.payloads(f"{BASE}/daemon")[-1]
+        await mosquitto.kill()
+        back_s = time.time()
+        await mosquitto.start()
+        async with observe(mosquitto.url) as heard:
+            await well(heard)
+            await heard.until_count("resonator/hand/schema", 1)
+            await heard.until_count("resonator/hand/info", 1)
+        states = await seen_late(mosquitto)
+    assert situation(states) == "broker restarted"
+    assert (first["connections"], states["daemon"]["connections"]) == (1, 2)
+    assert int(states["daemon"]["connected_t_ns"]) / S >= back_s
+    assert states["daemon"]["since_t_ns"] == first["since_t_ns"]
+
+
+async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with observe(mosquitto.url) as heard, bench.running(bench.service()):
+        async with bench.emulated(scenario=bench.scenario(STILL)):
+            await well(heard)
+            pulled_s = time.time()
+        await heard.until_last(f"{BASE}/sensor", state="waiting")
+        states = await seen_late(mosquitto)
+    assert situation(states) == "cable out"
+    assert pulled_s <= since_s(states["link"]) <= time.time()
+
+
+async def test_board_hung(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("freeze_at_s=1,freeze_for_s=60")
+    async with (
+        bench.emulated(scenario=bench.scenario(STILL), faults=faults),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await well(heard)
+        await heard.until_last(f"{BASE}/link", state="stalled")
+        states = await seen_late(mosquitto)
+    assert situation(states) == "board hung"
+    assert states["sensor"]["state"] == "waiting"
+
+
+async def test_board_rebooted(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("reboot_at_s=1")
+    async with (
+        bench.emulated(scenario=bench.scenario(STILL), faults=faults),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until_last(f"{BASE}/link", state="online", boots=2)
+        await well(heard)
+        states = await seen_late(mosquitto)
+    assert situation(states) == "board rebooted"
+    assert states["link"]["last_outage"]["frames_lost"] is not None
+    assert "started anew" in states["link"]["last_outage"]["reason"]
+
+
+async def test_sensor_drifting(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario=bench.scenario(WARMED.replace("ideal = true", ""))),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await well(heard)
+        await heard.until_last(f"{BASE}/sensor", state="drifting")
+        states = await seen_late(mosquitto)
+    assert situation(states) == "sensor drifting"
+    assert "ppm" in states["sensor"]["reason"]
+
+
+async def test_states_of_an_earlier_run_do_not_stay(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario=bench.scenario(STILL)),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await well(heard)
+    async with observe(mosquitto.url) as heard, bench.running(bench.service()) as service:
+        await heard.until(
+            lambda: (
+                {
+                    payload["daemon_boot_id"]
+                    for word in ("daemon", "link", "sensor")
+                    for payload in heard.payloads(f"{BASE}/{word}")[-1:]
+                }
+                == {service.daemon_boot_id}
+            )
+        )
+        states = await seen_late(mosquitto)
+    assert situation(states) == "cable out"

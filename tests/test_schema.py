@@ -1,0 +1,100 @@
+"""`resonatord schema`, and whether daemons publish what it says."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from brokers import Mosquitto
+from jsonschema import Draft7Validator
+from observer import Observer, observe
+from service_bench import Bench
+from test_skin_service import SHEARED, SMALL_SKIN
+
+from resonator_daemon.publishing.asyncapi import document
+from resonator_daemon.schema import print_schema
+
+PRESSED = """
+period_s = 1.0
+[[touches]]
+start_s = 0.3
+site = 7
+force_newton = 1.0
+hold_s = 0.3
+"""
+
+
+def test_the_schema_is_printed_on_one_line_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
+    print_schema(as_json=True)
+    (line,) = capsys.readouterr().out.splitlines()
+    assert json.loads(line) == document()
+
+
+def test_the_schema_is_printed_indented_for_people(capsys: pytest.CaptureFixture[str]) -> None:
+    print_schema(as_json=False)
+    printed = capsys.readouterr().out
+    assert json.loads(printed) == document()
+    assert '\n    "title": "resonatord",\n' in printed
+
+
+def rows_of(payload: bytes) -> Any:
+    """Read CBOR with its typed arrays as nested rows."""
+
+    def read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:
+        return np.frombuffer(tag.value, "<f4") if tag.tag == 85 else tag.value[1].reshape(tag.value[0]).tolist()
+
+    return cbor2.loads(payload, tag_hook=read_tag)
+
+
+def check_all(heard: Observer, name: str) -> set[str]:
+    """Check each message of a plate by the document that its daemon has published; return the paths heard."""
+    (published,) = set(heard.raw(f"resonator/{name}/schema"))
+    told = json.loads(published)
+    validators = {}
+    for channel in told["channels"].values():
+        (message,) = list(channel["messages"])[:1]
+        path = channel["address"].removeprefix("{prefix}/{name}/")
+        reference = {"$ref": f"#/components/schemas/{message}", "components": told["components"]}
+        validators[path] = Draft7Validator(reference), told["components"]["messages"][message]["contentType"]
+    paths = set()
+    for message in heard.heard:
+        path = message.topic.value.removeprefix(f"resonator/{name}/")
+        validator, content_type = validators[path]
+        payload = bytes(message.payload)
+        validator.validate(json.loads(payload) if content_type == "application/json" else rows_of(payload))
+        paths.add(path)
+    return paths
+
+
+async def test_a_daemon_of_force_sites_publishes_what_the_schema_says(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with (
+        bench.emulated(scenario=bench.scenario(PRESSED)),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until_count("resonator/hand/contacts/event", 2)
+        await heard.until_count("resonator/hand/health", 1)
+        await heard.until_count("resonator/hand/schema", 1)
+    always = {"state/daemon", "state/link", "state/sensor", "info", "schema", "health"}
+    measured = {"contacts/event", "forces", "forces/20hz", "contacts", "contacts/20hz"}
+    assert check_all(heard, "hand") == always | measured
+
+
+async def test_a_daemon_of_a_skin_publishes_what_the_schema_says(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    plate = tmp_path / "small-skin.toml"
+    plate.write_text(SMALL_SKIN)
+    scenario = bench.scenario(SHEARED)
+    async with (
+        bench.emulated(str(plate), scenario=scenario) as emulator,
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(str(plate), emulator.link.address)),
+    ):
+        await heard.until_count("resonator/hand/contacts/event", 1)
+        await heard.until_count("resonator/hand/decoded/5hz", 3)
+        await heard.until_count("resonator/hand/schema", 1)
+    paths = check_all(heard, "hand")
+    assert paths >= {"signals", "signals/5hz", "decoded", "decoded/5hz", "decoded/summary", "decoded/summary/20hz"}

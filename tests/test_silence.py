@@ -1,0 +1,75 @@
+"""Contacts are given up when frames have not come for half a second."""
+
+import asyncio
+from collections.abc import Callable
+
+from resonator_daemon.silence import SILENT_S, Silence
+
+
+class Loop:
+    """Time that passes when told."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self.due: list[tuple[float, Callable[..., None], tuple[object, ...]]] = []
+
+    def call_later(self, delay_s: float, callback: Callable[..., None], *arguments: object) -> "Loop":
+        self.due = [(self.now_s + delay_s, callback, arguments)]
+        return self
+
+    def cancel(self) -> None:
+        self.due.clear()
+
+    def pass_by(self, seconds: float) -> None:
+        self.now_s += seconds
+        for at_s, callback, arguments in list(self.due):
+            if at_s <= self.now_s:
+                self.due.clear()
+                callback(*arguments)
+
+
+def watched() -> tuple[Loop, Silence, list[str]]:
+    loop, said = Loop(), []
+    return loop, Silence(loop, said.append), said  # type: ignore[arg-type]
+
+
+def test_a_link_that_stays_away_is_told_of_once() -> None:
+    loop, silence, said = watched()
+    silence.watch("online")
+    silence.watch("lost")
+    loop.pass_by(0.9 * SILENT_S)
+    silence.watch("waiting")
+    loop.pass_by(0.05 * SILENT_S)
+    assert said == []
+    loop.pass_by(0.1 * SILENT_S)
+    loop.pass_by(10 * SILENT_S)
+    silence.watch("waiting")
+    loop.pass_by(10 * SILENT_S)
+    assert said == ["no frames for 0.5 s"]
+
+
+def test_a_link_that_comes_back_in_time_is_not_told_of() -> None:
+    loop, silence, said = watched()
+    for _ in range(3):
+        silence.watch("stalled")
+        loop.pass_by(0.9 * SILENT_S)
+        silence.watch("online")
+        loop.pass_by(5 * SILENT_S)
+    assert said == []
+
+
+def test_each_silence_is_told_of() -> None:
+    loop, silence, said = watched()
+    for _ in range(2):
+        silence.watch("stalled")
+        loop.pass_by(SILENT_S)
+        silence.watch("online")
+    assert len(said) == 2
+
+
+async def test_it_runs_on_an_event_loop() -> None:
+    told = asyncio.Event()
+    silence = Silence(asyncio.get_running_loop(), lambda _: told.set())
+    silence.watch("lost")
+    await told.wait()
+    silence.stop()

@@ -1,0 +1,52 @@
+"""Two daemons under one name: both say so, in their logs and states, and both go on measuring."""
+
+import logging
+from pathlib import Path
+
+import pytest
+from brokers import Amqtt, Mosquitto
+from observer import Observer, observe
+from service_bench import Bench
+
+STATE = "resonator/hand/state/daemon"
+OTHER = "another daemon (boot id {})"
+
+
+def said_by(heard: Observer, boot_id: str) -> str:
+    """The reason that a daemon gave last."""
+    mine = [state for state in heard.payloads(STATE) if state["daemon_boot_id"] == boot_id]
+    return str(mine[-1]["reason"]) if mine else ""
+
+
+async def test_both_say_so_until_one_has_gone(
+    tmp_path: Path, broker: Mosquitto | Amqtt, caplog: pytest.LogCaptureFixture
+) -> None:
+    folders = [tmp_path / "one", tmp_path / "two"]
+    for folder in folders:
+        folder.mkdir()
+    first, second = (Bench(folder, broker.url) for folder in folders)
+    async with (
+        first.emulated(scenario="still"),
+        second.emulated(scenario="still"),
+        observe(broker.url) as heard,
+        first.running(first.service()) as one,
+    ):
+        await heard.until_last(STATE, state="online", connections=1)
+        async with second.running(second.service()) as two:
+            ids = one.daemon_boot_id, two.daemon_boot_id
+            await heard.until(lambda: OTHER.format(ids[1]) in said_by(heard, ids[0]))
+            await heard.until(lambda: OTHER.format(ids[0]) in said_by(heard, ids[1]))
+            frames = one.link_account.frames, two.link_account.frames
+            count = len(heard.raw("resonator/hand/forces"))
+            await heard.until_count("resonator/hand/forces", count + 200)
+            assert one.link_account.frames > frames[0]
+            assert two.link_account.frames > frames[1]
+            assert one.message_account.unknown_at_disconnect == 0  # neither displaces the other
+        await heard.until(lambda: said_by(heard, ids[0]) == "measuring")
+        state = heard.payloads(STATE)[-1]
+        assert (state["daemon_boot_id"], state["state"]) == (ids[0], "online")
+        states = len(heard.raw(STATE))
+    warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
+    for boot_id in ids:
+        assert sum(f"boot id {boot_id}) publishes under this name" in warning for warning in warnings) == 1
+    assert states <= 12  # they do not go on telling each other
