@@ -8,12 +8,14 @@ import re
 import secrets
 import signal
 import socket
+import sys
 import time
 
 import psutil
 
 from resonator_daemon.config import DECODER
 from resonator_daemon.decoder_config import DecoderConfig
+from resonator_daemon.decoding.stage import SWITCH_S
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -50,6 +52,7 @@ async def serve(config: DecoderConfig) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, process.stop)
+    sys.setswitchinterval(SWITCH_S)
     await process.run()
 
 

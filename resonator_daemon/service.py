@@ -6,6 +6,7 @@ import gc
 import logging
 import secrets
 import signal
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -32,9 +33,10 @@ from resonator_daemon.chains import Chain, make_chain
 from resonator_daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
 from resonator_daemon.config import Config, Measurement, ReplayLink, plate_name
 from resonator_daemon.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.decoding.stage import DecodingStage
+from resonator_daemon.decoding.stage import SWITCH_S, DecodingStage
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.health import HealthMonitor
@@ -84,6 +86,7 @@ async def serve(config: Config) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, service.stop)
+    sys.setswitchinterval(SWITCH_S)
     await service.run()
 
 
@@ -376,15 +379,18 @@ class Service:
                 skin.tangential_ratio,
             ),
             Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
+            self._decoded_map,
             self._decoded,
             self._sensor.explain,
         )
 
+    def _decoded_map(self, origin: tuple[SkinReading, Instant], decoded: Decoded) -> None:
+        self._count_latency(DECODED, origin[1])
+        self._publish(DECODED, self._reporter.decoded(*origin, decoded))
+
     def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
         for event in surface.events:
             self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
-        self._count_latency(DECODED, origin[1])
-        self._publish(DECODED, self._reporter.decoded(*origin, surface.decoded))
         self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
         self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
 

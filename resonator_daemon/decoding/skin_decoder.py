@@ -57,6 +57,7 @@ class SkinDecoder:
         self._reader = surface_reader(skin, wanted, noise_std, progress)
         progress("contact shapes")
         self.contacts = SkinContacts(skin, noise_std, wanted.friction_coefficient)
+        self._frame = np.full(noise_std.shape, np.nan)
         self.name = self._reader.name
         self.shape = self._reader.shape
 
@@ -80,10 +81,21 @@ class SkinDecoder:
         return other.reset()
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        """Read a frame; both arrays (3, n). What is far noisier than usual, or of unknown noise, counts as lost."""
-        frame = self._heard(signals, noise_std)
-        decoded, patches = self._reader.read(frame)
-        reading = SurfaceReading(self.name, decoded, *self.contacts.update(frame, patches))
+        """Read a frame, both arrays (3, n): its map and its contacts."""
+        return self.read_contacts(self.decode_map(signals, noise_std))
+
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        """Read the map of a frame, both arrays (3, n); `read_contacts`, which takes as long again, is to follow.
+
+        What is far noisier than usual, or of unknown noise, counts as lost.
+        """
+        self._frame = self._heard(signals, noise_std)
+        return self._reader.read(self._frame)
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        """Read the contacts of the frame whose map was decoded last."""
+        patches = self._reader.patches(decoded)
+        reading = SurfaceReading(self.name, decoded, *self.contacts.update(self._frame, patches))
         if self._reader.physics is not None:
             self._reader.physics.friction_estimate = self.contacts.friction_estimate
         return reading
@@ -96,8 +108,8 @@ class SkinDecoder:
         frame = self._heard(signals, noise_std)
         if self._reader.physics is not None:
             self._reader.physics.reset()
-        decoded, patches = self._reader.read(frame)
-        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, patches))
+        decoded = self._reader.read(frame)
+        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._reader.patches(decoded)))
 
     def _heard(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)

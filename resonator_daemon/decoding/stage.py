@@ -25,6 +25,7 @@ Floats = NDArray[np.float64]
 Origin = TypeVar("Origin")
 
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
+SWITCH_S = 5e-4  # of a thread that computes, before the event loop has its turn; Python's 5 ms are half a frame
 _REBUILD_REST = 2.4  # times as long as a rebuild took: together at most 30 % of a core
 
 
@@ -36,8 +37,10 @@ class DecodingStage(Generic[Origin]):
     Parameters
     ----------
     skin, wanted
+    deliver_map
+        Called on the event loop with what `offer` was given as origin, and the map, as soon as there is one.
     deliver
-        Called on the event loop with what `offer` was given as origin, and the reading.
+        Called after that with the origin and the whole reading, contacts included.
     announce
         Called on the event loop with what is being set up, with "" when that is done, and with the reason where these
         sites cannot be decoded.
@@ -58,12 +61,14 @@ class DecodingStage(Generic[Origin]):
         self,
         skin: Skin,
         wanted: Wanted,
+        deliver_map: Callable[[Origin, Decoded], None],
         deliver: Callable[[Origin, SurfaceReading], None],
         announce: Callable[[str], None],
         before: SkinDecoder | None = None,
     ) -> None:
         self._skin = skin
         self._wanted = wanted
+        self._deliver_map = deliver_map
         self._deliver = deliver
         self._announce = announce
         self._decoder: SkinDecoder | None = None
@@ -151,12 +156,17 @@ class DecodingStage(Generic[Origin]):
                 if (before := self.latest) is not None:
                     ended = decoder.succeed(before)
                 self._decoder, self._before = decoder, None
-            reading = await loop.run_in_executor(pool, _decode, self._decoder, signals, noise_std)
+            surface = await loop.run_in_executor(pool, _decode, self._decoder, signals, noise_std)
+            decoded = surface.decoded if isinstance(surface, SurfaceReading) else surface
             self._busy = False
+            self._last_origin = origin
+            self._deliver_map(origin, decoded)
+            await asyncio.sleep(0)  # the map is on its way before the other thread wants the interpreter again
+            if isinstance(surface, Decoded):
+                surface = await loop.run_in_executor(pool, _read_contacts, self._decoder, surface)
             if self._decoder.rebuild_wanted:
                 self._rebuild_due.set()
-            self._last_origin = origin
-            self._deliver(origin, replace(reading, events=ended + reading.events))
+            self._deliver(origin, replace(surface, events=ended + surface.events))
             ended = ()
 
     async def _end_contacts(self, pool: ThreadPoolExecutor) -> tuple[SkinEvent, ...]:
@@ -211,8 +221,16 @@ def _unknown(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinE
     return SurfaceReading(decoder.name, decoded, events=events)
 
 
-def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> SurfaceReading:
+def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> Decoded | SurfaceReading:
+    """Return the map; where that fails, all that is to be said of the frame."""
     try:
-        return decoder.decode(signals, noise_std)
+        return decoder.decode_map(signals, noise_std)
     except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
+        return failed(decoder, error)
+
+
+def _read_contacts(decoder: SkinDecoder, decoded: Decoded) -> SurfaceReading:
+    try:
+        return decoder.read_contacts(decoded)
+    except Exception as error:  # noqa: BLE001
         return failed(decoder, error)

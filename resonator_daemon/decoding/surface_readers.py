@@ -1,5 +1,6 @@
 """The two ways to read a skin's surface: a map and the patches on it, or one contact where a map would mislead."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Protocol
@@ -31,8 +32,11 @@ class SurfaceReader(Protocol):
     shape: tuple[int, ...]  # of the places of its maps, (ny, nx) or (n,)
     physics: ContactDecoder | None
 
-    def read(self, frame: Floats) -> tuple[Decoded, list[Patch]]:
-        """Map and patches of a frame."""
+    def read(self, frame: Floats) -> Decoded:
+        """Map of a frame."""
+
+    def patches(self, decoded: Decoded) -> list[Patch]:
+        """Patches on the map that was read last."""
 
 
 class MapReader:
@@ -75,12 +79,15 @@ class MapReader:
         self._displacement = wanted.displacement
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
 
-    def read(self, frame: Floats) -> tuple[Decoded, list[Patch]]:
-        decoded = (self.physics or self._linear).decode(frame.reshape(3, *self.shape), displacement=self._displacement)
+    def read(self, frame: Floats) -> Decoded:
+        decoder = self.physics or self._linear
+        return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
+
+    def patches(self, decoded: Decoded) -> list[Patch]:
         patches = self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
         if self.physics is not None:
-            patches = with_net_loads(patches, self.physics, frame.shape[1])
-        return decoded, patches
+            patches = with_net_loads(patches, self.physics, math.prod(self.shape))
+        return patches
 
 
 def with_net_loads(patches: Sequence[Patch], physics: ContactDecoder, places: int) -> list[Patch]:
@@ -118,15 +125,19 @@ class TemplateReader:
 
     def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
         self._displacement = wanted.displacement
+        self._patch: Patch | None = None
         self.shape: tuple[int, ...] = (len(skin.site_positions_m),)
         progress(f"template of a contact under {self.shape[0]} sites")
         self._decoder = TemplateDecoder(
             skin.half_space, skin.site_positions_m, skin.depth_m, noise_std, gain_std=skin.gain_std
         )
 
-    def read(self, frame: Floats) -> tuple[Decoded, list[Patch]]:
-        decoded, patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
-        return decoded, [] if patch is None else [patch]
+    def read(self, frame: Floats) -> Decoded:
+        decoded, self._patch = self._decoder.decode_with_patch(frame, displacement=self._displacement)
+        return decoded
+
+    def patches(self, _decoded: Decoded) -> list[Patch]:
+        return [] if self._patch is None else [self._patch]
 
 
 def surface_reader(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SurfaceReader:

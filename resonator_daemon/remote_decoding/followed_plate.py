@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
@@ -123,7 +124,12 @@ class FollowedPlate:
                 self._note = note
 
         stage = self._stage = DecodingStage[Signals](
-            skin.skin, self._wanted, lambda origin, surface: self._deliver(reporter, origin, surface), announce, before
+            skin.skin,
+            self._wanted,
+            lambda origin, decoded: self._deliver_map(reporter, origin, decoded),
+            lambda origin, surface: self._deliver(reporter, origin, surface),
+            announce,
+            before,
         )
         self._note, self._stage_has_ended = "", False
         running = asyncio.create_task(stage.run(), name="decoding")
@@ -156,6 +162,10 @@ class FollowedPlate:
             return
         self._stage.offer(signals, signals.signals.astype(np.float64), signals.noise_std.astype(np.float64))
 
+    def _deliver_map(self, reporter: SurfaceReporter, origin: Signals, decoded: Decoded) -> None:
+        self._decoded += 1
+        self._publish(self._plate.name, DECODED, reporter.decoded(header_of(origin), decoded))
+
     def _deliver(self, reporter: SurfaceReporter, origin: Signals, surface: SurfaceReading) -> None:
         name, header = self._plate.name, header_of(origin)
         for event in surface.events:
@@ -165,8 +175,6 @@ class FollowedPlate:
             self._publish(name, CONTACT_EVENT, reporter.event(own, event))
         if origin is not self._delivered:  # else it was decoded before: contacts have ended without a frame
             self._delivered = origin
-            self._decoded += 1
-            self._publish(name, DECODED, reporter.decoded(header, surface.decoded))
             self._publish(name, DECODED_SUMMARY, reporter.summary(header, surface))
         self._publish(name, CONTACTS, reporter.contacts(header, surface))
 

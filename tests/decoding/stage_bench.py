@@ -13,7 +13,7 @@ from skin_scenes import DEPTH_M, NU, E, grid, noisy, press
 from resonator_daemon.decoding import Decoded, Patch
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
 
@@ -36,7 +36,15 @@ class Stage:
         self.delivered: asyncio.Queue[tuple[str, SurfaceReading]] = asyncio.Queue()
         self.announced: list[str] = []
         self.called_in: set[threading.Thread] = set()
-        self.stage = DecodingStage[str](skin, wanted, self._deliver, self._announce)
+        self.maps: list[tuple[str, Decoded]] = []
+        self.stage = self.make_stage(skin, wanted)
+
+    def make_stage(self, skin: Skin, wanted: Wanted, before: SkinDecoder | None = None) -> DecodingStage[str]:
+        return DecodingStage[str](skin, wanted, self._deliver_map, self._deliver, self._announce, before)
+
+    def _deliver_map(self, origin: str, decoded: Decoded) -> None:
+        self.called_in.add(threading.current_thread())
+        self.maps.append((origin, decoded))
 
     def _deliver(self, origin: str, reading: SurfaceReading) -> None:
         self.called_in.add(threading.current_thread())
@@ -75,8 +83,11 @@ class SubstituteDecoder:
     def fits(self, noise_std: Floats) -> bool:
         return bool(noise_std[0, 0] == self.built_for[0, 0])
 
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
-        return SurfaceReading(self.name, Decoded(signals, signals, None, False, 0.0, float(signals[0, 0]), "ok", ""))
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        return Decoded(signals, signals, None, False, 0.0, float(signals[0, 0]), "ok", "")
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        return SurfaceReading(self.name, decoded)
 
     def succeed(self, other: "SubstituteDecoder") -> tuple[SkinEvent, ...]:
         return ()
@@ -92,11 +103,11 @@ class HeldDecoder(SubstituteDecoder):
     released: threading.Semaphore
     threads: set[threading.Thread]
 
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
         self.threads.add(threading.current_thread())
         self.entered.put(float(signals[0, 0]))
         assert self.released.acquire(timeout=DEADLINE_S)
-        return super().decode(signals, noise_std)
+        return super().decode_map(signals, noise_std)
 
     @classmethod
     async def wait_until_entered(cls) -> float:

@@ -31,6 +31,7 @@ from stage_bench import (
 )
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding import stage as stage_module
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
@@ -181,12 +182,18 @@ async def test_setting_up_is_announced_until_it_is_done_and_done_once(
 
 
 class SometimesFailing(SkinDecoder):
-    """Fails on frames whose first signal is 7."""
+    """Fails on frames whose first signal is 7, and on the contacts of those where it is 8."""
 
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
         if signals[0, 0] == 7.0:
             raise ZeroDivisionError("seven")
-        return super().decode(signals, noise_std)
+        self.fails_later = signals[0, 0] == 8.0
+        return super().decode_map(signals, noise_std)
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        if self.fails_later:
+            raise ZeroDivisionError("eight")
+        return super().read_contacts(decoded)
 
 
 async def test_a_decoder_that_fails_on_a_frame_flags_it_ends_the_contacts_and_goes_on(
@@ -213,15 +220,58 @@ async def test_a_decoder_that_fails_on_a_frame_flags_it_ends_the_contacts_and_go
     assert "Traceback" in caplog.text
 
 
+async def test_contacts_that_cannot_be_read_end_and_their_map_was_told_before(
+    substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    substitute(SometimesFailing)
+    stage = Stage()
+    async with stage.running():
+        for seed in range(2):
+            await stage.read(pressed(seed))
+        failed = await stage.read(marked(8.0))
+        after = [await stage.read(pressed(seed)) for seed in range(2)]
+    assert [decoded.status for _, decoded in stage.maps] == ["ok"] * 5
+    assert (failed.decoded.status, failed.contacts) == ("rejected", ())
+    assert "ZeroDivisionError('eight')" in failed.decoded.reason
+    assert [(event.event, event.contact.id) for event in failed.events] == [("release", 1)]
+    assert [(event.event, event.contact.id) for event in after[1].events] == [("onset", 2)]
+    assert "Traceback" in caplog.text
+
+
+async def test_the_map_is_told_before_the_contacts_are_read(substitute: Callable[[Any], None]) -> None:
+    asked, released = threading.Event(), threading.Event()
+
+    class Slow(SubstituteDecoder):
+        def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+            asked.set()
+            assert released.wait(DEADLINE_S)
+            return super().read_contacts(decoded)
+
+    substitute(Slow)
+    stage = Stage()
+    async with stage.running():
+        stage.stage.offer("frame", marked(5.0), NOISE)
+        assert await asyncio.to_thread(asked.wait, DEADLINE_S)
+        ((origin, decoded),) = stage.maps
+        assert (origin, decoded.chi2) == ("frame", 5.0)
+        assert stage.delivered.empty()
+        released.set()
+        assert (await stage.next())[1].decoded is decoded
+
+
 class Watched(SkinDecoder):
     """Notes in which threads it works."""
 
     decoding: set[str]
     rebuilding: "queue.Queue[str]"
 
-    def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
         self.decoding.add(threading.current_thread().name)
-        return super().decode(signals, noise_std)
+        return super().decode_map(signals, noise_std)
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        self.decoding.add(threading.current_thread().name)
+        return super().read_contacts(decoded)
 
     def rebuild(self) -> None:
         super().rebuild()
@@ -290,9 +340,9 @@ async def test_the_linear_algebra_keeps_to_one_thread_meanwhile(substitute: Call
     seen: list[set[int]] = []
 
     class Counting(SubstituteDecoder):
-        def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
+        def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
             seen.append(blas_threads())
-            return super().decode(signals, noise_std)
+            return super().decode_map(signals, noise_std)
 
     substitute(Counting)
     stage = Stage()

@@ -7,7 +7,6 @@ import pytest
 from stage_bench import LINEAR, NAN, NOBODY, NOISE, SITES, SKIN, HeldDecoder, Stage, marked, pressed
 
 from resonator_daemon.decoding.skin_contacts import SkinEvent
-from resonator_daemon.decoding.stage import DecodingStage
 
 
 async def test_an_interruption_ends_contacts_under_the_last_frame_and_only_then() -> None:
@@ -83,7 +82,7 @@ async def test_a_stage_that_takes_anothers_place_ends_its_contacts_and_counts_on
         for seed in range(2):
             await first.read(pressed(seed))
     second = Stage()
-    second.stage = DecodingStage[str](SKIN, LINEAR, second._deliver, second._announce, first.stage.latest)
+    second.stage = second.make_stage(SKIN, LINEAR, first.stage.latest)
     assert second.stage.latest is first.stage.latest
     async with second.running():
         readings = [await second.read(pressed(seed)) for seed in range(2)]

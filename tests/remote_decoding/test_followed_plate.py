@@ -50,10 +50,10 @@ class Followed:
         self._signals.take(incoming(self._signals.topic_filter, encode(message)))
 
     async def read(self, message: Signals) -> None:
-        """Send a frame and wait until it is decoded."""
-        before = self.account.decoded
+        """Send a frame and wait until its contacts are told, too."""
+        before = len(self.on("decoded/summary"))
         self.send(message)
-        await until(lambda: self.account.decoded > before)
+        await until(lambda: len(self.on("decoded/summary")) > before and self.on("contacts")[-1].seq == message.seq)
 
     @property
     def account(self) -> Any:
@@ -86,7 +86,9 @@ async def test_results_are_those_of_the_daemons_own_stage(wanted: Wanted) -> Non
     noise = frames[0].noise_std.astype(np.float64)
     set_up(SKIN, wanted, noise, [].append)  # into the cache: both take it from there, laid out in memory alike
     delivered: asyncio.Queue[tuple[Signals, SurfaceReading]] = asyncio.Queue()
-    stage = DecodingStage[Signals](SKIN, wanted, lambda *result: delivered.put_nowait(result), [].append)
+    stage = DecodingStage[Signals](
+        SKIN, wanted, lambda *_: None, lambda *result: delivered.put_nowait(result), [].append
+    )
     running = asyncio.create_task(stage.run())
     reporter = SurfaceReporter(np.arange(100, 244), SITES_M, info().grid, "host-1")
     expected: dict[str, list[bytes]] = {"decoded": [], "decoded/summary": [], "contacts": [], "contacts/event": []}
