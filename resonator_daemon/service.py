@@ -8,14 +8,12 @@ import secrets
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.clock import Instant
-from resonator_daemon.acquisition.fit import oscillator_hz
 from resonator_daemon.acquisition.frames import (
     Arrival,
     BoardOnline,
@@ -29,40 +27,17 @@ from resonator_daemon.acquisition.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
-from resonator_daemon.chains import Chain, make_chain
 from resonator_daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
-from resonator_daemon.config import Config, Measurement, ReplayLink, plate_name
+from resonator_daemon.config import Config, Measurement, plate_name
 from resonator_daemon.daemon_state import DaemonStanding, DaemonState
-from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.skin import Skin, Wanted
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.decoding.stage import SWITCH_S, DecodingStage
-from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.decoding.stage import SWITCH_S
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.health import HealthMonitor
-from resonator_daemon.latency import Latencies
-from resonator_daemon.measurement.comb_chain import CombChain
-from resonator_daemon.measurement.contacts import ContactEvent
-from resonator_daemon.measurement.readings import ForceReading, SkinReading
-from resonator_daemon.measurement.single_tone_chain import ONSET_FRAMES, SingleToneChain
-from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.measuring import Measuring, useful_together
 from resonator_daemon.outlet import Outlet
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, RecordingInfo, State
-from resonator_daemon.publishing.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
-    FORCES,
-    HEALTH,
-    INFO,
-    SIGNALS,
-    STATE_DAEMON,
-    STATE_LINK,
-    STATE_SENSOR,
-    Topic,
-)
+from resonator_daemon.publishing.topics import HEALTH, INFO, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.recording_commands import RecordingCommands
 from resonator_daemon.reports import Reporter
 from resonator_daemon.sensor_state import SensorState
@@ -98,26 +73,23 @@ class Service:
         self._arrived = asyncio.Event()
         wake = self._wake_from(asyncio.get_running_loop())
         self._recording = RecordingSwitch()
-        steps = _steps(config.plate, config.measurement)
+        steps = useful_together(config.plate, config.measurement)
         self._reader = BoardReader(config.link, config.plate, wake, step_frames=steps, tap=self._recording.tap)
         self._daemon_boot_id = secrets.token_hex(8)
         self._reporter = Reporter(config, self._daemon_boot_id, self._lost)
         self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
-        self._latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon)
         self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
-        self._silence = Silence(asyncio.get_running_loop(), self._end_contacts)
+        self._measuring = Measuring(config, self._reporter, self._sensor, self._publish)
+        self._silence = Silence(asyncio.get_running_loop(), self._measuring.end_contacts)
         self._board: BoardOnline | None = None
         self._boots = 0
         self._limits_hz: Mapping[str, float] = {}  # of topics whose rate a command has lowered
         self._link: LinkChange | None = None
         self._outage: Outage | None = None
-        self._chain: Chain | None = None
-        self._stage = self._make_stage()
         self._board_boot_id: int | None = None
-        self._last_forces: tuple[ForceReading, Instant] | None = None
         self._fatal: OperatorError | None = None
         self._stopping = False
         self._started_utc_ns = time.time_ns()
@@ -130,9 +102,10 @@ class Service:
         self._reader.start()
         try:
             async with self._tasks:
-                helpers = [self._tasks.create_task(self._keep_reporting(), name="health")]
-                if self._stage is not None:
-                    helpers.append(self._tasks.create_task(self._stage.run(), name="decoding"))
+                helpers = [
+                    self._tasks.create_task(self._keep_reporting(), name="health"),
+                    self._tasks.create_task(self._measuring.run(), name="decoding"),
+                ]
                 self._daemon.become(Condition.ONLINE, "measuring", self._started_utc_ns)
                 self._sensor.no_frames("the link is being opened")
                 if self._config.name is not None:
@@ -202,11 +175,11 @@ class Service:
 
     def _force_chain(self) -> ForceChain | None:
         online = self._link is not None and self._link.state == "online"
-        return self._chain if online and isinstance(self._chain, SingleToneChain | CombChain) else None
+        return self._measuring.force_chain if online else None
 
     def _settings_changed(self, measurement: Measurement, limits_hz: Mapping[str, float]) -> None:
         self._reporter.measurement = measurement
-        self._reader.wake_at(_steps(self._config.plate, measurement))
+        self._reader.wake_at(useful_together(self._config.plate, measurement))
         self._limits_hz = dict(limits_hz)
         self._say_info()
 
@@ -243,10 +216,8 @@ class Service:
 
     def _handle(self, arrival: Arrival) -> None:
         match arrival:
-            case SingleToneFrame():
-                self._measure_single_tone(arrival)
-            case ChannelisedFrame():
-                self._measure_channelised(arrival)
+            case SingleToneFrame() | ChannelisedFrame():
+                self._measuring.measure(arrival)
             case Gap():
                 log.debug(
                     "gap of %d frames before frame %d", arrival.loss.total, arrival.first_index + arrival.loss.total
@@ -281,21 +252,13 @@ class Service:
                 return
         if board.boot_id != self._board_boot_id:
             self._boots += 1
-        if self._chain is None or not board.continues:
+        if self._board is None or not board.continues:
             self._board_boot_id = board.boot_id
-            self._begin_measuring(board)
+            self._measuring.begin(board)
         self._board = board
         self._recording.name_board(board)
         self._reporter.board_boot_id = f"{board.boot_id:08x}"
         self._say_info()
-
-    def _begin_measuring(self, board: BoardOnline) -> None:
-        if self._chain is None:
-            self._chain = make_chain(self._config, oscillator_hz(board.description))
-        elif isinstance(self._chain, SkinChain):
-            self._chain.restart()
-        else:
-            self._tell_of_last_forces(self._chain.restart())
 
     def _refuse(self, refused: BoardRefused) -> None:
         if self._board_boot_id is not None:
@@ -303,100 +266,6 @@ class Service:
         error = IncompatibleBoardError if refused.other_protocol else ConfigError
         self._fatal = error(*refused.problems)
         self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
-
-    def _measure_single_tone(self, frame: SingleToneFrame) -> None:
-        if isinstance(self._chain, SingleToneChain):
-            reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
-            self._publish_forces(reading, frame.gate_middle)
-
-    def _measure_channelised(self, frame: ChannelisedFrame) -> None:
-        if isinstance(self._chain, SkinChain):
-            self._measure_signals(self._chain, frame)
-        elif isinstance(self._chain, CombChain):
-            reading = self._chain.push(
-                frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
-            )
-            self._publish_forces(reading, frame.gate_middle)
-
-    def _publish_forces(self, reading: ForceReading | None, gate_middle: Instant) -> None:
-        if reading is None:
-            return
-        self._last_forces = (reading, gate_middle)
-        self._tell(reading.events, reading, gate_middle)
-        if reading.at_step:
-            compensation = reading.compensation
-            self._sensor.update(
-                reading.status,
-                reading.reason,
-                compensation.common_mode,
-                gate_middle.utc_ns,
-                compensation.plate_kelvin,
-            )
-            self._count_latency(FORCES, gate_middle)
-            self._publish(FORCES, self._reporter.forces(reading, gate_middle))
-            self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
-
-    def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
-        for event in events:
-            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_middle))
-
-    def _tell_of_last_forces(self, events: Sequence[ContactEvent]) -> None:
-        if self._last_forces is not None:
-            self._tell(events, *self._last_forces)
-
-    def _end_contacts(self, reason: str) -> None:
-        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
-        if isinstance(self._chain, SingleToneChain | CombChain):
-            self._tell_of_last_forces(self._chain.end_contacts(reason))
-        elif self._stage is not None:
-            self._stage.interrupt(reason)
-
-    def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
-        reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
-        self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
-        self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
-        if self._stage is not None and reading.status == "ok":
-            self._stage.offer((reading, frame.gate_middle), reading.signals, reading.noise_std)
-
-    def _make_stage(self) -> DecodingStage[tuple[SkinReading, Instant]] | None:
-        skin, wanted = self._config.plate.skin, self._config.decoding
-        if skin is None:
-            return None
-        if wanted.method == "off":
-            self._sensor.explain("decoding is off")
-            return None
-        if wanted.apart:
-            self._sensor.explain("decoded by another process: resonatord decode")
-            return None
-        half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
-        return DecodingStage(
-            Skin(
-                half_space,
-                self._config.plate.site_positions_m,
-                skin.depth_m,
-                skin.gain_std,
-                skin.correlation_length_m,
-                skin.tangential_ratio,
-            ),
-            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
-            self._decoded_map,
-            self._decoded,
-            self._sensor.explain,
-        )
-
-    def _decoded_map(self, origin: tuple[SkinReading, Instant], decoded: Decoded) -> None:
-        self._count_latency(DECODED, origin[1])
-        self._publish(DECODED, self._reporter.decoded(*origin, decoded))
-
-    def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
-        for event in surface.events:
-            self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
-        self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
-        self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
-
-    def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
-        if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording
-            self._latencies.count(topic, gate_middle)
 
     def _say_daemon(self, standing: DaemonStanding) -> None:
         self._publish(STATE_DAEMON, self._reporter.daemon_state(standing))
@@ -423,9 +292,9 @@ class Service:
             self.link_account,
             self.message_account,
             self._reader.clock_rate_ppm,
-            self._stage.frames_skipped if self._stage is not None else 0,
-            dict(self._chain.unusable) if isinstance(self._chain, SingleToneChain) else {},
-            latency=self._latencies.info(),
+            self._measuring.frames_not_decoded,
+            self._measuring.records_unusable,
+            latency=self._measuring.latencies.info(),
             recording=RecordingInfo(file=str(running.path), since_t_ns=running.since_utc_ns, failure=running.failure)
             if running
             else None,
@@ -434,13 +303,6 @@ class Service:
         health = Health(**self._reporter.header(HEALTH), **vitals)
         self._publish(HEALTH, health)
         return health
-
-
-def _steps(plate: Plate, measurement: Measurement) -> tuple[int, ...]:
-    """How many frames are of use together: those that may tell of an onset, and those of a message."""
-    if plate.counter.kind != "single-tone":
-        return (1,)
-    return ONSET_FRAMES, round(measurement.step_s * plate.counter.frame_rate_hz)
 
 
 def _what_is_read(plate: Plate) -> str:
