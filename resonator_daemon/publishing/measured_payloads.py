@@ -128,7 +128,7 @@ class ContactEvent(Measured):
     reason: str = Field(
         "",
         description="why a contact is released, empty for other events: its force has fallen, it is `no longer felt`, "
-        "nothing was known of it for too long, or the board started anew",
+        "nothing was known of it for too long, no frames or signals came for 0.5 s, or the board started anew",
     )
     contact: EventContact = Field(
         description="its last state: the force of one that is no longer felt may be null already"
