@@ -109,7 +109,7 @@ class View:
         ]
         pid = self._system.parts[DECODER].pid
         online = [state["decoder_id"] for state in states if state["state"] == "online"]
-        if [identifier.endswith(f"-{pid}") for identifier in online] != [True]:
+        if [f"-{pid}-" in identifier for identifier in online] != [True]:
             return f"decoders online: {online}, the living one is {pid}; {[(s['state'], s['reason']) for s in states]}"
         decoded = f"{NAME}/decoded"
         if self._came[decoded] < _FLOWING or self._read(decoded)["decoder_id"] != online[0]:

@@ -54,12 +54,16 @@ def _run(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> ExitCode:
     from resonator_daemon import code_check
     from resonator_daemon.config import load_config
+    from resonator_daemon.decoder_config import is_decoders_own, load_decoder_config
 
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     try:
-        config = load_config(options.file)
-        notes, findings = config.notes, code_check.findings(config.plate)
+        if is_decoders_own(options.file):
+            notes = load_decoder_config(options.file).mqtt.notes
+        else:
+            config = load_config(options.file)
+            notes, findings = config.notes, code_check.findings(config.plate)
     except OperatorError as error:
         findings = error.messages
     if options.json:
@@ -129,10 +133,10 @@ def _record(options: argparse.Namespace) -> None:
 
 
 def _watch(options: argparse.Namespace) -> None:
-    from resonator_daemon.config import load_broker
+    from resonator_daemon.config import load_client
     from resonator_daemon.view.watch import broker_at, watch
 
-    broker = load_broker(options.config) if options.config else broker_at(options.url, options.prefix)
+    broker = load_client(options.config).mqtt if options.config else broker_at(options.url, options.prefix)
     asyncio.run(watch(broker, as_json=options.json, full_rate=options.full_rate))
 
 

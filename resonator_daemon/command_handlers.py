@@ -183,6 +183,10 @@ class CommandHandlers:
         return IdentifyAnswer()
 
     def _force_chain(self) -> ForceChain:
+        if self._plate.skin is not None:
+            raise CommandRefusedError(
+                "not_ready", "the plate has a skin, and no force sites", "its zero is followed by itself"
+            )
         if (chain := self._parts.force_chain()) is None:
             raise CommandRefusedError(
                 "not_ready", "no force sites are being measured", "see state/link and state/sensor"

@@ -327,12 +327,16 @@ def load_config(path: Path) -> Config:
     return load_model(Config, read_toml(path), context=path.parent)
 
 
-class _Subscriber(Table):
+class Client(Table):
+    """What those need to know who watch or ask daemons: the broker, and which daemon, by its name or its link."""
+
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = None
+    link: Annotated[LinkTarget, PlainValidator(parse_link)] | None = None
     mqtt: Mqtt = Mqtt()
 
 
-def load_broker(path: Path) -> Mqtt:
-    """Load the table [mqtt] of any configuration; what else is there is passed over.
+def load_client(path: Path) -> Client:
+    """Load what a client needs of a configuration: of the daemon's, or of a file of its own.
 
     Raises
     ------
@@ -340,8 +344,9 @@ def load_broker(path: Path) -> Mqtt:
         One message for each finding.
     """
     file = read_toml(path)
-    content = {key: value for key, value in file.content.items() if key in _Subscriber.model_fields}
-    return load_model(_Subscriber, replace(file, content=content), context=path.parent).mqtt
+    of_the_daemon = Config.model_fields.keys() - Client.model_fields.keys()
+    content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
+    return load_model(Client, replace(file, content=content), context=path.parent)
 
 
 def example_config() -> str:

@@ -10,6 +10,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
 
 _BOOT_ID_LENGTH_MAX: Final = 64
+_OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may say so
 
 log = logging.getLogger(__name__)
 
@@ -28,9 +29,9 @@ class DaemonState:
     """Announces each change of the daemon's state; to be used from the event loop's thread only.
 
     Two daemons of one name overwrite each other's states. Each hears what is published on its `state/daemon`: a live
-    message of another boot id is a conflict, said once by both, until the other says that it is offline. An `offline`
-    of another is the will of an earlier run which came late: the present state is announced again. What the broker
-    had retained tells nothing: it may be of a daemon that is long gone.
+    message of another boot id is a conflict, said once by both, until the other says that it is offline. Any other
+    `offline` is a will that came late, of an earlier run or connection: the present state is announced again. What the
+    broker had retained tells nothing: it may be of a daemon that is long gone.
 
     Parameters
     ----------
@@ -38,17 +39,23 @@ class DaemonState:
         Of this run.
     announce
         Publishes a standing.
+    restore
+        Publishes again what is retained under this name: another wrote over it.
     """
 
-    def __init__(self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None]) -> None:
+    def __init__(
+        self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None], restore: Callable[[], None]
+    ) -> None:
         self._daemon_boot_id = daemon_boot_id
         self._announce = announce
+        self._restore = restore
         self._condition = Condition.STARTING
         self._reason = ""
         self._since_utc_ns = time.time_ns()
         self._connections = 0
         self._connected_utc_ns: int | None = None
         self._others: set[str] = set()
+        self._ended = False
 
     @property
     def standing(self) -> DaemonStanding:
@@ -64,6 +71,10 @@ class DaemonState:
         self._condition, self._reason, self._since_utc_ns = condition, reason, since_utc_ns
         self._announce(self.standing)
 
+    def end(self) -> None:
+        """Say nothing more: the farewell that comes next is the last word."""
+        self._ended = True
+
     def connected(self, number: int) -> None:
         """Take note of the connection to the broker of this number, which begins now."""
         self._connections, self._connected_utc_ns = number, time.time_ns()
@@ -72,7 +83,7 @@ class DaemonState:
 
     def heard(self, message: Incoming) -> None:
         """Take a message that came on this daemon's `state/daemon`, whoever sent it."""
-        if message.retained:
+        if message.retained or self._ended:
             return
         try:
             content = json.loads(message.payload)
@@ -81,14 +92,14 @@ class DaemonState:
             return
         if not isinstance(boot_id, str) or not boot_id.isprintable() or not 0 < len(boot_id) <= _BOOT_ID_LENGTH_MAX:
             return
-        if boot_id == self._daemon_boot_id:
-            return
         if state == Condition.OFFLINE:
             if boot_id in self._others:
                 log.warning("the other daemon of this name (boot id %s) is gone", boot_id)
                 self._others.remove(boot_id)
+            if boot_id != self._daemon_boot_id:
+                self._restore()
             self._announce(self.standing)
-        elif boot_id not in self._others:
+        elif boot_id not in (self._daemon_boot_id, *self._others) and len(self._others) < _OTHERS_MAX:
             self._others.add(boot_id)
             log.warning(
                 "another daemon (boot id %s) publishes under this name on %s; "

@@ -54,3 +54,15 @@ def load_decoder_config(path: Path) -> DecoderConfig:
     of_the_daemon = Config.model_fields.keys() - DecoderConfig.model_fields.keys()
     content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
     return load_model(DecoderConfig, replace(file, content=content), context=path.parent)
+
+
+def is_decoders_own(path: Path) -> bool:
+    """Whether a file is a decoder's alone: it says how to decode, and names neither plate nor link.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read.
+    """
+    keys = read_toml(path).content.keys()
+    return "decoding" in keys and not keys & {"plate", "link"}

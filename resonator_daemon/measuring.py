@@ -65,6 +65,7 @@ class Measuring:
         self._chain: Chain | None = None
         self._stage = self._make_stage()
         self._last_forces: tuple[ForceReading, Instant] | None = None
+        self._told: tuple[SkinReading, Instant] | None = None  # whose summary was published last
 
     async def run(self) -> None:
         """Decode, where there is a skin to be decoded, until cancelled."""
@@ -189,7 +190,9 @@ class Measuring:
     def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
         for event in surface.events:
             self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
-        self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
+        if origin is not self._told:  # else its contacts have ended since, without another frame
+            self._told = origin
+            self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
         self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
 
     def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:

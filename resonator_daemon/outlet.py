@@ -111,6 +111,11 @@ class Outlet:
         if self._publisher is not None:
             await self._publisher.run()
 
+    def restore(self) -> None:
+        """Publish again what is retained."""
+        if self._publisher is not None:
+            self._publisher.restore()
+
     def set_rate(self, path: str, rate_hz: float | None) -> None:
         """Lower the rate of a stream; None: no longer."""
         if self._publisher is not None:

@@ -14,6 +14,7 @@ from resonator_daemon.acquisition.recording_switch import (
 from resonator_daemon.config import Config, ReplayLink
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.publishing.commands import CommandRefusedError
+from resonator_daemon.publishing.payloads import RecordingInfo
 from resonator_daemon.publishing.verbs import (
     Mark,
     MarkAnswer,
@@ -62,7 +63,7 @@ class RecordingCommands:
             self._label = request.label
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
-            return StartRecordingAnswer(file=_text(now.path), since_t_ns=now.since_utc_ns, already=False)
+            return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=False)
 
     async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
         async with self._one_at_a_time:
@@ -87,8 +88,10 @@ class RecordingCommands:
         if now.failure is not None:
             raise _ended(now)
         if label is not None and label != self._label:
-            raise CommandRefusedError("recording", f"{_text(now.path)} is being recorded", "send stop_recording first")
-        return StartRecordingAnswer(file=_text(now.path), since_t_ns=now.since_utc_ns, already=True)
+            raise CommandRefusedError(
+                "recording", f"{as_json_text(now.path)} is being recorded", "send stop_recording first"
+            )
+        return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=True)
 
     def _begin(self, path: Path) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -103,22 +106,28 @@ def _file_name(name: str, now: datetime, label: str | None) -> str:
 def _ended(now: RecordingNow) -> CommandRefusedError:
     return CommandRefusedError(
         "recording_failed",
-        f"{_text(now.path)} takes nothing more: {now.failure}",
+        f"{as_json_text(now.path)} takes nothing more: {as_json_text(now.failure)}",
         "send stop_recording, then start_recording",
     )
 
 
 def _told(summary: RecordingSummary) -> RecordingSummaryInfo:
     return RecordingSummaryInfo(
-        file=_text(summary.file),
+        file=as_json_text(summary.file),
         file_bytes=summary.file_bytes,
         events=summary.events,
         events_missing=summary.events_missing,
         duration_s=summary.seconds,
-        failure=summary.failure,
+        failure=as_json_text(summary.failure) if summary.failure else None,
     )
 
 
-def _text(path: Path) -> str:
-    """Return a path as JSON can hold it: bytes that are no UTF-8 are replaced."""
-    return str(path).encode(errors="replace").decode()
+def recording_info(now: RecordingNow) -> RecordingInfo:
+    """Return what `health` says of a recording that runs."""
+    failure = as_json_text(now.failure) if now.failure else None
+    return RecordingInfo(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, failure=failure)
+
+
+def as_json_text(text: object) -> str:
+    """Return a path, or a text with one in it, as JSON can hold it: bytes that are no UTF-8 are replaced."""
+    return str(text).encode(errors="replace").decode()

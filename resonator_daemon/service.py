@@ -36,9 +36,9 @@ from resonator_daemon.health import HealthMonitor
 from resonator_daemon.measuring import Measuring, useful_together
 from resonator_daemon.outlet import Outlet
 from resonator_daemon.plate import Plate
-from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, RecordingInfo, State
+from resonator_daemon.publishing.payloads import Condition, Health, Lost, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, INFO, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.recording_commands import RecordingCommands
+from resonator_daemon.recording_commands import RecordingCommands, recording_info
 from resonator_daemon.reports import Reporter
 from resonator_daemon.sensor_state import SensorState
 from resonator_daemon.silence import Silence
@@ -80,7 +80,7 @@ class Service:
         self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
-        self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon)
+        self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon, self._outlet.restore)
         self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
         self._measuring = Measuring(config, self._reporter, self._sensor, self._publish)
         self._silence = Silence(asyncio.get_running_loop(), self._measuring.end_contacts)
@@ -114,6 +114,7 @@ class Service:
                 for helper in helpers:
                     helper.cancel()
                 self._report_health()  # the last word on what was counted
+                self._daemon.end()
                 await self._outlet.close(wait_for_broker=self._fatal is not None)
         finally:
             await asyncio.to_thread(self._reader.stop)
@@ -295,9 +296,7 @@ class Service:
             self._measuring.frames_not_decoded,
             self._measuring.records_unusable,
             latency=self._measuring.latencies.info(),
-            recording=RecordingInfo(file=str(running.path), since_t_ns=running.since_utc_ns, failure=running.failure)
-            if running
-            else None,
+            recording=recording_info(running) if running else None,
             commands=self._outlet.command_counts,
         )
         health = Health(**self._reporter.header(HEALTH), **vitals)

@@ -4,7 +4,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Final
 
-SILENT_S: Final = 0.5  # as long as a contact of which nothing is known is kept while frames do come
+CONTACTS_END_S: Final = 0.5  # as long as a contact of which nothing is known is kept while frames do come
 
 
 class Silence:
@@ -28,7 +28,7 @@ class Silence:
         if link_state == "online":
             self.stop()
         elif self._timer is None:
-            self._timer = self._loop.call_later(SILENT_S, self._announce, f"no frames for {SILENT_S:g} s")
+            self._timer = self._loop.call_later(CONTACTS_END_S, self._announce, f"no frames for {CONTACTS_END_S:g} s")
 
     def stop(self) -> None:
         if self._timer is not None:

@@ -155,6 +155,7 @@ class SurfaceReporter:
             **header,
             status=Status(str(surface.decoded.status)),
             contacts=tuple(Contact(**self._contact(contact, header["t_ns"])) for contact in surface.contacts),
+            decoder_id=self._decoder_id,
         )
 
     def event(self, header: MeasuredFields, event: SkinEvent) -> ContactEvent:
@@ -171,6 +172,7 @@ class SurfaceReporter:
                 slip_margin_std=slip["slip_margin_std"],
                 friction_coefficient=slip["friction_coefficient"],
             ),
+            decoder_id=self._decoder_id,
         )
 
     def _contact(self, contact: SkinContact, middle_ns: int) -> ContactFields:

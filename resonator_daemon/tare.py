@@ -7,8 +7,8 @@ from contextlib import aclosing
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.config import Config, load_config, parse_link
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.config import Client, load_client, parse_link
+from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, reach, request
 from resonator_daemon.publishing.subscriber import subscribe
@@ -41,7 +41,9 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
         The configuration cannot be used; no broker, no daemon, or no answer.
     """
     try:
-        config = load_config(config_path)
+        config = load_client(config_path)
+        if config.name is None and config.link is None:
+            raise ConfigError("name: missing; give the name that the daemon publishes under, or the link it reads")
         answer = asyncio.run(_ask(config))
     except OperatorError as error:
         if as_json:
@@ -61,12 +63,12 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
     return ExitCode.DONE if done else ExitCode.FAILED
 
 
-async def _ask(config: Config) -> dict[str, object]:
+async def _ask(config: Client) -> dict[str, object]:
     await reach(config.mqtt)
     return await request(config.mqtt, await _running(config), "tare", {})
 
 
-async def _running(config: Config) -> str:
+async def _running(config: Client) -> str:
     """Find a daemon that is not offline by its name, or by its link: without a name it bears the board's serial number.
 
     The broker keeps both `info` and the daemon's state, so that they come at once.

@@ -92,7 +92,7 @@ def signals(seq: int, values: Floats | None = None, boot: str = BOOT, **change: 
         "noise_std": NOISE.astype(np.float32),
         "status": "ok",
     }
-    return Signals(**header(seq, boot), **(fields | change))
+    return Signals(**(header(seq, boot) | fields | change))
 
 
 def incoming(topic: str, payload: bytes) -> Incoming:

@@ -159,3 +159,13 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
     assert daemon.returncode == 0
     assert "Traceback" not in stderr
     assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")
+
+
+def test_check_takes_a_decoders_own_file(tmp_path: Path) -> None:
+    file = tmp_path / "decoder.toml"
+    file.write_text('[mqtt]\nurl = "mqtt://broker"\n[decoding]\nplates = ["+"]\ngroup = "touch"\n')
+    assert resonatord("check", str(file)).returncode == 0
+    file.write_text('[mqtt]\nurl = "mqtt://broker"\n[decoding]\nplates = ["+"]\nguroup = "touch"\n')
+    refused = resonatord("check", str(file))
+    assert refused.returncode == 78
+    assert "guroup" in refused.stderr

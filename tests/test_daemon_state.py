@@ -24,8 +24,14 @@ def said() -> list[DaemonStanding]:
 
 
 @pytest.fixture
-def state(said: list[DaemonStanding]) -> DaemonState:
-    state = DaemonState("aa", said.append)
+def restored() -> list[None]:
+    """Grows when what is retained is published again."""
+    return []
+
+
+@pytest.fixture
+def state(said: list[DaemonStanding], restored: list[None]) -> DaemonState:
+    state = DaemonState("aa", said.append, lambda: restored.append(None))
     state.become(Condition.ONLINE, "measuring", 5)
     state.connected(1)
     said.clear()
@@ -45,8 +51,26 @@ def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[Da
 
 def test_its_own_messages_say_nothing_new(state: DaemonState, said: list[DaemonStanding]) -> None:
     state.heard(incoming("aa", "online"))
-    state.heard(incoming("aa", "offline"))
     assert said == []
+
+
+def test_its_own_will_of_an_earlier_connection_is_answered_unless_it_has_ended(
+    state: DaemonState, said: list[DaemonStanding]
+) -> None:
+    state.heard(incoming("aa", "offline"))
+    assert [standing.condition for standing in said] == [Condition.ONLINE]
+    state.end()
+    state.heard(incoming("aa", "offline"))
+    assert len(said) == 1
+
+
+def test_strangers_who_claim_to_be_thousands_are_not_listed(
+    state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
+) -> None:
+    for number in range(3000):
+        state.heard(incoming(f"b{number}", "online"))
+    assert len(said) == len(caplog.records) == 4
+    assert len(state.standing.reason) < 400
 
 
 def test_another_daemon_is_told_of_once(
@@ -61,7 +85,9 @@ def test_another_daemon_is_told_of_once(
     assert "boot id bb" in caplog.text
 
 
-def test_the_conflict_is_over_when_the_other_has_gone(state: DaemonState, said: list[DaemonStanding]) -> None:
+def test_the_conflict_is_over_when_the_other_has_gone(
+    state: DaemonState, said: list[DaemonStanding], restored: list[None]
+) -> None:
     state.heard(incoming("bb", "online"))
     state.heard(incoming("cc", "online"))
     state.heard(incoming("bb", "offline"))
@@ -69,11 +95,15 @@ def test_the_conflict_is_over_when_the_other_has_gone(state: DaemonState, said: 
     state.heard(incoming("cc", "offline"))
     assert said[-1].reason == "measuring"
     assert len(said) == 4
+    assert len(restored) == 2  # the other had written over everything
 
 
-def test_a_will_that_comes_late_is_answered(state: DaemonState, said: list[DaemonStanding]) -> None:
+def test_a_will_that_comes_late_is_answered(
+    state: DaemonState, said: list[DaemonStanding], restored: list[None]
+) -> None:
     state.heard(incoming("old", "offline"))
     assert [standing.reason for standing in said] == ["measuring"]
+    assert len(restored) == 1
 
 
 def test_what_was_retained_may_be_of_the_dead(state: DaemonState, said: list[DaemonStanding]) -> None:
@@ -108,7 +138,7 @@ class Pair:
         self.queues: dict[str, deque[Incoming]] = {"aa": deque(), "bb": deque()}
         self.last: dict[str, str] = {}
         self.sent = 0
-        self.states = {name: DaemonState(name, self._publisher(name)) for name in self.queues}
+        self.states = {name: DaemonState(name, self._publisher(name), lambda: None) for name in self.queues}
 
     def _publisher(self, name: str) -> Callable[[DaemonStanding], None]:
         def publish(standing: DaemonStanding) -> None:

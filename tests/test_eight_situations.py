@@ -50,6 +50,35 @@ def since_s(state: dict[str, Any]) -> float:
     return int(state["since_t_ns"]) / S
 
 
+def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1) -> dict[str, Any]:
+    said = {"daemon": {"state": daemon, "reason": "", "connections": 1}}
+    if link is not None:
+        said["link"] = {"state": link, "boots": boots}
+    if sensor is not None:
+        said["sensor"] = {"state": sensor}
+    return said
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        (states("online", "online", "online"), "well"),
+        (states("refused", "online", "waiting"), "daemon refused, sensor waiting"),
+        (states("refused", "lost", "waiting"), "daemon refused, link lost, sensor waiting"),
+        (states("starting", None, None), "daemon starting, link unknown, sensor unknown"),
+        (states("online", None, "waiting"), "link unknown, sensor waiting"),
+        (states("online", "starting", "online"), "link starting"),
+        (states("online", "refused", "drifting"), "link refused, sensor drifting"),
+        (states("online", "online", "pressed_at_start"), "sensor pressed_at_start"),
+        (states("online", "online", "stalled", boots=2), "sensor stalled"),
+        (states("online", "online", "uncalibrated"), "sensor uncalibrated"),
+        (states("online", "online", None), "sensor unknown"),
+    ],
+)
+def test_well_is_said_where_all_three_are_online_alone(told: dict[str, Any], words: str) -> None:
+    assert situation(told) == words
+
+
 async def test_never_started(mosquitto: Mosquitto) -> None:
     states = await seen_late(mosquitto)
     assert states == {}

@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable
 
-from resonator_daemon.silence import SILENT_S, Silence
+from resonator_daemon.silence import CONTACTS_END_S, Silence
 
 
 class Loop:
@@ -37,14 +37,14 @@ def test_a_link_that_stays_away_is_told_of_once() -> None:
     loop, silence, said = watched()
     silence.watch("online")
     silence.watch("lost")
-    loop.pass_by(0.9 * SILENT_S)
+    loop.pass_by(0.9 * CONTACTS_END_S)
     silence.watch("waiting")
-    loop.pass_by(0.05 * SILENT_S)
+    loop.pass_by(0.05 * CONTACTS_END_S)
     assert said == []
-    loop.pass_by(0.1 * SILENT_S)
-    loop.pass_by(10 * SILENT_S)
+    loop.pass_by(0.1 * CONTACTS_END_S)
+    loop.pass_by(10 * CONTACTS_END_S)
     silence.watch("waiting")
-    loop.pass_by(10 * SILENT_S)
+    loop.pass_by(10 * CONTACTS_END_S)
     assert said == ["no frames for 0.5 s"]
 
 
@@ -52,9 +52,9 @@ def test_a_link_that_comes_back_in_time_is_not_told_of() -> None:
     loop, silence, said = watched()
     for _ in range(3):
         silence.watch("stalled")
-        loop.pass_by(0.9 * SILENT_S)
+        loop.pass_by(0.9 * CONTACTS_END_S)
         silence.watch("online")
-        loop.pass_by(5 * SILENT_S)
+        loop.pass_by(5 * CONTACTS_END_S)
     assert said == []
 
 
@@ -62,7 +62,7 @@ def test_each_silence_is_told_of() -> None:
     loop, silence, said = watched()
     for _ in range(2):
         silence.watch("stalled")
-        loop.pass_by(SILENT_S)
+        loop.pass_by(CONTACTS_END_S)
         silence.watch("online")
     assert len(said) == 2
 

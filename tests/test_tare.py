@@ -137,3 +137,19 @@ async def test_no_broker(tmp_path: Path) -> None:
     code, said, told = await tare(tmp_path, f"mqtt://127.0.0.1:{port}")
     assert (code, said) == (69, "")
     assert f"no broker at 127.0.0.1:{port}" in told
+
+
+async def test_a_file_of_name_and_broker_is_enough_and_one_without_either_is_told(
+    mosquitto: Mosquitto, tmp_path: Path
+) -> None:
+    config = tmp_path / "operator.toml"
+    command = (sys.executable, "-m", "resonator_daemon.cli", "tare", "--config", str(config))
+    said = []
+    async with daemon(mosquitto.url, tared):
+        for name in ('name = "left"\n', ""):
+            config.write_text(f'{name}[mqtt]\nurl = "{mosquitto.url}"\n')
+            process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
+            said.append((*await process.communicate(), process.returncode))
+    assert said[0] == (b"common mode taken as untouched\n", b"", 0)
+    assert said[1][1].startswith(b"resonatord: name: missing;")
+    assert said[1][2] == 78

@@ -45,6 +45,10 @@ async def test_both_say_so_until_one_has_gone(
         await heard.until(lambda: said_by(heard, ids[0]) == "measuring")
         state = heard.payloads(STATE)[-1]
         assert (state["daemon_boot_id"], state["state"]) == (ids[0], "online")
+        for topic in ("info", "state/link", "state/sensor", "state/daemon"):
+            full = f"resonator/hand/{topic}"
+            await heard.until(lambda full=full: heard.payloads(full)[-1]["daemon_boot_id"] == ids[0])
+        assert heard.payloads("resonator/hand/info")[-1]["link"] == f"serial:{first.port}?baud=4000000"
         states = len(heard.raw(STATE))
     warnings = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
     for boot_id in ids:

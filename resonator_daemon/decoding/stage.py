@@ -154,7 +154,7 @@ class DecodingStage(Generic[Origin]):
                 log.info("decoder %s ready after %.1f s", decoder.name, time.monotonic() - started)
                 self._announce("")
                 if (before := self.latest) is not None:
-                    ended = decoder.succeed(before)
+                    ended += decoder.succeed(before)
                 self._decoder, self._before = decoder, None
             surface = await loop.run_in_executor(pool, _decode, self._decoder, signals, noise_std)
             decoded = surface.decoded if isinstance(surface, SurfaceReading) else surface
@@ -206,7 +206,13 @@ def announcer(announce: Callable[[str], None], loop: asyncio.AbstractEventLoop) 
 
 def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
     """Build a decoder, or take it from the cache; one of CANNOT_DECODE where that is not possible."""
-    return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
+    try:
+        return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
+    except CANNOT_DECODE:
+        raise
+    except Exception as error:  # whatever a skin from elsewhere is like, others can be decoded
+        log.exception("decoder could not be set up")
+        raise ValueError(f"decoder could not be set up: {error!r}") from error
 
 
 def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:

@@ -19,6 +19,15 @@ class BrokerLimits(NamedTuple):
     qos_max: int = 2
     retains: bool = True
 
+    def within(self, other: "BrokerLimits") -> "BrokerLimits":
+        """Return what both allow."""
+        return BrokerLimits(
+            min(self.receive_maximum, other.receive_maximum),
+            min(self.packet_bytes_max, other.packet_bytes_max),
+            min(self.qos_max, other.qos_max),
+            self.retains and other.retains,
+        )
+
 
 def limits_of(connack: Any) -> BrokerLimits:
     """Read the limits from the properties of CONNACK; None with MQTT 3.1.1."""
@@ -73,8 +82,9 @@ class LargestMessages:
         """Begin a connection; `at_once`: by the first attempt since the last one ended, else the broker was away."""
         self._largest.clear()
         self._awaited.clear()
-        if not at_once:
+        if not at_once:  # another broker may be there, or this one with another limit
             self._suspect = None
+            self._bytes_max = None
             self._taken_bytes = 0
 
     def sent(self, size_bytes: int, topic: str, now_s: float, *, awaited: bool) -> None:

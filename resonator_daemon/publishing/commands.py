@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import read_object
 from resonator_daemon.publishing.token_bucket import TokenBucket
-from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb
+from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb, obeyed
 from resonator_daemon.toml_file import nearest
 
 WAITING_MAX: Final = 32
@@ -26,6 +26,7 @@ COMPLAINTS_PER_SECOND: Final = 1.0
 WARN_AGAIN_S: Final = 60.0
 DEFERRED_S: Final = 8.0  # less than `requests.ANSWER_S`
 RESPONSE_TOPIC_BYTES_MAX: Final = 1024
+RESPONSE_TOPIC_LEVELS_MAX: Final = 100  # Mosquitto ends the connection of whoever publishes to more than 200
 CORRELATION_BYTES_MAX: Final = 1024
 
 _FINDINGS_MAX: Final = 5
@@ -100,6 +101,7 @@ class Commands:
         self._work: set[asyncio.Task[Answer]] = set()
         self._finishing: set[asyncio.Task[None]] = set()
         self._logged: set[tuple[str, type[Exception]]] = set()
+        self._closed = False
         self.counts: Counter[str] = Counter()  # commands by what became of them: done, an error's code, unanswered
 
     @property
@@ -107,8 +109,14 @@ class Commands:
         return f"{self._base}/cmd/+"
 
     def take(self, message: Incoming) -> None:
-        """Take a message; returns at once. What was retained is old, and nobody waits for its answer: passed over."""
+        """Take a message; returns at once. What was retained is old, and nobody waits for its answer: passed over.
+
+        So is what comes after `close`.
+        """
         if message.retained:
+            return
+        if self._closed:
+            self.counts["unanswered"] += 1
             return
         asked = self._asked(message)
         if not self._bucket.take():
@@ -121,7 +129,9 @@ class Commands:
             self._waiting.append(asked)
 
     async def close(self) -> None:
-        """Give up what waits, without an answer."""
+        """Give up what waits, without an answer; from now on no command is obeyed."""
+        self._closed = True
+        self.counts["unanswered"] += len(self._waiting)
         self._waiting.clear()
         for work in self._work:
             work.cancel()
@@ -142,6 +152,7 @@ class Commands:
     def _may_answer_to(self, topic: str) -> bool:
         """Whether a topic can be published to and is none of a daemon's own, which others believe."""
         sound = topic and topic.isprintable() and len(topic.encode()) <= RESPONSE_TOPIC_BYTES_MAX
+        sound = sound and topic.count("/") < RESPONSE_TOPIC_LEVELS_MAX
         if not sound or any(sign in topic for sign in "+#") or topic.startswith("$"):
             return False
         prefix = self._base.rpartition("/")[0]
@@ -185,7 +196,7 @@ class Commands:
         verb, handler = VERBS.get(asked.verb), self._handlers.get(asked.verb)
         if verb is None or handler is None:
             raise CommandRefusedError(
-                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, list(self._handlers))
+                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, obeyed(self._allowed))
             )
         if verb.changes and asked.verb not in self._allowed:
             raise CommandRefusedError(
@@ -204,7 +215,9 @@ class Commands:
             await asyncio.wait({work})
             if not work.cancelled() and (error := work.exception()) is not None:
                 log.warning("command %s, too late for an answer: %s", asked.verb, error)
-        elif not work.cancelled():
+        elif work.cancelled():
+            self.counts["unanswered"] += 1
+        else:
             with self._refusing(asked):
                 self._answer(asked, work.result())
 

@@ -200,6 +200,8 @@ class BrokerClient(aiomqtt.Client):
 
     def _on_connect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
         self.limits = limits_of(properties)
+        if refused := refusals.WILL_LIMITS.get(reason.value):
+            self.limits = self.limits._replace(**refused)
         super()._on_connect(client, userdata, flags, reason, properties)
 
     def _write_on(self) -> None:

@@ -22,6 +22,7 @@ _SYSTEMATIC = (
 )
 _AT_LEAST = "with the status `overload`: the force is at least this; else null"
 _DECODER_ID = "the process that decoded; null: the daemon itself"
+_FOLLOWER_ID = "the process that follows the contacts, and numbers them; null: the daemon itself"
 _NOTHING_TO_SAY = "empty where there is nothing to say"
 
 
@@ -119,6 +120,7 @@ class Contacts(Measured):
     status: Status = Field(description="of the whole message")
     reason: str = Field("", description=_NOTHING_TO_SAY)
     contacts: tuple[Contact, ...] = Field(description="all present contacts")
+    decoder_id: str | None = Field(None, description=_FOLLOWER_ID)
 
 
 class ContactEvent(Measured):
@@ -133,9 +135,11 @@ class ContactEvent(Measured):
     contact: EventContact = Field(
         description="its last state: the force of one that is no longer felt may be null already"
     )
+    decoder_id: str | None = Field(None, description=_FOLLOWER_ID)
     replayed: bool = Field(
         False,
-        description="it waited for a broker, or may have come before: a double has the same `daemon_boot_id` and `seq`",
+        description="it waited for a broker, or may have come before: a double has the same `daemon_boot_id`, "
+        "`decoder_id` and `seq`",
     )
 
 

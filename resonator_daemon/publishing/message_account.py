@@ -26,6 +26,10 @@ class Cause(StrEnum):
     WITHDRAWN = "withdrawn"  # an answer of a connection that is over: whoever asked may be gone, too
 
 
+_ON_REFUSAL: Final = (
+    "; the broker's access rules refuse them to this user: does `name` match its user name or certificate?"
+)
+
 # A connection that is lost, a spool that fails and a message that is too large are said by themselves.
 _SAID: Final = (Cause.QUEUE_FULL, Cause.REFUSED, Cause.SPOOL_FULL)
 
@@ -67,7 +71,8 @@ class Account:
         self._pause_s = NEXT_WORD_S if self._unsaid else FIRST_WORD_S
         if self._unsaid:
             what = ", ".join(f"{count} {topic} ({cause})" for (topic, cause), count in self._unsaid.items())
-            log.warning("messages dropped: %s", what)
+            refused = any(cause is Cause.REFUSED for _, cause in self._unsaid)
+            log.warning("messages dropped: %s%s", what, _ON_REFUSAL if refused else "")
             self._unsaid.clear()
             if not last:
                 self._timer = asyncio.get_running_loop().call_later(self._pause_s, self._say)

@@ -77,7 +77,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
             "response": "off",
         },
     },
-    "Contacts": {**_MEASURED, "status": "ok", "reason": "", "contacts": [_CONTACT]},
+    "Contacts": {**_MEASURED, "status": "ok", "reason": "", "contacts": [_CONTACT], "decoder_id": None},
     "ContactEvent": {
         **_MEASURED,
         "seq": 31,
@@ -92,6 +92,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
             "slip_margin_std": None,
             "friction_coefficient": None,
         },
+        "decoder_id": None,
         "replayed": False,
     },
     "DecodedSummary": {
@@ -149,7 +150,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         "frame_rate_hz": 1000.0,
         "window_s": 0.01,
         "step_s": 0.005,
-        "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0, "health": 1.0},
+        "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0},
         "units": UNITS,
         "commands": ["ping", "health", "snapshot", "tare"],
         "force_max_newton": 10.0,
@@ -233,6 +234,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         },
         "cpu_percent": 97.0,
         "rss_mb": 130.0,
+        "latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
         "messages": {**_MESSAGES, "made": 6060, "acknowledged": 1, "handed_to_socket": 6057, "dropped": {}},
     },
 }

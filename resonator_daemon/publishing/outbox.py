@@ -71,11 +71,6 @@ class Outbox:
     def waiting(self) -> int:
         return self.queued + (len(self._client.in_flight) if self._client is not None else 0)
 
-    @property
-    def stream_bytes(self) -> int:
-        """Payloads of streams that wait."""
-        return self._streams.size_bytes
-
     async def all_sent(self) -> None:
         while self.waiting:
             self._moved.clear()

@@ -13,6 +13,7 @@ from paho.mqtt.packettypes import PacketTypes
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.bounded_queue import Pace
+from resonator_daemon.publishing.broker_limits import BrokerLimits
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.message_account import Account, Cause
@@ -62,7 +63,7 @@ class Publisher:
     make_will
         Makes the last will of each connection.
     subscriptions
-        Renewed with each connection.
+        Renewed with each connection. What `take` raises is logged once, and costs nothing but that message.
     spool_directory
         Where events wait; None: in memory alone.
     on_connected
@@ -89,12 +90,15 @@ class Publisher:
         self._tell_connected = on_connected
         self._tell_denied = on_denied
         self._client: BrokerClient | None = None
+        self._attempt: BrokerClient | None = None  # to connect, the last one
+        self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory)
         self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
         self._slow_paces: dict[str, Pace] = {}  # of decimated copies, by full topic
         self._denied: set[str] = set()  # filters of which it was said
+        self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and what was said of them
         self._closed = False
         self._closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._ended = asyncio.Event()
@@ -155,9 +159,14 @@ class Publisher:
         if self._make(full_topic, Cause.CLOSED if self._closed else None):
             self._outbox.put_state(Packet(full_topic, payload, pack(content_type=content_type)))
 
+    def restore(self) -> None:
+        """Send again the last message of each retained topic, because somebody else wrote over them."""
+        if self._client is not None and not self._closed:
+            self._outbox.restore()
+
     def answer(self, outgoing: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
-        if self._make(outgoing.topic, Cause.WITHDRAWN if self._closed or self._client is None else None):
+        if self._make(outgoing.topic, Cause.WITHDRAWN if self._closed or not self.connected else None):
             properties = pack(content_type=JSON, expiry_s=outgoing.expiry_s, correlation=outgoing.correlation)
             self._outbox.put_answer(Packet(outgoing.topic, outgoing.payload, properties))
 
@@ -204,7 +213,7 @@ class Publisher:
         if farewell is not None:
             self.publish(*farewell)
         self._closed = True
-        if self._client is not None or wait_for_broker:
+        if self.connected or wait_for_broker:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(CLOSE_TIMEOUT_S):
                     await self._outbox.all_sent()
@@ -236,7 +245,7 @@ class Publisher:
                 slow_pace = self._slow_paces[slow] = Pace(topic.slow_hz)
             if slow_pace.lets_pass(t_ns):
                 names.append(slow)
-        refused = Cause.CLOSED if self._closed else Cause.NO_CONNECTION if self._client is None else None
+        refused = Cause.CLOSED if self._closed else None if self.connected else Cause.NO_CONNECTION
         wanted = [name for name in names if self._make(name, refused)]
         if wanted:
             payload, properties = encode(message), properties_of(topic)
@@ -245,21 +254,31 @@ class Publisher:
 
     def _make_client(self, version: aiomqtt.ProtocolVersion) -> BrokerClient:
         will = self._make_will()
+        if self._attempt is not None:
+            self._limits = self._limits.within(self._attempt.limits)
         properties = None
         if version is aiomqtt.ProtocolVersion.V5:
             properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
-        return BrokerClient(
+        self._attempt = BrokerClient(
             self._broker,
             version,
             identifier=self._identifier,
-            will=aiomqtt.Will(will.topic, will.payload, qos=1, retain=will.retained, properties=properties),
+            will=aiomqtt.Will(
+                will.topic,
+                will.payload,
+                qos=min(1, self._limits.qos_max),
+                retain=will.retained and self._limits.retains,
+                properties=properties,
+            ),
             on_published=self._outbox.published,
             on_message=self._received if self._subscriptions else None,
             on_denied=self._on_denied,
         )
+        return self._attempt
 
     async def _serve(self, client: BrokerClient) -> None:
         self._client = client
+        self._limits = client.limits
         self._connections += 1
         self._outbox.connected(client)
         for subscription in self._subscriptions:
@@ -277,7 +296,13 @@ class Publisher:
     def _received(self, message: Incoming) -> None:
         for subscription in self._subscriptions:
             if subscription.matches(message.topic):
-                subscription.take(message)
+                try:
+                    subscription.take(message)
+                except Exception as error:  # a stranger's message must not end the process, whatever it meets
+                    kind = (subscription.topic_filter, type(error))
+                    if kind not in self._defects:
+                        self._defects.add(kind)
+                        log.exception("a message on %s failed; further such failures are not logged", message.topic)
 
     def _on_denied(self, topic_filter: str, reason: str) -> None:
         """Say once what is not heard; with each new connection it would be said again."""

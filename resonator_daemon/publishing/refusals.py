@@ -3,7 +3,7 @@
 import re
 import socket
 import ssl
-from typing import Final
+from typing import Any, Final
 
 import aiomqtt
 
@@ -71,6 +71,10 @@ def of_answer(error: Exception, broker: Mqtt) -> Exception:
         where = f"mqtt.username, mqtt.password_file{shown}"
         return RefusalError(f"it refuses {name} ({getattr(error, 'rc', code)}); see {where}")
     return error
+
+
+# A broker that takes no last will like this one refuses the connection, and may leave out what it does take.
+WILL_LIMITS: Final[dict[int, dict[str, Any]]] = {154: {"retains": False}, 155: {"qos_max": 0}}
 
 
 def code_of(error: Exception) -> int | None:

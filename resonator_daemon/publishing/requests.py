@@ -81,7 +81,7 @@ async def request(
     def take(message: Incoming) -> None:
         try:
             content = json.loads(message.payload)
-        except ValueError:
+        except (ValueError, RecursionError):
             return
         is_answer = isinstance(content, dict) and content.get("verb") == verb and not message.retained
         if is_answer and not answer.done():

@@ -144,7 +144,7 @@ class LatencyInfo(Message):
     """Histogram of the time from the end of a window's last gate to the hand-over of its message to the publisher."""
 
     bounds_ms: tuple[float, ...] = Field(description="upper bounds of all bins but the last, which has none")
-    counts: tuple[int, ...] = Field(description="messages in each bin since the daemon started")
+    counts: tuple[int, ...] = Field(description="messages in each bin since the daemon, or decoder, started")
 
 
 class RecordingInfo(Message):
@@ -225,4 +225,8 @@ class DecoderHealth(Message):
     plates: dict[str, DecoderPlateHealth] = Field(description="by plate")
     cpu_percent: Float = Field(description=_CPU)
     rss_mb: Float = Field(description="memory of the decoder")
+    latency: dict[str, LatencyInfo] = Field(
+        description="of `decoded`, of all plates together: by UTC, the way from the daemon and waiting included; where "
+        "daemon and decoder run on two computers, both clocks must agree, else it is off by what they differ"
+    )
     messages: MessageAccount = Field(description=_MESSAGES)

@@ -77,6 +77,6 @@ def _read(prefix: str, topic: str, payload: bytes) -> Received | None:
     kind = _BY_PATH[path]
     try:
         return Received(plate, kind.path, decode(kind.payload, payload))
-    except ValueError as error:
-        log.warning("%s: message cannot be read: %s", topic, error)
+    except (ValueError, RecursionError, OverflowError) as error:
+        log.warning("%s: message cannot be read: %s", topic, str(error).partition("\n")[0])
         return None

@@ -56,7 +56,7 @@ class Topic(Generic[MessageT]):
 
 _STREAM_EXPIRY_S: Final = 10
 _HEALTH_EXPIRY_S: Final = 60
-_DECODER_EXPIRY_S: Final = 3600  # of a decoder that is gone, by when nobody asks for it any more
+DECODER_EXPIRY_S: Final = 3600  # of a decoder that is gone, by when nobody asks for it any more
 
 STATE_DAEMON: Final = Topic("state/daemon", State, qos=1, retained=True)
 STATE_LINK: Final = Topic("state/link", State, qos=1, retained=True)
@@ -90,7 +90,7 @@ TOPICS: Final[dict[str, Topic[Message]]] = {
 }
 
 # Of a decoder process, below `prefix/decoder/<id>/`.
-DECODER_STATE: Final = Topic("state", DecoderState, qos=1, retained=True, expiry_s=_DECODER_EXPIRY_S)
+DECODER_STATE: Final = Topic("state", DecoderState, qos=1, retained=True, expiry_s=DECODER_EXPIRY_S)
 DECODER_HEALTH: Final = Topic("health", DecoderHealth, expiry_s=_HEALTH_EXPIRY_S)
 
 

@@ -9,10 +9,13 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from connection_bench import DESCRIPTION, IDENTITY
 from emulation import emulated
 from listener import DEADLINE_S, Listener, frames, gaps
+from mcap.reader import make_reader
 from recording_bench import PLATE, at, marks, read, replayed, same
 
+from firmware_protocol.messages import Configuration
 from resonator_daemon.acquisition import recording_switch
 from resonator_daemon.acquisition.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
 from resonator_daemon.acquisition.recording import Recorder
@@ -48,6 +51,27 @@ def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, Seri
 
 def wait_for_frames(it: Listener, more: int) -> None:
     it.wait_for_frames(len(frames(it.arrivals)) + more)
+
+
+def last_standing(folder: Path) -> Standing:
+    """How the link to a board stood while it was open."""
+    standings: list[Standing] = []
+    options, link = pseudo_terminal(folder / "board")
+
+    def collect(event: object) -> None:
+        if isinstance(event, Standing) and event.course.running is not None:
+            standings.append(event)
+
+    with emulated(options), Listener(link, PLATE, tap=collect) as it:
+        it.wait_for_frames(100)
+    return standings[-1]
+
+
+def board_of(path: Path) -> str | None:
+    """The serial number of the board that a file says it is of; None where it says nothing."""
+    with path.open("rb") as file:
+        named = [metadata.metadata for metadata in make_reader(file).iter_metadata() if metadata.name == "board"]
+    return named[0]["serial_number"] if named else None
 
 
 def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[Arrival]:
@@ -274,15 +298,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 
 def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    standings: list[Standing] = []
-    options, link = pseudo_terminal(tmp_path / "board")
-
-    def collect(event: object) -> None:
-        if isinstance(event, Standing):
-            standings.append(event)
-
-    with emulated(options), Listener(link, PLATE, tap=collect) as it:
-        it.wait_for_frames(100)
+    standing = last_standing(tmp_path)
     switch = RecordingSwitch(kept_bytes=5_500)
     for number in range(4):
         switch.tap(Received(at(number), bytes(1_000)))
@@ -291,10 +307,53 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
     assert switch._kept is None
     switch.start(path, PLATE, LINK)
     switch.tap(Received(at(5), bytes(7)))
-    switch.tap(standings[-1])
+    switch.tap(standing)
     switch.tap(Tended(at(6), idle=True))
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (2, 1)
     events, _ = read(path)
-    assert events == [Skipped(standings[-1].now, 1, 7), standings[-1], Tended(at(6), idle=True)]
+    assert events == [Skipped(standing.now, 1, 7), standing, Tended(at(6), idle=True)]
+
+
+def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
+    standing = last_standing(tmp_path)
+    switch = RecordingSwitch(kept_bytes=5_500)
+    received = [Received(at(number), bytes(1_000)) for number in range(3)]
+    for _ in range(4):
+        switch.tap(standing)
+        for event in received:
+            switch.tap(event)
+    path = tmp_path / "run.mcap"
+    switch.start(path, PLATE, LINK)
+    summary = switch.stop()
+    assert summary is not None
+    assert (summary.events, summary.events_missing) == (4, 0)
+    assert read(path) == ([standing, *received], None)
+
+
+def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
+    standing = last_standing(tmp_path)
+    away = standing._replace(course=standing.course._replace(running=None))
+    switch = RecordingSwitch()
+    board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
+    switch.name_board(board)
+    for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", standing)):
+        switch.tap(before)
+        switch.start(tmp_path / name, PLATE, LINK)
+        switch.stop()
+    assert {name: board_of(tmp_path / name) for name in ("nothing", "away", "there")} == {
+        "nothing": None,
+        "away": None,
+        "there": "T-1",
+    }
+
+
+def test_a_board_that_comes_while_it_is_recorded_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    switch = RecordingSwitch()
+    switch.start(path, PLATE, LINK)
+    switch.tap(Opened(at(0)))
+    switch.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
+    switch.stop()
+    assert board_of(path) == "T-1"

@@ -366,9 +366,17 @@ async def test_sites_that_cannot_be_decoded_are_announced_and_end_it(caplog: pyt
     assert stage.delivered.empty()
 
 
-@pytest.mark.parametrize("error", [MemoryError("no room"), OverflowError("too large"), ZeroDivisionError("by zero")])
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError("no room"), "no room"),
+        (OverflowError("too large"), "too large"),
+        (ZeroDivisionError("by zero"), "by zero"),
+        (IndexError("odd"), "decoder could not be set up: IndexError('odd')"),
+    ],
+)
 async def test_a_set_up_that_fails_is_announced_and_ends_it(
-    error: Exception, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+    error: Exception, said: str, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
 ) -> None:
     class Failing(SubstituteDecoder):
         def __init__(self, *arguments: Any) -> None:
@@ -379,8 +387,8 @@ async def test_a_set_up_that_fails_is_announced_and_ends_it(
     async with stage.running() as task:
         stage.stage.offer("frame", NOTHING, NOISE)
         await asyncio.wait_for(task, DEADLINE_S)
-    assert stage.announced[-1] == f"nothing is decoded: {error}"
-    assert [record.levelno for record in caplog.records] == [logging.ERROR]
+    assert stage.announced[-1] == f"nothing is decoded: {said}"
+    assert {record.levelno for record in caplog.records} == {logging.ERROR}
 
 
 async def test_a_programmers_mistake_ends_the_stage_and_is_not_hidden() -> None:

@@ -54,6 +54,24 @@ async def test_releases_go_with_a_frame_that_came_before_they_could_be_told(
     assert stage.delivered.empty()
 
 
+async def test_releases_survive_a_change_of_decoders_before_they_could_be_told(
+    held: type[HeldDecoder], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those of an interruption and those of the decoder that is replaced go with one frame."""
+    monkeypatch.setattr(held, "reset", lambda _: (SkinEvent("release", NOBODY),), raising=False)
+    monkeypatch.setattr(held, "succeed", lambda *_: (SkinEvent("release", NOBODY, "replaced"),))
+    stage = Stage()
+    async with stage.running():
+        held.released.release(3)
+        await stage.read(marked(1.0))
+        stage.stage.interrupt("unplugged")
+        stage.stage.offer("back", marked(2.0), 2 * NOISE)
+        origin, reading = await stage.next()
+    assert origin == "back"
+    assert [event.reason for event in reading.events] == ["unplugged", "replaced"]
+    assert stage.delivered.empty()
+
+
 async def test_each_frame_is_delivered_skipped_or_waits(held: type[HeldDecoder]) -> None:
     stage = Stage()
     stage.stage.offer("before", marked(0.0), NOISE)

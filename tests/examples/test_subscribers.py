@@ -46,6 +46,18 @@ async def test_decoded(broker, language: str) -> None:
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
+async def test_a_frame_of_which_nothing_is_known_ends_nothing(broker, language: str) -> None:
+    nothing = np.full((3, 4, 5), math.nan)
+    await publish(broker.url, "decoded", decoded(5, nothing, Grid(origin_m=(0.0, 0.0), pitch_m=4e-4)))
+    async with running(language, "decoded", broker.url) as program:
+        assert await next_line(program) == "resonator/left/decoded seq 5 nothing known"
+        await publish(broker.url, "decoded", decoded(6, nothing[:, 0], None))
+        assert await next_line(program) == "resonator/left/decoded seq 6 nothing known"
+        await publish(broker.url, "decoded", decoded(7, np.ones((3, 7)), None))
+        assert await next_line(program) == "resonator/left/decoded seq 7 peak 1 Pa at point 0"
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
 async def test_a_restart_of_the_broker_is_survived(mosquitto, language: str) -> None:
     await publish(mosquitto.url, "forces", forces(1, force(7, 1.0)))
     async with running(language, "forces", mosquitto.url) as program:

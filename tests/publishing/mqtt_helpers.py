@@ -5,7 +5,9 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from observer import Observer
 from sample_messages import HEADER as HEADER
 from sample_messages import Messages as Messages
 
@@ -13,9 +15,10 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.publisher import Publisher, Subscription
-from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.publishing.topics import CONTACT_EVENT, STATE_DAEMON
 
 LEFT = "resonator/left"  # base of the topics of the plate "left"
+EVENTS = f"{LEFT}/contacts/event"
 
 
 @dataclass(frozen=True)
@@ -154,3 +157,22 @@ def assert_exact(publisher: Publisher) -> None:
     )
     assert 0 <= account.spooled <= account.waiting
     assert publisher.dropped == sum(account.dropped.values()) - account.dropped.get("superseded", 0)
+
+
+async def happen(left: Publisher, numbers: range) -> None:
+    """Publish events, with an account that is right after each of them."""
+    for number in numbers:
+        left.publish(LEFT, CONTACT_EVENT, Messages.event(number))
+        assert_exact(left)
+        if number % 50 == 49:
+            await asyncio.sleep(0.001)
+
+
+async def heard_events(observer: Observer, last: int) -> list[dict[str, Any]]:
+    """Wait for the last event; return all, doubles of those that were sent before passed over as a subscriber does."""
+    await observer.until_last(EVENTS, seq=last)
+    seen: dict[int, dict[str, Any]] = {}
+    for event in observer.payloads(EVENTS):
+        assert event["replayed"] or event["seq"] not in seen
+        seen.setdefault(event["seq"], event)
+    return list(seen.values())

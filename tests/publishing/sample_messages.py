@@ -237,6 +237,7 @@ class Messages:
             plates={"left": plate},
             cpu_percent=40.0,
             rss_mb=130.0,
+            latency={"decoded": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(5000, 990, 10))},
             messages=ACCOUNT,
         )
 

@@ -208,3 +208,31 @@ def test_small_messages_are_never_suspected() -> None:
         largest.connected(at_once=True)
         largest.sent(900, "small", 0.0, awaited=True)
         assert largest.ended(0.1) is None
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [("retain_available false",), ("max_qos 0",), ("retain_available false", "max_qos 0")],
+    ids=["no retained messages", "QoS 0 alone", "neither"],
+)
+async def test_a_broker_that_would_refuse_the_last_will_is_served_without(
+    tmp_path: Path, settings: tuple[str, ...]
+) -> None:
+    first, *others = ("allow_anonymous true", *settings)
+    broker = Mosquitto(tmp_path, first, *others)
+    await broker.start()
+    async with publishing(broker.url) as left:
+        await until(lambda: left.connected)
+        left.publish(LEFT, topics.STATE_LINK, Messages.state("online", "plugged in"))
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.dropped == {}
+    await broker.kill()
+
+
+def test_another_broker_may_take_more() -> None:
+    largest = LargestMessages()
+    for at_s in (1.0, 2.0):
+        ending(largest, at_s)
+    assert largest.bytes_max(2.0) < 10_000_000
+    largest.connected(at_once=False)
+    assert largest.bytes_max(2.0) > 10_000_000

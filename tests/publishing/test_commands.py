@@ -158,7 +158,7 @@ async def test_an_unknown_verb_is_refused_with_those_that_are_known(bench: Bench
     assert said["error"] == {
         "code": "unknown_verb",
         "message": "no command is called 'pin'",
-        "hint": "allowed: ping, mark, identify; did you mean ping?",
+        "hint": "allowed: ping, health, snapshot, mark, identify; did you mean ping?",
     }
 
 
@@ -316,11 +316,38 @@ async def test_nothing_is_left_after_close(bench: Bench) -> None:
     bench.commands.take(incoming())
     others = asyncio.all_tasks() - {asyncio.current_task()}
     assert any("identify" in task.get_name() for task in others)
+    defects: list[object] = []
+    asyncio.get_running_loop().set_exception_handler(lambda _, context: defects.append(context))
     await bench.commands.close()
     assert not any("identify" in task.get_name() for task in asyncio.all_tasks())
     await bench.settle()
-    assert bench.sent == []
+    assert bench.sent == defects == []
     assert bench.board.cancelled()
+    assert bench.commands.counts == {"unanswered": 2}
+
+
+async def test_a_command_after_close_is_not_obeyed(bench: Bench) -> None:
+    await bench.commands.close()
+    assert await bench.ask(incoming("mark", b'{"text": "too late"}')) == []
+    assert bench.asked == []
+    assert bench.commands.counts == {"unanswered": 1}
+
+
+async def test_a_command_that_comes_while_another_is_given_up_is_not_obeyed(bench: Bench) -> None:
+    async def slow_to_end(request: Identify) -> IdentifyAnswer:
+        try:
+            await bench.board
+        finally:
+            bench.commands.take(incoming())
+            await asyncio.sleep(0)
+        return IdentifyAnswer()
+
+    bench.handlers["identify"] = slow_to_end
+    await bench.ask(incoming("identify"))
+    await bench.commands.close()
+    await bench.settle()
+    assert bench.sent == bench.asked == []
+    assert bench.commands.counts == {"unanswered": 2}
 
 
 def failing(error: Exception) -> Callable[[Tare], Answer]:
@@ -363,3 +390,11 @@ async def test_a_refusal_takes_any_text_and_is_bounded(bench: Bench) -> None:
     await bench.ask(incoming())
     assert bench.codes == ["not_ready"]
     assert len(bench.sent[0].payload) < 10_000
+
+
+@pytest.mark.parametrize(("levels", "obeyed"), [(100, True), (101, False), (300, False)])
+async def test_answers_go_to_topics_that_brokers_take(bench: Bench, levels: int, obeyed: bool) -> None:
+    topic = "/".join(["a"] * levels)
+    (answer,) = await bench.ask(incoming()._replace(response_topic=topic))
+    assert answer["ok"] is obeyed
+    assert (bench.sent[-1].topic == topic) is obeyed

@@ -1,26 +1,32 @@
-"""A broker that dies, freezes, forgets or is slow, and a disk that does not help: no event lost, all accounted for."""
+"""A broker that dies, freezes, forgets or is slow: no event lost, all accounted for."""
 
 import asyncio
 import json
-import logging
 import random
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from brokers import Amqtt, Mosquitto
-from mqtt_helpers import LEFT, Messages, assert_exact, publishing, scripted_broker, until
-from observer import Observer, observe
+from mqtt_helpers import (
+    EVENTS,
+    LEFT,
+    Messages,
+    assert_exact,
+    happen,
+    heard_events,
+    publishing,
+    scripted_broker,
+    until,
+)
+from observer import observe
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 from slow_link import slow_link
-from small_disk import small_disk
 
-from resonator_daemon.publishing import connection, event_queue, outbox, publisher, spool, topics
+from resonator_daemon.publishing import connection, outbox, publisher, topics
 from resonator_daemon.publishing.backoff import Backoff
-from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
-from resonator_daemon.publishing.publisher import Publisher
 
-EVENTS = f"{LEFT}/contacts/event"
 ONLINE = Messages.state("online", "all is well")
 
 
@@ -39,25 +45,6 @@ async def generous(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncItera
     await broker.start()
     yield broker
     await broker.kill()
-
-
-async def happen(left: Publisher, numbers: range) -> None:
-    """Publish events, with an account that is right after each of them."""
-    for number in numbers:
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
-        assert_exact(left)
-        if number % 50 == 49:
-            await asyncio.sleep(0.001)
-
-
-async def heard_events(observer: Observer, last: int) -> list[dict[str, Any]]:
-    """Wait for the last event; return all, doubles of those that were sent before passed over as a subscriber does."""
-    await observer.until_last(EVENTS, seq=last)
-    seen: dict[int, dict[str, Any]] = {}
-    for event in observer.payloads(EVENTS):
-        assert event["replayed"] or event["seq"] not in seen
-        seen.setdefault(event["seq"], event)
-    return list(seen.values())
 
 
 async def test_a_broker_that_is_killed_and_comes_back_empty(broker) -> None:
@@ -152,21 +139,20 @@ async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_p
         assert told == [(n, False) for n in range(8)] + [(n, True) for n in range(3, 9)]
 
 
-async def test_what_a_run_leaves_is_sent_first_by_the_next(mosquitto, tmp_path: Path) -> None:
-    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
-        await happen(left, range(100))
-    assert (left.account.waiting, left.account.spooled) == (100, 100)
-    async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as left:
-        await happen(left, range(100, 105))
-        events = await heard_events(observer, 104)
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.recovered == 100
-        assert left.account.made == 105
-    assert [event["seq"] for event in events] == list(range(105))
-    assert all(event["replayed"] for event in events[:100])
-    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+async def test_an_acknowledgement_that_comes_after_the_connection_was_given_up_counts_no_more() -> None:
+    async with scripted_broker() as (url, script), publishing(url) as left:
+        script.answer = lambda number: None
         await until(lambda: left.connected)
-    assert left.account.recovered == 0
+        client = left._client
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+        await until(lambda: len(script.received) == 1)
+        (number,) = client.in_flight
+        script.answer = lambda number: 0
+        script.hang_up()
+        await until(lambda: not left.connected)
+        client._published(None, None, number, ReasonCode(PacketTypes.PUBACK, "Success"), None)
+        assert_exact(left)
+        assert left.account.unknown_at_disconnect == 1
 
 
 async def test_a_backlog_that_connections_break_into_keeps_its_order(tmp_path: Path) -> None:
@@ -212,7 +198,7 @@ async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
                 left.publish(LEFT, topics.DECODED, Messages.decoded(number))
                 left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
                 assert_exact(left)
-                assert left._outbox.stream_bytes <= outbox.STREAM_BYTES_WAITING_MAX
+                assert left._outbox._streams.size_bytes <= outbox.STREAM_BYTES_WAITING_MAX
                 number += 1
             await asyncio.sleep(0.001)
         frozen = left.account
@@ -269,99 +255,12 @@ async def test_a_slow_link_brings_events_and_the_newest_streams(mosquitto, tmp_p
                 if number % 100 == 0:
                     left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
                 assert_exact(left)
-                assert left._outbox.stream_bytes <= outbox.STREAM_BYTES_WAITING_MAX
+                assert left._outbox._streams.size_bytes <= outbox.STREAM_BYTES_WAITING_MAX
                 await asyncio.sleep(0.001 if number % 10 == 0 else 0)
             events = await heard_events(observer, 1900)
         assert [event["seq"] for event in events] == list(range(0, 2000, 100))
         assert left.account.dropped["queue_full"] > 100
         assert left.account.unknown_at_disconnect <= 1  # the stream half written at the end
-
-
-async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exception(
-    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
-    caplog.set_level(logging.INFO)
-    with small_disk(tmp_path, 16 * 2**20) as (disk, fill, free):
-        await mosquitto.kill()
-        async with publishing(mosquitto.url, spool_directory=disk) as left:
-            await happen(left, range(50))
-            await until(lambda: left.account.spooled == 50)
-            fill()
-            await happen(left, range(50, 3000))
-            await until(lambda: "events cannot be kept on disk" in caplog.text)
-            await happen(left, range(3000, 4000))
-            account = left.account
-            assert account.dropped == {"spool_failed": account.made - account.waiting}
-            assert account.waiting - account.spooled == IN_MEMORY_MAX
-            free()
-            await until(lambda: "can be kept on disk again" in caplog.text)
-            assert caplog.text.count("events cannot be kept on disk") == 1
-            await mosquitto.start()
-            async with observe(mosquitto.url) as observer:
-                await heard_events(observer, 3999)
-                await until(lambda: left.account.waiting == 0)
-            kept = 4000 - account.dropped["spool_failed"]
-            assert left.account.acknowledged == kept
-
-
-async def test_a_spool_that_another_process_holds_is_left_alone(
-    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
-    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as first:
-        await happen(first, range(20))
-        await until(lambda: first.account.spooled == 20)
-        async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as second:
-            await until(lambda: second.connected and "another process holds" in caplog.text)
-            await happen(second, range(20, 25))
-            await until(lambda: second.account.waiting == 0)
-            assert second.account.recovered == 0
-            events = await heard_events(observer, 24)
-            assert [event["seq"] for event in events] == list(range(20, 25))
-    assert first.account.spooled == 20
-    assert caplog.text.count("another process holds") == 1
-
-
-async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(
-    mosquitto, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    await mosquitto.kill()
-    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
-        await happen(left, range(2000))
-        await until(lambda: left.account.spooled == 2000)
-        read = spool.Spool.read
-
-        def damaged(kept: spool.Spool, *arguments: Any) -> Any:
-            monkeypatch.setattr(spool.Spool, "read", read)
-            kept.close()
-            kept.path.write_bytes(b"no database" * 1000)
-            return read(kept, *arguments)
-
-        monkeypatch.setattr(spool.Spool, "read", damaged)
-        await mosquitto.start()
-        async with observe(mosquitto.url) as observer:
-            await heard_events(observer, 1999)
-            await until(lambda: left.account.waiting == 0)
-        account = left.account
-        assert account.dropped["spool_failed"] == 2000 - account.acknowledged
-        assert 0 < account.dropped["spool_failed"] <= 2000 - IN_MEMORY_MAX
-        assert "set aside as events.damaged" in caplog.text
-
-
-async def test_beyond_the_bound_on_disk_the_oldest_go(
-    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(spool, "EVENTS_MAX", 1500)
-    await mosquitto.kill()
-    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
-        await happen(left, range(4000))
-        await until(lambda: left.account.dropped == {"spool_full": 2500} and left.account.spooled == 1500)
-        await mosquitto.start()
-        async with observe(mosquitto.url) as observer:
-            events = await heard_events(observer, 3999)
-        assert len(events) <= 1500
-    assert "2500 events (spool_full)" in caplog.text
 
 
 async def test_accounts_are_exact_at_random_instants_while_connections_break(broker, tmp_path: Path) -> None:

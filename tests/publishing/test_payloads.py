@@ -110,12 +110,14 @@ EXAMPLES = [
     ),
     (
         Contacts(**MEASURED, status="ok", contacts=(Contact(**CONTACT),)),
-        """{<header>, "board_ticks": "123456789", "status": "ok", "reason": "", "contacts": [{<contact>}]}""",
+        """{<header>, "board_ticks": "123456789", "status": "ok", "reason": "", "contacts": [{<contact>}],
+            "decoder_id": null}""",
     ),
     (
         ContactEvent(**MEASURED, event="release", reason="no longer felt", contact=EventContact(**CONTACT)),
         """{<header>, "board_ticks": "123456789", "event": "release", "reason": "no longer felt", "contact": {<contact>,
-             "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null}, "replayed": false}""",
+             "slip_margin": null, "slip_margin_std": null, "friction_coefficient": null},
+             "decoder_id": null, "replayed": false}""",
     ),
     (
         DecodedSummary(

@@ -13,8 +13,8 @@ from observer import observe
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import connection, outbox, publisher, topics
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
-from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
-from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.publisher import Publisher
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -126,10 +126,25 @@ async def test_while_closing_nothing_new_is_taken(monkeypatch: pytest.MonkeyPatc
         await until(lambda: left.account.made == 1)
         left.publish(LEFT, topics.HEALTH, Messages.health(1))
         left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-        assert left.account.dropped == {"closed": 2}
+        left.answer(Outgoing("asker", b"{}"))
+        assert left.account.dropped == {"closed": 2, "withdrawn": 1}
         assert not closing.done()
         await closing
     assert {message.topic for message in script.received} == {"resonator/left/state/daemon"}
+
+
+async def test_the_last_word_may_wait_for_a_broker_that_is_still_to_come(mosquitto) -> None:
+    await mosquitto.kill()
+    async with publishing(mosquitto.url) as left:
+        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
+        farewell = (LEFT, topics.STATE_DAEMON, Messages.state("offline", "no such plate"))
+        closing = asyncio.create_task(left.close(farewell, wait_for_broker=True))
+        await mosquitto.start()
+        await closing
+        async with observe(mosquitto.url) as observer:
+            state = await observer.until_last("resonator/left/state/daemon", state="offline")
+        assert state["reason"] == "no such plate"
+        assert (left.account.acknowledged, left.account.dropped) == (1, {"superseded": 1})
 
 
 async def test_the_last_will_speaks_for_a_daemon_that_vanishes(broker) -> None:
@@ -300,50 +315,6 @@ async def test_a_lower_rate_of_a_main_topic_leaves_its_copy_and_the_account_alon
         assert len(observer.raw("resonator/left/forces/20hz")) == 20
     with pytest.raises(ValueError, match="above 0"):
         left.set_rate("forces", 0.0)
-
-
-async def test_what_is_subscribed_to_is_heard_on_every_connection(broker) -> None:
-    heard: list[Incoming] = []
-    connections: list[int] = []
-    mine = Subscription(f"{LEFT}/cmd/+", 1, heard.append)
-    other = Subscription("resonator/+/info", 1, lambda message: pytest.fail(f"{message}"))
-    async with publishing(broker.url, subscriptions=(mine, other), on_connected=connections.append) as left:
-        for number in (1, 2):
-            await until(lambda: left.connected)
-            async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as asker:
-                await asker.publish(f"{LEFT}/cmd/ping", str(number).encode())
-                await until(lambda: len(heard) == number)  # noqa: B023
-            left._client.abort()
-            await until(lambda: not left.connected)
-    assert [(message.topic, message.payload) for message in heard] == [
-        (f"{LEFT}/cmd/ping", b"1"),
-        (f"{LEFT}/cmd/ping", b"2"),
-    ]
-    assert connections == [1, 2]
-
-
-async def test_a_shared_subscription_is_heard(mosquitto) -> None:
-    heard: list[Incoming] = []
-    shared = Subscription("$share/all/resonator/+/signals", 1, heard.append)
-    async with publishing(mosquitto.url, subscriptions=(shared,)) as left:
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.SIGNALS, Messages.signals(1))
-        await until(lambda: len(heard) == 1)
-    assert heard[0].topic == "resonator/left/signals"
-
-
-async def test_a_subscription_that_is_denied_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
-    commands = Subscription(f"{LEFT}/cmd/+", 1, lambda message: None)
-    async with scripted_broker() as (url, script):
-        script.subscribed = 0x87
-        async with publishing(url, subscriptions=(commands,)) as left:
-            for connections in (2, 4):
-                await until(lambda: left.connected and len(script.greetings) == connections)  # noqa: B023
-                left.publish(LEFT, topics.STATE_LINK, ONLINE)
-                await until(lambda: left.account.waiting == 0)
-                script.hang_up()
-                await until(lambda: not left.connected)
-    assert caplog.text.count("broker denies resonator/left/cmd/+ (Not authorized)") == 1
 
 
 async def test_states_that_are_published_on_connecting_go_before_those_restored() -> None:

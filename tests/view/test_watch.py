@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
-from resonator_daemon.config import Mqtt, load_broker
+from resonator_daemon.config import Mqtt, load_client
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
@@ -227,7 +227,7 @@ async def test_broker_and_credentials_of_a_configuration(tmp_path: Path) -> None
     (tmp_path / "secret").write_text("word\n")
     config = tmp_path / "board.toml"
     config.write_text(f'plate = 7\n[mqtt]\nurl = "{NOBODY}"\nusername = "eve"\npassword_file = "secret"\n')
-    broker = load_broker(config)
+    broker = load_client(config).mqtt
     assert (broker.username, broker.password) == ("eve", "word")
     async with watching("--config", str(config)) as process:
         assert process.stdout is not None

@@ -8,7 +8,7 @@
 static void print_map(const struct array *traction, cbor_item_t *grid)
 {
     size_t points = traction->count / 3, columns = traction->last, point = 0;
-    double sums_pascal[3] = {0.0, 0.0, 0.0}, peak_pascal = NAN; /* not known while no point is */
+    double sums_pascal[3] = {0.0, 0.0, 0.0}, peak_pascal = NAN; /* while no point is known */
     for (size_t i = 0; i < traction->count; i++) {
         double pascal = float_at(traction, i);
         size_t component = i / points; /* x, y, z */
@@ -17,6 +17,10 @@ static void print_map(const struct array *traction, cbor_item_t *grid)
             peak_pascal = pascal;
             point = i % points;
         }
+    }
+    if (isnan(peak_pascal)) {
+        printf("nothing known\n");
+        return;
     }
     printf("peak %.6g Pa ", peak_pascal);
     if (!grid || !cbor_isa_map(grid)) { /* scattered: these are the sites, in the order of `info` */

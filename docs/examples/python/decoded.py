@@ -18,8 +18,12 @@ def to_array(tag):
 def take(client, context, message):
     decoded = cbor2.loads(message.payload)
     traction = to_array(decoded["traction_pascal"])  # components x, y, z, each (ny, nx) or, scattered, (m,)
-    point, grid = int(np.nanargmax(traction[2])), decoded["grid"]
-    said = f"{message.topic} seq {decoded['seq']} peak {traction[2].flat[point]:.6g} Pa at"
+    said, grid = f"{message.topic} seq {decoded['seq']}", decoded["grid"]
+    if np.isnan(traction[2]).all():
+        print(said, "nothing known", flush=True)
+        return
+    point = int(np.nanargmax(traction[2]))
+    said += f" peak {traction[2].flat[point]:.6g} Pa at"
     if grid is None:  # scattered: these are the sites, in the order of `info`
         print(said, "point", point, flush=True)
         return

@@ -8,21 +8,29 @@ import aiomqtt
 
 
 def situation(states):
-    """Say how it stands, from the last `daemon`, `link` and `sensor` states, as dicts by that word."""
-    daemon, link, sensor = (states.get(word) for word in ("daemon", "link", "sensor"))
-    if daemon is None:
+    """Say how it stands, from the last `daemon`, `link` and `sensor` states, as dicts by that word.
+
+    "Broker restarted" says no more than that the daemon has connected to the broker anew; why, is not known here.
+    """
+    if "daemon" not in states:
         return "never started"
-    if daemon["state"] == "offline":
-        return "clean stop" if daemon["reason"] == "stopped" else "crash"
-    if link is None or link["state"] in ("lost", "waiting"):
-        return "cable out"
-    if link["state"] == "stalled":
-        return "board hung"
-    if sensor is not None and sensor["state"] == "drifting":
-        return "sensor drifting"
-    if link["boots"] > 1:
+    if states["daemon"]["state"] == "offline":
+        return "clean stop" if states["daemon"]["reason"] == "stopped" else "crash"
+    words = {part: states[part]["state"] if part in states else "unknown" for part in ("daemon", "link", "sensor")}
+    match tuple(words.values()):
+        case "online", "lost" | "waiting", _:
+            return "cable out"
+        case "online", "stalled", _:
+            return "board hung"
+        case "online", "online", "drifting":
+            return "sensor drifting"
+        case "online", "online", "online":
+            pass
+        case _:
+            return ", ".join(f"{part} {word}" for part, word in words.items() if word != "online")
+    if states["link"]["boots"] > 1:
         return "board rebooted"
-    if daemon["connections"] > 1:
+    if states["daemon"]["connections"] > 1:
         return "broker restarted"
     return "well"
 

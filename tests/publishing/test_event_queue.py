@@ -1,0 +1,147 @@
+"""Events that wait on disk: across runs, and with a disk that is full, damaged, held by another or robbed."""
+
+import logging
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Mosquitto
+from mqtt_helpers import LEFT, Messages, assert_exact, happen, heard_events, publishing, until
+from observer import observe
+from small_disk import small_disk
+
+from resonator_daemon.publishing import event_queue, spool, topics
+from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
+
+
+@pytest.fixture
+async def generous(tmp_path: Path) -> AsyncIterator[Mosquitto]:
+    """A broker that drops nothing of what a subscriber has not taken yet; by default it does so from 1000 on."""
+    broker = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
+    await broker.start()
+    yield broker
+    await broker.kill()
+
+
+async def test_what_a_run_leaves_is_sent_first_by_the_next(mosquitto, tmp_path: Path) -> None:
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
+        await happen(left, range(100))
+    assert (left.account.waiting, left.account.spooled) == (100, 100)
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await happen(left, range(100, 105))
+        events = await heard_events(observer, 104)
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.recovered == 100
+        assert left.account.made == 105
+    assert [event["seq"] for event in events] == list(range(105))
+    assert all(event["replayed"] for event in events[:100])
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        await until(lambda: left.connected)
+    assert left.account.recovered == 0
+
+
+async def test_a_full_disk_costs_the_oldest_events_beyond_memory_and_no_exception(
+    generous, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
+    caplog.set_level(logging.INFO)
+    with small_disk(tmp_path, 16 * 2**20) as (disk, fill, free):
+        await generous.kill()
+        async with publishing(generous.url, spool_directory=disk) as left:
+            await happen(left, range(50))
+            await until(lambda: left.account.spooled == 50)
+            fill()
+            await happen(left, range(50, 3000))
+            await until(lambda: "events cannot be kept on disk" in caplog.text)
+            await happen(left, range(3000, 4000))
+            account = left.account
+            assert account.dropped == {"spool_failed": account.made - account.waiting}
+            assert account.waiting - account.spooled == IN_MEMORY_MAX
+            free()
+            await until(lambda: "can be kept on disk again" in caplog.text)
+            assert caplog.text.count("events cannot be kept on disk") == 1
+            await generous.start()
+            async with observe(generous.url) as observer:
+                await heard_events(observer, 3999)
+                await until(lambda: left.account.waiting == 0)
+            kept = 4000 - account.dropped["spool_failed"]
+            assert left.account.acknowledged == kept
+
+
+async def test_a_spool_that_another_process_holds_is_left_alone(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(event_queue, "RETRY_S", 0.05)
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as first:
+        await happen(first, range(20))
+        await until(lambda: first.account.spooled == 20)
+        async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=tmp_path) as second:
+            await until(lambda: second.connected and "another process holds" in caplog.text)
+            await happen(second, range(20, 25))
+            await until(lambda: second.account.waiting == 0)
+            assert second.account.recovered == 0
+            events = await heard_events(observer, 24)
+            assert [event["seq"] for event in events] == list(range(20, 25))
+    assert first.account.spooled == 20
+    assert caplog.text.count("another process holds") == 1
+
+
+async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone(
+    generous, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    await generous.kill()
+    async with publishing(generous.url, spool_directory=tmp_path) as left:
+        await happen(left, range(2000))
+        await until(lambda: left.account.spooled == 2000)
+        read = spool.Spool.read
+
+        def damaged(kept: spool.Spool, *arguments: Any) -> Any:
+            monkeypatch.setattr(spool.Spool, "read", read)
+            kept.close()
+            kept.path.write_bytes(b"no database" * 1000)
+            return read(kept, *arguments)
+
+        monkeypatch.setattr(spool.Spool, "read", damaged)
+        await generous.start()
+        async with observe(generous.url) as observer:
+            await heard_events(observer, 1999)
+            await until(lambda: left.account.waiting == 0)
+        account = left.account
+        assert account.dropped["spool_failed"] == 2000 - account.acknowledged
+        assert 0 < account.dropped["spool_failed"] <= 2000 - IN_MEMORY_MAX
+        assert "set aside as events.damaged" in caplog.text
+
+
+async def test_events_that_somebody_else_deletes_are_lost_and_hold_up_no_other(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
+        await happen(left, range(100))
+    read = spool.Spool.read
+
+    def half(kept: spool.Spool, progress: spool.Progress, count: int) -> list[spool.SpooledEvent]:
+        return read(kept, progress, count)[::2]
+
+    monkeypatch.setattr(spool.Spool, "read", half)
+    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
+        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(100))
+        await until(lambda: left.account.made == 101 and left.account.waiting == 0)
+        assert_exact(left)
+        account = left.account
+        assert (account.acknowledged, account.spooled, account.dropped) == (51, 0, {"spool_failed": 50})
+
+
+async def test_beyond_the_bound_on_disk_the_oldest_go(
+    generous, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(spool, "EVENTS_MAX", 1500)
+    await generous.kill()
+    async with publishing(generous.url, spool_directory=tmp_path) as left:
+        await happen(left, range(4000))
+        await until(lambda: left.account.dropped == {"spool_full": 2500} and left.account.spooled == 1500)
+        await generous.start()
+        async with observe(generous.url) as observer:
+            events = await heard_events(observer, 3999)
+        assert len(events) <= 1500
+    assert "2500 events (spool_full)" in caplog.text
