@@ -169,6 +169,8 @@ def plate_name(text: str) -> str:
     """Return the text if plates can publish under it; ValueError says why not."""
     if text == DECODER:
         raise ValueError("is the topic of decoder processes; choose another")
+    if text in (".", ".."):
+        raise ValueError("becomes a directory of its own; choose another")
     return topic_level(text)
 
 

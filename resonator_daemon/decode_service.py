@@ -10,6 +10,8 @@ import signal
 import socket
 import sys
 import time
+from pathlib import Path
+from urllib.parse import quote
 
 import psutil
 
@@ -17,11 +19,20 @@ from resonator_daemon.config import DECODER
 from resonator_daemon.decoder_config import DecoderConfig
 from resonator_daemon.decoding.stage import SWITCH_S
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.places import state_directory
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
 from resonator_daemon.publishing.publisher import Publisher
-from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, MessageT, Topic, full_topic
+from resonator_daemon.publishing.topics import (
+    DECODED,
+    DECODER_EXPIRY_S,
+    DECODER_HEALTH,
+    DECODER_STATE,
+    MessageT,
+    Topic,
+    full_topic,
+)
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.mode import Mode, wanted_of
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
@@ -30,7 +41,8 @@ log = logging.getLogger(__name__)
 
 _LOOK_S = 0.1
 _HEALTH_S = 1.0
-_STATE_AGAIN_S = 1200.0  # a retained state expires with MQTT 5, an hour after it was said
+_STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
+_LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes longer, and nobody waits for it
 _ID_LENGTH_MAX = 80
 
 
@@ -57,9 +69,12 @@ async def serve(config: DecoderConfig) -> None:
 
 
 def own_id() -> str:
-    """Name this process so that no other one on the broker has its name: host and process id."""
+    """Name this process as no other one, of another time neither: host, process id, and a random number.
+
+    Process ids come again, in a container with each start.
+    """
     host = re.sub(r"[^A-Za-z0-9._-]", "-", socket.gethostname())[:_ID_LENGTH_MAX].lstrip("$")
-    return f"{host or 'host'}-{os.getpid()}"
+    return f"{host or 'host'}-{os.getpid()}-{secrets.token_hex(3)}"
 
 
 class DecoderProcess:
@@ -82,6 +97,7 @@ class DecoderProcess:
             identifier=f"resonatord-decoder-{self.decoder_id}-{secrets.token_hex(4)}",
             make_will=self._make_will,
             subscriptions=self._mode.subscriptions,
+            spool_directory=self._spool_directory(),
             on_connected=self._connected,
             on_denied=self._denied,
         )
@@ -99,16 +115,16 @@ class DecoderProcess:
         log.info("decoder %s takes %s", self.decoder_id, self._mode.topic_filter)
         self._say(*self._state)
         async with asyncio.TaskGroup() as tasks:
-            helpers = [
+            helpers = (
                 tasks.create_task(self._mode.run(), name="decoding"),
                 tasks.create_task(self._watch(), name="watch"),
                 tasks.create_task(self._report_health(), name="health"),
-            ]
+            )
             tasks.create_task(self._publisher.run(), name="publishing")
             await self._ending.wait()
             for helper in helpers:
                 helper.cancel()
-            await asyncio.wait(helpers)
+            await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last word on what was counted
             self._say(Condition.OFFLINE, str(self._fatal or "stopped"))
             await self._publisher.close()
@@ -133,8 +149,16 @@ class DecoderProcess:
             plates=self._mode.health(),
             cpu_percent=self._process.cpu_percent(),
             rss_mb=self._process.memory_info().rss / 2**20,
+            latency={DECODED.path: self._mode.latency.info()},
             messages=self._publisher.account,
         )
+
+    def _spool_directory(self) -> Path | None:
+        """Return where events of a followed plate wait; there are none where frames are shared."""
+        name, decoding = self._config.name, self._config.decoding
+        if name is None or decoding.plates:
+            return None
+        return state_directory() / "spool" / quote(self._config.mqtt.prefix, safe="") / DECODER / name
 
     def _make_mode(self) -> Mode:
         prefix, decoding = self._config.mqtt.prefix, self._config.decoding

@@ -455,3 +455,9 @@ def test_an_expired_calibration_is_noted(tmp_path: Path) -> None:
     measurement = "[measurement]\nwindow_ms = 8\nstep_ms = 4\n"
     (tmp_path / "a.toml").write_text('plate = "old.toml"\nlink = "tcp://127.0.0.1:1"\n' + measurement)
     assert load_config(tmp_path / "a.toml").notes == ("calibration c1 expired on 2020-01-01: calibrate anew",)
+
+
+@pytest.mark.parametrize("name", ["decoder", ".", ".."])
+def test_names_that_mean_something_else_are_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ConfigError, match="choose another"):
+        loaded(tmp_path, example_config().replace('"left-index"', f'"{name}"'))

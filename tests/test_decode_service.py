@@ -1,22 +1,36 @@
 """Decoder processes on real brokers: one that follows a plate, many that share plates, and what they say."""
 
 import asyncio
+import json
 import os
 import signal
 import sys
+import threading
 from asyncio.subprocess import DEVNULL
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from urllib.parse import urlsplit
 
+import aiomqtt
 import cbor2
 import pytest
 from brokers import Amqtt, Mosquitto
 from decoder_bench import assert_exact, config_file, daemon, info, process, running, signals, until
 from observer import Observer, observe
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 
+from resonator_daemon import decode_service
 from resonator_daemon.decode_service import CannotShareError, own_id
+from resonator_daemon.decoding import stage
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.publishing.topics import DECODER_STATE
+from resonator_daemon.remote_decoding import followed_plate, shared_stage
 
 RESONATORD = Path(sys.executable).with_name("resonatord")
 STATE = "resonator/decoder/host-1/state"
@@ -56,6 +70,7 @@ async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
             "hand": {"received": 6, "decoded": 5, "skipped": 0, "unusable": 1, "waiting": 0, "missed": 0}
         }
         assert health["messages"]["made"] > 15
+        assert sum(health["latency"]["decoded"]["counts"]) == 5
     assert seqs(heard, "hand") == [0, 1, 2, 3, 4]
     summaries = heard.payloads("resonator/hand/decoded/summary")
     assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
@@ -171,9 +186,157 @@ async def test_a_broker_that_cannot_share_is_refused_with_one_sentence(tmp_path:
     assert "\n" not in raised.value.messages[0]
 
 
+@contextmanager
+def hearing(url: str, topic: str) -> Iterator[list[Any]]:
+    """Keep what comes from a broker that has just started; the event loop, and what runs on it, is later."""
+    heard: list[Any] = []
+    subscribed = threading.Event()
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = lambda _client, _data, message: heard.append(json.loads(message.payload))
+    client.on_subscribe = lambda *_: subscribed.set()
+    client.on_connect = lambda *_: client.subscribe(topic, qos=1)
+    client.connect("127.0.0.1", urlsplit(url).port or 1883)
+    client.loop_start()
+    try:
+        assert subscribed.wait(20)
+        yield heard
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_an_event_of_an_outage_arrives_after_it(
+    restarted: bool, tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
+    events = "resonator/hand/contacts/event"
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with running(decoder):
+        async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+            await hand.tell("hand", info())
+            await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+            for seq in range(3):
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda seq=seq: seq in seqs(heard, "hand"))
+            (onset,) = [json.loads(payload) for payload in await heard.until_count(events, 1)]
+        await mosquitto.kill()
+        await until(lambda: decoder.message_account.dropped.get("no_connection", 0) > 0)
+        monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.0)
+        await until(lambda: decoder.message_account.spooled == 1)
+        if not restarted:
+            await mosquitto.start()
+            with hearing(mosquitto.url, events) as again:
+                await until(lambda: len(again) == 1)
+    if restarted:
+        await mosquitto.start()
+        with hearing(mosquitto.url, events) as again:
+            async with running(process(tmp_path, mosquitto.url, "host-2", decoding=LINEAR)):
+                await until(lambda: len(again) == 1)
+    (release,) = again
+    assert [(event["event"], event["replayed"]) for event in (onset, release)] == [("onset", False), ("release", True)]
+    assert [(event["decoder_id"], event["seq"]) for event in (onset, release)] == [("host-1", 0), ("host-1", 1)]
+    assert release["contact"]["id"] == onset["contact"]["id"]
+
+
+@pytest.mark.parametrize("options", [{"decoding": LINEAR}, {"decoding": SHARING, "name": None}], ids=["one", "shared"])
+async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
+    options: dict[str, Any], tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, may_end = threading.Event(), threading.Event()
+
+    def slow(*_: object) -> None:
+        began.set()
+        assert may_end.wait(60)
+        raise ValueError("too late")
+
+    monkeypatch.setattr(stage, "set_up", slow)
+    monkeypatch.setattr(shared_stage, "set_up", slow)
+    decoder = process(tmp_path, mosquitto.url, **options)
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+
+        def accounts() -> list[Any]:
+            told = (health["plates"] for health in heard.payloads("resonator/decoder/host-1/health"))
+            return [plates["hand"] for plates in told if "hand" in plates]
+
+        task = asyncio.create_task(decoder.run())
+        try:
+            await hand.tell("hand", info())
+            await until(lambda: bool(heard.raw(STATE)) and "no info" not in heard.payloads(STATE)[-1]["reason"])
+            await until(lambda: "hand" in decoder.health().plates)
+            while not began.is_set():
+                await hand.send("hand", signals(0))
+                await asyncio.sleep(0.02)
+            decoder.stop()
+            await heard.until_last(STATE, state="offline", reason="stopped")
+            assert not task.done()
+            await heard.until(lambda: accounts() != [] and accounts()[-1]["waiting"] == 0)
+            account = accounts()[-1]
+            assert account["received"] == account["skipped"] + account["unusable"] > 0
+            assert not task.done()
+        finally:
+            may_end.set()
+            await task
+
+
+async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_it_expires(
+    tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert DECODER_STATE.expiry_s is not None
+    assert DECODER_STATE.expiry_s / 2 > decode_service._STATE_AGAIN_S
+    monkeypatch.setattr(decode_service, "_STATE_AGAIN_S", 0.2)
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand, running(decoder):
+        await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count("hand: no info yet") >= 3)
+        await hand.tell("hand", info())
+        await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+        await hand.send("hand", signals(0))
+        await heard.until_last(STATE, state="online")
+    told = heard.payloads(STATE)
+    since = {word: {state["since_t_ns"] for state in told if state["state"] == word} for word in ("waiting", "online")}
+    assert [len(times) for times in since.values()] == [1, 1]
+    assert int(*since["waiting"]) < int(*since["online"])
+    assert len({state["t_ns"] for state in told}) == len(told)
+
+
+async def test_its_last_will_expires(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    async with observe(mosquitto.url) as heard:
+        task = asyncio.create_task(process(tmp_path, mosquitto.url, decoding=LINEAR).run())
+        await heard.until_last(STATE, state="waiting")
+        task.cancel()
+        await asyncio.wait([task])
+        await heard.until_last(STATE, state="offline", reason="connection lost", since_t_ns=None)
+    port = urlsplit(mosquitto.url).port or 1883
+    async with aiomqtt.Client("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5) as late:
+        await late.subscribe(STATE)
+        will = await anext(aiter(late.messages))
+    assert json.loads(bytes(will.payload))["state"] == "offline"
+    assert will.properties is not None
+    assert 3500 < will.properties.MessageExpiryInterval <= 3600  # type: ignore[attr-defined]
+
+
+async def test_a_broker_that_refuses_shared_subscriptions_ends_it_and_one_that_forbids_a_topic_does_not(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    decoder = process(tmp_path, mosquitto.url, decoding=SHARING, name=None)
+    topic_filter = "$share/touch/resonator/+/signals"
+    task = asyncio.create_task(decoder.run())
+    async with observe(mosquitto.url) as heard:
+        await heard.until_last(STATE, state="waiting")
+        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x87)))
+        await asyncio.sleep(0)
+        assert not decoder._ending.is_set()
+        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x9E)))
+        with pytest.raises(CannotShareError, match=r"broker refuses \$share/touch/resonator/\+/signals: Shared sub"):
+            await asyncio.wait_for(task, 30)
+        last = await heard.until_last(STATE, state="offline")
+        assert "use a broker of MQTT 5 with shared subscriptions" in last["reason"]
+
+
 def test_its_id_is_one_level_of_a_topic(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("socket.gethostname", lambda: "$a/b+c#d e\x00" + "x" * 200)
     name = own_id()
-    assert name.endswith(f"-{os.getpid()}")
+    assert f"-{os.getpid()}-" in name
+    assert own_id() != name  # process ids come again
     assert not set(name) & set("/+# \0$")
     assert len(name) < 100

@@ -148,8 +148,9 @@ class DecodingStage(Generic[Origin]):
                         pool, set_up, self._skin, self._wanted, built_for, announcer(self._announce, loop)
                     )
                 except CANNOT_DECODE as error:
-                    log.error("nothing is decoded: %s", error)
-                    self._announce(f"nothing is decoded: {error}")
+                    why = str(error) or repr(error)
+                    log.error("nothing is decoded: %s", why)
+                    self._announce(f"nothing is decoded: {why}")
                     return
                 log.info("decoder %s ready after %.1f s", decoder.name, time.monotonic() - started)
                 self._announce("")

@@ -3,7 +3,6 @@
 import asyncio
 import time
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
+from resonator_daemon.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
 from resonator_daemon.publishing.publisher import Subscription
@@ -23,11 +23,10 @@ from resonator_daemon.publishing.topics import (
     SIGNALS,
     full_topic,
 )
-from resonator_daemon.remote_decoding.mode import SILENT_S, Publish
+from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, SkinPlate, header_of
+from resonator_daemon.silence import CONTACTS_END_S
 from resonator_daemon.surface_reports import SurfaceReporter
-
-INTERRUPTED_S: Final = 0.5  # without signals, contacts end
 
 _LOOK_S = 0.1
 
@@ -61,9 +60,11 @@ class FollowedPlate:
         self._changed = asyncio.Event()
         self._note = ""
         self._stage_has_ended = False  # what it announced last is why
+        self._is_set_up = False  # the decoder of the stage
         self._delivered: Signals | None = None
         self._decoded = self._skipped = self._events = 0
         self._since_utc_ns: dict[int, int] = {}
+        self.latency = LatencyHistogram()
         self.topic_filter = full_topic(prefix, name, SIGNALS.path)
 
     @property
@@ -77,7 +78,8 @@ class FollowedPlate:
             return Condition.WAITING, f"{name}: {self._plate.problem}"
         if self._note:
             return (Condition.REFUSED if self._stage_has_ended else Condition.STARTING), f"{name}: {self._note}"
-        if time.monotonic() - self._plate.last_s > SILENT_S:
+        is_set_up = self._is_set_up and not self._changed.is_set()
+        if not is_set_up or time.monotonic() - self._plate.last_s > WAITS_AFTER_S:
             return Condition.WAITING, f"{name}: no signals that could be decoded"
         return Condition.ONLINE, f"signals of {name} are decoded"
 
@@ -119,19 +121,15 @@ class FollowedPlate:
             since_utc_ns=self._since_utc_ns,
         )
 
-        def announce(note: str) -> None:
-            if self._stage is stage:  # a set-up that nobody waits for any more ends by itself
-                self._note = note
-
         stage = self._stage = DecodingStage[Signals](
             skin.skin,
             self._wanted,
             lambda origin, decoded: self._deliver_map(reporter, origin, decoded),
             lambda origin, surface: self._deliver(reporter, origin, surface),
-            announce,
+            self._announce,
             before,
         )
-        self._note, self._stage_has_ended = "", False
+        self._note, self._stage_has_ended, self._is_set_up = "", False, False
         running = asyncio.create_task(stage.run(), name="decoding")
         changed = asyncio.create_task(self._changed.wait())
         try:
@@ -162,8 +160,13 @@ class FollowedPlate:
             return
         self._stage.offer(signals, signals.signals.astype(np.float64), signals.noise_std.astype(np.float64))
 
+    def _announce(self, note: str) -> None:
+        self._note = note
+        self._is_set_up = not note
+
     def _deliver_map(self, reporter: SurfaceReporter, origin: Signals, decoded: Decoded) -> None:
         self._decoded += 1
+        self.latency.add(self._plate.age_s(origin))
         self._publish(self._plate.name, DECODED, reporter.decoded(header_of(origin), decoded))
 
     def _deliver(self, reporter: SurfaceReporter, origin: Signals, surface: SurfaceReading) -> None:
@@ -183,6 +186,6 @@ class FollowedPlate:
         while True:
             await asyncio.sleep(_LOOK_S)
             last_s = self._plate.last_s
-            if self._stage is not None and last_s > ended_s and time.monotonic() - last_s > INTERRUPTED_S:
+            if self._stage is not None and last_s > ended_s and time.monotonic() - last_s > CONTACTS_END_S:
                 ended_s = last_s
-                self._stage.interrupt(f"no signals for {INTERRUPTED_S:g} s")
+                self._stage.interrupt(f"no signals for {CONTACTS_END_S:g} s")

@@ -1,15 +1,16 @@
 """What the two ways to decode have in common for the process around them."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Final, Protocol
 
 from resonator_daemon.decoder_config import DecoderConfig
 from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.latency import LatencyHistogram
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import MessageT, Topic
 
-SILENT_S = 2.0  # without signals, a decoder waits
+WAITS_AFTER_S: Final = 2.0  # without signals, a decoder says that it waits
 
 
 class Publish(Protocol):
@@ -22,6 +23,7 @@ class Mode(Protocol):
     """Takes signals and publishes what they show."""
 
     topic_filter: str  # of the signals
+    latency: LatencyHistogram  # of `decoded`
 
     @property
     def subscriptions(self) -> Sequence[Subscription]: ...

@@ -1,8 +1,11 @@
 """What a decoder process knows of a plate, from its messages alone, and where the plate's signals went."""
 
+import json
 import math
+import time
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,12 +14,20 @@ from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
-from resonator_daemon.publishing.topics import SCHEMA_VERSION
+from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION
 from resonator_daemon.surface_reports import MeasuredFields
 
 Floats = NDArray[np.float64]
 
 NO_INFO = "no info yet"
+DECODED_BY_DAEMON = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
+SITES_MAX: Final = 10_000
+INFO_BYTES_MAX: Final = 2_000_000
+
+_TOLD_MAX = 200  # characters of an error that become part of a state
+
+_INT64 = range(2**63)  # what subscribers hold numbers in
+_NS = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -62,6 +73,8 @@ class RemotePlate:
         Gaps in `seq` while the daemon stayed the same.
     last_s
         When signals came last that could be used, by the caller's clock.
+    gate_s
+        Length of a frame's gate, by the last `info` that could be used.
     """
 
     def __init__(self, name: str) -> None:
@@ -70,14 +83,18 @@ class RemotePlate:
         self.problem = NO_INFO
         self.received = self.unusable = self.missed = 0
         self.last_s = -math.inf
+        self.gate_s = 0.0
         self._last: tuple[str, int] | None = None  # boot of the daemon, seq
 
     def take_info(self, payload: bytes) -> bool:
         """Read an `info`, or b"" where it was taken back; returns whether the skin is another one now."""
         before = self.skin
-        self.skin, self.problem = _read_info(payload)
-        if self.skin is None:
+        try:
+            self.skin, self.gate_s = _read_info(payload)
+        except _UnusableInfoError as error:
+            self.skin, self.problem = None, str(error)
             return before is not None
+        self.problem = ""
         if self.skin.is_same(before):
             self.skin = before
             return False
@@ -85,7 +102,7 @@ class RemotePlate:
 
     def refuse(self, problem: str) -> None:
         """Decode nothing until the next `info`."""
-        self.skin, self.problem = None, problem
+        self.skin, self.problem = None, problem[:_TOLD_MAX]
 
     def take_signals(self, payload: bytes, now_s: float) -> Signals | None:
         """Read a `signals`; None where it cannot be decoded, which is counted."""
@@ -93,6 +110,9 @@ class RemotePlate:
         try:
             message = decode(Signals, payload)
         except (ValueError, RecursionError, MemoryError, OverflowError):
+            self.unusable += 1
+            return None
+        if not all(number in _INT64 for number in (message.seq, message.t_unc_ns, *message.lost.model_dump().values())):
             self.unusable += 1
             return None
         self._follow(message)
@@ -103,6 +123,10 @@ class RemotePlate:
             return None
         self.last_s = now_s
         return message
+
+    def age_s(self, message: Signals) -> float:
+        """Return the time from the end of a frame's gate until now, as far as this computer's clock and its agree."""
+        return (time.time_ns() - message.t_ns) / _NS - self.gate_s / 2
 
     def _follow(self, message: Signals) -> None:
         if self._last is not None and self._last[0] == message.daemon_boot_id:
@@ -125,24 +149,39 @@ def header_of(message: Signals) -> MeasuredFields:
     )
 
 
-def _read_info(payload: bytes) -> tuple[SkinPlate | None, str]:
-    """Read an `info`; without a skin that can be decoded, why there is none."""
+def told(error: BaseException) -> str:
+    """Return what an error says; some, as of memory, say nothing."""
+    return str(error) or repr(error)
+
+
+class _UnusableInfoError(ValueError):
+    """Why there is nothing to decode."""
+
+
+def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
+    """Read skin and length of a gate from an `info`."""
     if not payload:
-        return None, NO_INFO
+        raise _UnusableInfoError(NO_INFO)
     try:
+        _check_size(payload)
         info = decode(Info, payload)
-    except (ValueError, RecursionError) as error:
-        first = str(error).splitlines()[0][:200]
-        return None, f"info cannot be read: {first}"
+    except _UnusableInfoError:
+        raise
+    except (ValueError, RecursionError, MemoryError, OverflowError) as error:
+        first = told(error).splitlines()[0][:_TOLD_MAX]
+        raise _UnusableInfoError(f"info cannot be read: {first}") from error
     if (version := info.schema_version).partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
-        return None, f"its messages have schema version {version[:20]!a}, this decoder reads {SCHEMA_VERSION}"
+        reads = f"this decoder reads {SCHEMA_VERSION}"
+        raise _UnusableInfoError(f"its messages have schema version {version[:20]!a}, {reads}")
+    if DECODED.path in info.rates_hz:
+        raise _UnusableInfoError(DECODED_BY_DAEMON)
     if info.skin is None:
-        return None, "has no skin: there is nothing to decode"
+        raise _UnusableInfoError("has no skin: there is nothing to decode")
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
     try:
         half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)
     except ValueError as error:
-        return None, f"skin in info: {error}"
+        raise _UnusableInfoError(f"skin in info: {told(error)}") from error
     skin = Skin(
         half_space,
         positions_m,
@@ -151,17 +190,34 @@ def _read_info(payload: bytes) -> tuple[SkinPlate | None, str]:
         info.skin.correlation_length_m,
         info.skin.tangential_ratio,
     )
-    if problem := _problem(skin):
-        return None, f"info: {problem}"
-    return SkinPlate(skin, np.array([site.site for site in info.sites], np.intp), info.grid), ""
+    if problem := _problem(info, skin):
+        raise _UnusableInfoError(f"info: {problem}")
+    return SkinPlate(skin, np.array([site.site for site in info.sites], np.intp), info.grid), 1 / info.frame_rate_hz
 
 
-def _problem(skin: Skin) -> str:
+def _check_size(payload: bytes) -> None:
+    """Refuse what is too long to be checked entry by entry on the event loop."""
+    if len(payload) > INFO_BYTES_MAX:
+        raise _UnusableInfoError(f"info has {len(payload)} bytes, a decoder reads {INFO_BYTES_MAX} at most")
+    content = json.loads(payload)
+    if not isinstance(content, dict):
+        raise ValueError("not a JSON object")
+    for key, value in content.items():
+        if isinstance(value, list | dict) and len(value) > SITES_MAX:
+            what = f"{len(value)} entries in {key[:20]!a}"
+            raise _UnusableInfoError(f"info has {what}, a decoder takes {SITES_MAX} sites at most")
+
+
+def _problem(info: Info, skin: Skin) -> str:
     """Say what no decoder could be built for; what only building shows is said then."""
     if not len(skin.site_positions_m):
         return "no sites"
     if not np.isfinite(skin.site_positions_m).all():
         return "sites without a place"
+    if not all(site.site in _INT64 for site in info.sites):
+        return "numbers of sites must be in 0 .. 2^63 - 1"
+    if not 1e-9 < info.frame_rate_hz < math.inf:
+        return f"frame_rate_hz is {info.frame_rate_hz}, must be above 0"
     numbers = (skin.depth_m, skin.correlation_length_m, skin.tangential_ratio)
     if not all(0.0 < number < np.inf for number in numbers) or not 0.0 <= skin.gain_std < 1.0:
         return f"depth, correlation length and tangential ratio {numbers} must be above 0, gain_std in 0 .. 1"

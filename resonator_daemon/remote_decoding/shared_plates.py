@@ -8,18 +8,23 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from resonator_daemon.config import plate_name
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, SIGNALS, full_topic, split_topic
-from resonator_daemon.remote_decoding.mode import SILENT_S, Publish
+from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
 from resonator_daemon.surface_reports import SurfaceReporter
 
-PLATES_MAX: Final = 4096
+PLATES_MAX: Final = 1000
+PROBLEMS_MAX: Final = 100  # of plates that are not in the table
+NAME_LENGTH_MAX: Final = 100
+GIVES_WAY_AFTER_S: Final = 60.0
 
 _SAID = 3  # plates whose problem is said
 
@@ -68,7 +73,10 @@ class SharedPlates:
         self._decoded: Counter[str] = Counter()
         self._stage = SharedStage[_Origin](wanted, self._deliver, self._announce, self._refuse)
         self._note = ""
+        self._entered_s: dict[str, float] = {}
+        self._problems: dict[str, str] = {}  # of plates that are not entered, the oldest first
         self._is_full = False
+        self.latency = LatencyHistogram()
         self.topic_filter = " ".join(self._filter(name, SIGNALS.path) for name in plates)
 
     @property
@@ -83,12 +91,19 @@ class SharedPlates:
         if self._note:
             return Condition.STARTING, self._note
         now_s = time.monotonic()
-        heard = [plate for plate in self._plates.values() if now_s - plate.last_s <= SILENT_S]
+        served = self._stage.served
+        heard = [
+            plate
+            for plate in self._plates.values()
+            if now_s - plate.last_s <= WAITS_AFTER_S and plate.skin is not None and served.get(plate.name) is plate.skin
+        ]
         problems = [f"{plate.name}: {plate.problem}" for plate in self._plates.values() if plate.problem]
+        problems += [f"{name}: {problem}" for name, problem in self._problems.items()]
         if len(problems) > _SAID:
             problems[_SAID:] = [f"and {len(problems) - _SAID} more"]
         what = f"signals of {len(heard)} plates are decoded" if heard else "no signals that could be decoded"
-        return (Condition.ONLINE if heard else Condition.WAITING), "; ".join((what, *problems))
+        full = [f"{PLATES_MAX} plates are known, no more are taken"] if len(self._plates) >= PLATES_MAX else []
+        return (Condition.ONLINE if heard else Condition.WAITING), "; ".join((what, *full, *problems))
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         return {
@@ -109,25 +124,68 @@ class SharedPlates:
     def _filter(self, name: str, path: str) -> str:
         return f"$share/{self._group}/{full_topic(self._prefix, name, path)}"
 
-    def _plate(self, message: Incoming) -> RemotePlate | None:
-        """Return whose message it is; None where there are too many plates to keep account of."""
+    def _name(self, message: Incoming) -> str | None:
+        """Return whose message it is; None where no plate can be called so."""
         name, _ = split_topic(self._prefix, message.topic)
-        if name not in self._plates:
-            if len(self._plates) >= PLATES_MAX:
-                if not self._is_full:
-                    log.warning("more than %d plates: %s and others are not decoded", PLATES_MAX, name)
-                self._is_full = True
-                return None
-            self._plates[name] = RemotePlate(name)
-        return self._plates[name]
+        if len(name) > NAME_LENGTH_MAX or name in (".", ".."):
+            return None
+        try:
+            return plate_name(name)
+        except ValueError:
+            return None
 
     def _take_info(self, message: Incoming) -> None:
-        plate = self._plate(message)
-        if plate is not None and plate.take_info(message.payload):
-            self._reporters.pop(plate.name, None)
+        name = self._name(message)
+        if name is None:
+            return
+        self._problems.pop(name, None)
+        if not message.payload:
+            self._forget(name)
+            return
+        if name in self._plates:
+            if self._plates[name].take_info(message.payload):
+                self._reporters.pop(name, None)
+            return
+        plate = RemotePlate(name)
+        plate.take_info(message.payload)
+        if plate.skin is None:
+            self._remember(name, plate.problem)
+        elif self._has_room(name):
+            self._plates[name], self._entered_s[name] = plate, time.monotonic()
+        else:
+            self._remember(name, f"is beyond {PLATES_MAX} plates; name the plates of each group in decoding.plates")
+
+    def _has_room(self, name: str) -> bool:
+        """Whether one more plate can be entered; the one silent the longest gives way."""
+        if len(self._plates) < PLATES_MAX:
+            self._is_full = False
+            return True
+        silent_s, silent = min(
+            (max(plate.last_s, self._entered_s[known]), known) for known, plate in self._plates.items()
+        )
+        if time.monotonic() - silent_s > GIVES_WAY_AFTER_S:
+            self._forget(silent)
+            return True
+        if not self._is_full:
+            log.warning("more than %d plates: %s and others are not decoded", PLATES_MAX, name)
+        self._is_full = True
+        return False
+
+    def _remember(self, name: str, problem: str) -> None:
+        if len(self._problems) >= PROBLEMS_MAX:
+            del self._problems[next(iter(self._problems))]
+        self._problems[name] = problem
+
+    def _forget(self, name: str) -> None:
+        if self._plates.pop(name, None) is None:
+            return
+        del self._entered_s[name], self._decoded[name]
+        self._reporters.pop(name, None)
+        self._stage.forget(name)
 
     def _take_signals(self, message: Incoming) -> None:
-        plate = self._plate(message)
+        name = self._name(message)
+        plate = None if name is None else self._plates.get(name)
         if plate is None:
             return
         signals = plate.take_signals(message.payload, time.monotonic())
@@ -151,6 +209,7 @@ class SharedPlates:
 
     def _deliver(self, name: str, origin: _Origin, surface: SurfaceReading) -> None:
         self._decoded[name] += 1
+        self.latency.add(self._plates[name].age_s(origin.signals))
         header = header_of(origin.signals)
         self._publish(name, DECODED, origin.reporter.decoded(header, surface.decoded))
         self._publish(name, DECODED_SUMMARY, origin.reporter.summary(header, surface, numbered=False))

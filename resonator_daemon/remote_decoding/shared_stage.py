@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.decoding.stage import CANNOT_DECODE, announcer, failed, set_up
-from resonator_daemon.remote_decoding.plate import SkinPlate
+from resonator_daemon.remote_decoding.plate import SkinPlate, told
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
 
@@ -52,6 +52,8 @@ class SharedStage(Generic[Origin]):
     ----------
     skipped, unusable
         Frames by plate: a newer one came first; nothing told the noise, or the plate was refused.
+    served
+        By plate: the skin of the last frame that a decoder was there for.
     """
 
     def __init__(
@@ -71,6 +73,7 @@ class SharedStage(Generic[Origin]):
         self._decoders: list[tuple[tuple[object, ...], SkinDecoder]] = []  # by geometry, the one used last at the end
         self.skipped: Counter[str] = Counter()
         self.unusable: Counter[str] = Counter()
+        self.served: dict[str, SkinPlate] = {}
 
     def waiting(self, plate: str) -> int:
         """Frames of a plate that are being decoded, or are next."""
@@ -81,6 +84,14 @@ class SharedStage(Generic[Origin]):
         self.skipped[plate] += plate in self._newest
         self._newest[plate] = _Frame(origin, skin, signals, noise_std)
         self._offered.set()
+
+    def forget(self, plate: str) -> None:
+        """Drop what is counted and what waits of a plate; of a frame in work nothing is delivered."""
+        self._newest.pop(plate, None)
+        self.served.pop(plate, None)
+        del self.skipped[plate], self.unusable[plate]
+        if self._busy_with == plate:
+            self._busy_with = None
 
     async def run(self) -> None:
         """Decode until cancelled."""
@@ -103,13 +114,18 @@ class SharedStage(Generic[Origin]):
         frame = self._newest.pop(plate)
         self._busy_with = plate
         decoder = await self._decoder_for(plate, frame, pool)
+        if self._busy_with is None:  # the plate was forgotten meanwhile
+            return
         if decoder is None:
             self.unusable[plate] += 1
             self._busy_with = None
             return
+        self.served[plate] = frame.skin
         reading = await asyncio.get_running_loop().run_in_executor(
             pool, _decode, decoder, frame.signals, frame.noise_std
         )
+        if self._busy_with is None:
+            return
         self._busy_with = None
         self._deliver(plate, frame.origin, reading)
 
@@ -127,9 +143,10 @@ class SharedStage(Generic[Origin]):
         try:
             decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._wanted, noise_std, progress)
         except CANNOT_DECODE as error:
-            log.error("%s: nothing is decoded: %s", plate, error)
+            log.error("%s: nothing is decoded: %s", plate, told(error))
             self._announce("")
-            self._refuse(plate, f"nothing is decoded: {error}")
+            if self._busy_with is not None:
+                self._refuse(plate, f"nothing is decoded: {told(error)}")
             return None
         self._announce("")
         log.info("decoder %s for skins as of %s ready after %.1f s", decoder.name, plate, time.monotonic() - started)

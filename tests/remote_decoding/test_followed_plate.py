@@ -1,14 +1,17 @@
 """A followed plate without a broker: the same results as in the daemon, contacts that end, and an exact account."""
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from decoder_bench import NU, SITES_M, E, Floats, incoming, info, pressed, signals, until
 
+from resonator_daemon.decoding import stage
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage, set_up
@@ -16,6 +19,7 @@ from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Info, Message, Signals
 from resonator_daemon.remote_decoding import followed_plate
+from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.plate import header_of
 from resonator_daemon.surface_reports import SurfaceReporter
@@ -125,7 +129,8 @@ async def test_messages_carry_the_numbers_of_their_signals() -> None:
     sent, found = signals(4), followed.on("decoded")[1]
     for name in ("daemon_boot_id", "board_boot_id", "t_ns", "t_unc_ns", "lost", "board_ticks"):
         assert getattr(found, name) == getattr(sent, name)
-    assert found.decoder_id == followed.on("decoded/summary")[1].decoder_id == "host-1"
+    of_decoder = (followed.on(path)[0] for path in ("decoded", "decoded/summary", "contacts", "contacts/event"))
+    assert [message.decoder_id for message in of_decoder] == ["host-1"] * 4
     assert found.grid is not None
     assert (found.grid.origin_m, found.grid.pitch_m) == (info().grid.origin_m, info().grid.pitch_m)  # type: ignore[union-attr]
     assert followed.account.missed == 4
@@ -200,8 +205,37 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
     assert events[1].contact.duration_s == pytest.approx(0.02)
 
 
+async def test_signals_of_another_shape_may_follow_their_info_at_once() -> None:
+    """They must not reach the decoder of the skin before."""
+    fewer = SITES_M[:72]
+    noise = np.full((3, 72), 2.0**-7, np.float32)
+    async with Followed().running() as followed:
+        await followed.tell(info())
+        await followed.read(signals(0))
+        changed = info(sites=info().sites[:72], grid=None)
+        followed._info.take(incoming(followed._info.topic_filter, encode(changed)))
+        followed.send(signals(1, np.zeros((3, len(fewer))), noise_std=noise))
+        assert followed.account.skipped == 1
+        await until(lambda: not followed.plate._changed.is_set())
+        await asyncio.sleep(0)
+        await followed.read(signals(2, np.zeros((3, len(fewer))), noise_std=noise))
+    assert [message.seq for message in followed.on("decoded")] == [0, 2]
+
+
+async def test_each_decoded_frame_is_counted_by_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
+    middle_ns = signals(0).t_ns
+    monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: middle_ns + 5_000_000 + 3_000_000))
+    async with Followed().running() as followed:
+        await followed.tell(info())  # 100 Hz: the gate ends 5 ms after its middle
+        for _ in range(2):
+            await followed.read(signals(0))
+        followed.send(signals(0, status="settling"))
+    counted = followed.plate.latency.info()
+    assert dict(zip(counted.bounds_ms, counted.counts, strict=False))[4.0] == sum(counted.counts) == 2
+
+
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(followed_plate, "INTERRUPTED_S", 0.05)
+    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.05)
     monkeypatch.setattr(followed_plate, "_LOOK_S", 0.01)
     told: list[str] = []
     interrupt = DecodingStage.interrupt
@@ -249,3 +283,51 @@ async def test_odd_numbers_give_a_status_and_spoil_no_other_frame(values: Floats
     assert [message.status for message in followed.on("decoded/summary")][::2] == ["ok", "ok"]
     assert followed.on("decoded/summary")[1].status in ("no_signal", "rejected")
     assert np.isnan(followed.on("decoded")[1].traction_pascal).all()
+
+
+async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not() -> None:
+    async with Followed().running() as followed:
+        await followed.tell(info(rates_hz={"signals": 100.0, "decoded": 100.0}))
+        followed.send(signals(0))
+        problem = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
+        assert followed.plate.condition() == ("waiting", f"hand: {problem}")
+        assert followed.account.unusable == 1
+        await followed.tell(info())
+        await followed.read(signals(1))
+        assert [message.seq for message in followed.on("decoded")] == [1]
+
+
+async def test_it_is_online_once_the_decoder_is_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_begin, may_end = threading.Event(), threading.Event()
+
+    def slow(skin: Any, wanted: Any, noise_std: Any, progress: Any) -> Any:
+        assert may_begin.wait(20)
+        progress("matrices")
+        assert may_end.wait(20)
+        return set_up(skin, wanted, noise_std, lambda _: None)
+
+    monkeypatch.setattr(stage, "set_up", slow)
+    async with Followed().running() as followed:
+        states = [followed.plate.condition()[0]]
+
+        def look() -> str:
+            state = followed.plate.condition()[0]
+            if state != states[-1]:
+                states.append(state)
+            return state
+
+        announced = followed.plate._announce
+        monkeypatch.setattr(followed.plate, "_announce", lambda note: (announced(note), look()))
+        await followed.tell(info())
+        for seq, depth_m in enumerate((1e-3, 1.1e-3)):  # of another skin the decoder is another one
+            await followed.tell(info(skin=info().skin.model_copy(update={"depth_m": depth_m})))
+            followed.send(signals(seq))
+            await until(lambda: followed.account.waiting == 1)
+            look()
+            may_begin.set()
+            await until(lambda: look() == "starting")
+            may_end.set()
+            await until(lambda: look() == "online")
+            may_begin.clear()
+            may_end.clear()
+    assert states == ["waiting", "starting", "online"] * 2

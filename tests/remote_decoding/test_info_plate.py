@@ -1,6 +1,9 @@
 """What a decoder reads of a plate: what cannot be used is counted, and nothing raises."""
 
+import json
 import random
+from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import cbor2
@@ -10,6 +13,7 @@ from decoder_bench import SITES, SITES_M, info, signals
 
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import SiteInfo
+from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
 
 SKIN = info().skin
@@ -82,6 +86,20 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
         (encode(info(skin=SKIN.model_copy(update={"gain_std": 1.0}))), "gain_std"),
         (encode(info(skin=SKIN.model_copy(update={"poisson_ratio": 0.7}))), "poisson_ratio"),
         (encode(info(sites=())), "no sites"),
+        (
+            encode(info(sites=(SiteInfo(site=2**63, position_m=(0.0, 0.0)),))),
+            "sites must be in 0 .. 2^63 - 1",
+        ),
+        (encode(info(sites=(SiteInfo(site=-1, position_m=(0.0, 0.0)),))), "numbers of sites"),
+        (encode(info(sites=(SiteInfo(site=10**400, position_m=(0.0, 0.0)),))), "numbers of sites"),
+        (encode(info(frame_rate_hz=0.0)), "frame_rate_hz is 0.0, must be above 0"),
+        (encode(info(frame_rate_hz=-1.0)), "frame_rate_hz is -1.0"),
+        (
+            encode(info(rates_hz={"signals": 100.0, "decoded": 100.0, "decoded/5hz": 5.0})),
+            "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration",
+        ),
+        (b"[]", "info cannot be read: not a JSON object"),
+        (encode(info(frame_rate_hz=5e-324)), "frame_rate_hz is 5e-324"),
     ],
 )
 def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, problem: str) -> None:
@@ -94,9 +112,71 @@ def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, pro
     assert take(plate, encode(signals(1)))
 
 
+TOO_LONG = [
+    (encode(info(sites=info().sites * 70)), "10080 entries in 'sites', a decoder takes 10000 sites at most"),
+    (encode(info(outline_m=((0.0, 0.0),) * 10_001)), "10001 entries in 'outline_m'"),
+    (encode(info(units={f"_{number}": "m" for number in range(10_001)})), "10001 entries in 'units'"),
+    (encode(info()).ljust(2_000_001), "info has 2000001 bytes, a decoder reads 2000000 at most"),
+]
+
+
+@pytest.mark.parametrize(("payload", "problem"), TOO_LONG, ids=range(len(TOO_LONG)))
+def test_an_info_that_is_too_long_is_refused_before_it_is_checked_entry_by_entry(
+    plate: RemotePlate, payload: bytes, problem: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plate_module, "decode", pytest.fail)
+    assert plate.take_info(payload)
+    assert problem in plate.problem
+    assert plate.skin is None
+
+
+def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: RemotePlate) -> None:
+    sites = tuple(SiteInfo(site=number, position_m=(1e-3 * number / 3, 2e-3 / 7)) for number in range(10_000))
+    assert plate.take_info(encode(info(sites=sites, grid=None)))
+    assert plate.problem == ""
+    assert plate.take_info(encode(info()).ljust(2_000_000))
+    assert plate.problem == ""
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RecursionError(), ValueError()])
+def test_an_error_that_says_nothing_is_told_by_its_name(
+    plate: RemotePlate, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    monkeypatch.setattr(plate_module, "decode", fail)
+    assert plate.take_info(encode(info()))
+    assert plate.problem == f"info cannot be read: {type(error).__name__}()"
+
+
 def test_a_minor_version_more_is_read(plate: RemotePlate) -> None:
     assert not plate.take_info(encode(info(schema_version="1.7")))
     assert plate.skin is not None
+
+
+ABSURD = [2**63, 2**70, -1, -(2**63) - 1, 1e308, -1e308, 5e-324, 0, "x" * 1000, None, [], {}, True]
+ABSURD_JSON = [*(json.dumps(value) for value in ABSURD), "1" + "0" * 5000, "1e999", "NaN"]
+
+
+def places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Return each container in a message with the keys that it has; of a list the first two."""
+    if isinstance(value, dict | list):
+        for key in list(value) if isinstance(value, dict) else range(len(value[:2])):
+            yield value, key
+            yield from places(value[key])
+
+
+def test_no_absurdity_anywhere_in_info_raises(plate: RemotePlate) -> None:
+    whole, tried = json.loads(encode(info(sites=info().sites[:9], grid=None))), 0
+    for container, key in list(places(whole)):
+        kept, container[key] = container[key], "absurd"
+        for text in ABSURD_JSON:
+            plate.take_info(json.dumps(whole).replace('"absurd"', text).encode())
+            assert (plate.skin is None) == (plate.problem != "")
+            tried += 1
+        container[key] = kept
+    assert tried > 600
 
 
 HOSTILE = [
@@ -110,6 +190,11 @@ HOSTILE = [
     encode(signals(0, np.zeros((3, 4)), noise_std=np.ones((3, 4), np.float32))),
     encode(signals(0, np.zeros((3, 12, 12)), noise_std=np.ones((3, 12, 12), np.float32))),
     encode(signals(0, status="settling")),
+    encode(signals(0).model_copy(update={"seq": 2**63})),
+    encode(signals(0).model_copy(update={"seq": -1})),
+    encode(signals(0, t_unc_ns=2**63)),
+    encode(signals(0, lost={"link_gap": 2**70})),
+    encode(signals(0, lost={"publish_dropped": -1})),
     cbor2.dumps({"seq": "x" * 1000}),
     cbor2.dumps(cbor2.CBORTag(40, [[2**40, 2**40], cbor2.CBORTag(85, b"")])),
     cbor2.dumps(cbor2.CBORTag(2, b"\xff" * 10_000)),
@@ -121,6 +206,17 @@ def test_what_is_no_frame_of_this_skin_is_counted(plate: RemotePlate, payload: b
     assert not take(plate, payload)
     assert (plate.received, plate.unusable) == (1, 1)
     assert take(plate, encode(signals(0)))
+    assert plate.missed == 0
+
+
+def test_the_age_of_a_frame_counts_from_the_end_of_its_gate(
+    plate: RemotePlate, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    message = signals(0)
+    monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: message.t_ns + 12_000_000))
+    assert plate.age_s(message) == pytest.approx(0.007)
+    assert not plate.take_info(encode(info(frame_rate_hz=200.0)))  # the skin is the same
+    assert plate.age_s(message) == pytest.approx(0.0095)
 
 
 def test_mutated_frames_never_raise(plate: RemotePlate) -> None:

@@ -210,3 +210,14 @@ async def test_what_waits_when_it_ends_is_counted_as_skipped(substitute: type[Su
     counted = len(stage.delivered) + stage.stage.skipped.total()
     assert counted == 2
     assert stage.stage.waiting("a") == stage.stage.waiting("b") == 0
+
+
+async def test_an_error_that_says_nothing_is_told_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(shared_stage, "set_up", fail)
+    async with Stage().running() as stage:
+        stage.offer("a", 0, marked(0.0))
+        await until(lambda: len(stage.refused) == 1)
+    assert stage.refused == [("a", "nothing is decoded: MemoryError()")]

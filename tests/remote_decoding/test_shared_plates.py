@@ -1,0 +1,273 @@
+"""Many plates in one process: whose frame it is, what is said of them all, and how many there may be."""
+
+import asyncio
+import logging
+import threading
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from decoder_bench import incoming, info, signals, until
+
+from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
+from resonator_daemon.remote_decoding import shared_plates, shared_stage
+from resonator_daemon.remote_decoding.shared_plates import PROBLEMS_MAX, SharedPlates
+
+LINEAR = Wanted(contact_physics=False, background=False)
+
+
+class Shared:
+    """Shared plates, and what they have published."""
+
+    def __init__(self) -> None:
+        self.published: list[tuple[str, str, Any]] = []
+        self.plates = SharedPlates("resonator", ["+"], "touch", LINEAR, "host-1", self._publish)
+        self._info, self._signals = self.plates.subscriptions
+
+    def _publish(self, plate: str, topic: Any, message: Message) -> None:
+        self.published.append((plate, topic.path, message))
+
+    def tell(self, plate: str, message: Info) -> None:
+        self._info.take(incoming(f"resonator/{plate}/info", encode(message)))
+
+    def withdraw(self, plate: str) -> None:
+        self._info.take(incoming(f"resonator/{plate}/info", b""))
+
+    def send(self, plate: str, message: Signals) -> None:
+        self._signals.take(incoming(f"resonator/{plate}/signals", encode(message)))
+
+    async def read(self, plate: str, message: Signals) -> tuple[Any, Any]:
+        """Send a frame; return what was decoded, and the summary."""
+        count = len(self.published)
+        self.send(plate, message)
+        await until(lambda: len(self.published) == count + 2)
+        return self.published[-2][2], self.published[-1][2]
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator["Shared"]:
+        task = asyncio.create_task(self.plates.run())
+        try:
+            yield self
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+
+
+async def test_another_info_takes_effect_with_the_next_frame() -> None:
+    moved = GridInfo(origin_m=(0.5, 0.5), pitch_m=4e-4, shape=(12, 12))
+    sites = tuple(
+        site.model_copy(update={"position_m": (site.position_m[0] + 0.5, site.position_m[1] + 0.5)})
+        for site in info().sites
+    )
+    async with Shared().running() as shared:
+        for plate in ("left", "right"):
+            shared.tell(plate, info())
+            decoded, summary = await shared.read(plate, signals(0))
+            assert decoded.grid.origin_m == info().sites[0].position_m
+            assert decoded.decoder_id == summary.decoder_id == "host-1"
+        shared.tell("left", info(sites=sites, grid=moved))
+        decoded, _ = await shared.read("left", signals(1))
+        assert decoded.grid.origin_m == sites[0].position_m
+        decoded, _ = await shared.read("right", signals(1))
+        assert decoded.grid.origin_m == info().sites[0].position_m
+
+
+async def test_it_is_online_while_signals_come_and_waits_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shared_plates, "WAITS_AFTER_S", 0.2)
+    nothing = ("waiting", "no signals that could be decoded")
+    async with Shared().running() as shared:
+        assert shared.plates.condition() == nothing
+        shared.tell("left", info())
+        shared.tell("right", info(skin=None))
+        shared.send("left", signals(0))
+        problem = "right: has no skin: there is nothing to decode"
+        await until(lambda: shared.plates.condition() == ("online", f"signals of 1 plates are decoded; {problem}"))
+        await until(lambda: shared.plates.condition() == ("waiting", f"{nothing[1]}; {problem}"))
+
+
+async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not() -> None:
+    rates_hz = {"signals": 100.0, "decoded": 100.0}
+    async with Shared().running() as shared:
+        shared.tell("left", info(rates_hz=rates_hz))
+        shared.tell("right", info())
+        shared.send("left", signals(0))
+        await shared.read("right", signals(0))
+        assert {plate for plate, _, _ in shared.published} == {"right"}
+        problem = "left: the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
+        assert problem in shared.plates.condition()[1]
+        shared.tell("left", info())
+        await shared.read("left", signals(1))
+        shared.tell("left", info(rates_hz=rates_hz))
+        shared.send("left", signals(2))
+        await shared.read("right", signals(1))
+        assert [(plate, path) for plate, path, _ in shared.published].count(("left", "decoded")) == 1
+        assert problem in shared.plates.condition()[1]
+
+
+async def test_it_is_online_once_a_decoder_is_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    may_begin, may_end = threading.Event(), threading.Event()
+    real = shared_stage.set_up
+
+    def slow(skin: Any, wanted: Any, noise_std: Any, progress: Any) -> Any:
+        assert may_begin.wait(20)
+        progress("matrices")
+        assert may_end.wait(20)
+        return real(skin, wanted, noise_std, lambda _: None)
+
+    monkeypatch.setattr(shared_stage, "set_up", slow)
+    async with Shared().running() as shared:
+        states = [shared.plates.condition()[0]]
+
+        def look() -> str:
+            state = shared.plates.condition()[0]
+            if state != states[-1]:
+                states.append(state)
+            return state
+
+        loop, announce = asyncio.get_running_loop(), shared.plates._stage._announce
+        monkeypatch.setattr(shared.plates._stage, "_announce", lambda note: (announce(note), loop.call_soon(look)))
+        shared.tell("left", info())
+        shared.send("left", signals(0))
+        await until(lambda: shared.plates.health()["left"].waiting == 1)
+        look()
+        may_begin.set()
+        await until(lambda: look() == "starting")
+        may_end.set()
+        await until(lambda: look() == "online")
+    assert states == ["waiting", "starting", "online"]
+
+
+@pytest.mark.parametrize("name", ["decoder", "", "..", ".", "a b", " ", "$left", "a\x00b", "x" * 101])
+def test_what_no_plate_is_called_is_passed_over(name: str) -> None:
+    shared = Shared()
+    shared.tell(name, info())
+    shared.tell(name, info(skin=None))
+    shared.send(name, signals(0))
+    assert shared.plates.health() == {}
+    assert shared.plates.condition() == ("waiting", "no signals that could be decoded")
+
+
+async def test_a_plate_is_there_from_its_first_skin_until_its_info_is_gone() -> None:
+    async with Shared().running() as shared:
+        longest = "x" * 100
+        shared.send(longest, signals(0))
+        shared.tell(longest, info(skin=None))
+        shared.send(longest, signals(0))
+        assert shared.plates.health() == {}
+        shared.tell(longest, info())
+        await shared.read(longest, signals(0))
+        assert shared.plates.health()[longest].received == 1
+        shared.withdraw(longest)
+        assert shared.plates.health() == {}
+        assert shared.plates.condition() == ("waiting", "no signals that could be decoded")
+        shared.send(longest, signals(1))
+        shared.tell(longest, info())
+        await shared.read(longest, signals(2))
+        account = shared.plates.health()[longest]
+        assert (account.received, account.decoded, account.missed) == (1, 1, 0)
+        shared.tell("bad", info(skin=None))
+        assert "bad" in shared.plates.condition()[1]
+        shared.withdraw("bad")
+        assert "bad" not in shared.plates.condition()[1]
+
+
+async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    began, may_end = threading.Event(), threading.Event()
+    real = shared_stage.set_up
+
+    def slow(*arguments: Any) -> Any:
+        began.set()
+        assert may_end.wait(20)
+        return real(*arguments)
+
+    monkeypatch.setattr(shared_stage, "set_up", slow)
+    async with Shared().running() as shared:
+        shared.tell("left", info())
+        shared.send("left", signals(0))
+        await until(began.is_set)
+        for seq in (1, 2):
+            shared.send("left", signals(seq))
+        assert shared.plates.health()["left"].skipped == 1
+        shared.withdraw("left")
+        shared.tell("left", info())
+        assert shared.plates.health()["left"].waiting == 0
+        shared.send("left", signals(3))
+        may_end.set()
+        await until(lambda: shared.plates.health()["left"].decoded == 1)
+        assert [message.seq for _, path, message in shared.published if path == "decoded"] == [3]
+        account = shared.plates.health()["left"]
+        assert (account.received, account.skipped, account.unusable, account.waiting) == (1, 0, 0, 0)
+
+
+async def test_what_is_wrong_with_a_forgotten_skin_is_not_said_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    began, may_end = threading.Event(), threading.Event()
+
+    def fail(*_: Any) -> None:
+        began.set()
+        assert may_end.wait(20)
+        raise ValueError("too steep")
+
+    real = shared_stage.set_up
+    monkeypatch.setattr(shared_stage, "set_up", fail)
+    async with Shared().running() as shared:
+        shared.tell("left", info())
+        shared.send("left", signals(0))
+        await until(began.is_set)
+        shared.withdraw("left")
+        shared.tell("left", info())
+        monkeypatch.setattr(shared_stage, "set_up", real)
+        may_end.set()
+        await shared.read("left", signals(1))
+        assert shared.plates.condition() == ("online", "signals of 1 plates are decoded")
+
+
+async def test_beyond_its_places_only_silent_plates_give_way(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock = SimpleNamespace(now_s=0.0)
+    monkeypatch.setattr(shared_plates, "time", SimpleNamespace(monotonic=lambda: clock.now_s))
+    monkeypatch.setattr(shared_plates, "PLATES_MAX", 3)
+    shared = Shared()
+    for name in ("a", "b", "c"):
+        assert "no more are taken" not in shared.plates.condition()[1]
+        shared.tell(name, info())
+        clock.now_s += 1.0
+    clock.now_s = 60.0
+    shared.send("a", signals(0))
+    for name in ("d", "e"):
+        shared.tell(name, info())
+    assert set(shared.plates.health()) == {"a", "b", "c"}
+    assert "3 plates are known, no more are taken; d: is beyond 3 plates" in shared.plates.condition()[1]
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    clock.now_s = 61.5
+    shared.tell("e", info())
+    assert set(shared.plates.health()) == {"a", "c", "e"}
+    assert "e: is beyond" not in shared.plates.condition()[1]
+    shared.tell("f", info())
+    assert set(shared.plates.health()) == {"a", "c", "e"}
+    shared.withdraw("c")
+    assert "no more are taken" not in shared.plates.condition()[1]
+    shared.tell("f", info())
+    assert set(shared.plates.health()) == {"a", "e", "f"}
+
+
+def test_what_is_said_of_plates_without_a_skin_is_bounded() -> None:
+    shared = Shared()
+    for number in range(PROBLEMS_MAX + 20):
+        shared.tell(f"{number:0>100}", info(skin=None, schema_version="9" * 5000))
+    assert len(shared.plates._problems) == PROBLEMS_MAX
+    reason = shared.plates.condition()[1]
+    assert reason.endswith(f"and {PROBLEMS_MAX - 3} more")
+    assert len(reason) < 1000
+
+
+async def test_the_age_of_all_plates_frames_goes_into_one_histogram() -> None:
+    async with Shared().running() as shared:
+        for plate in ("left", "right"):
+            shared.tell(plate, info())
+            await shared.read(plate, signals(0))
+    assert sum(shared.plates.latency.info().counts) == 2
