@@ -54,13 +54,18 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
     if as_json:
         sys.stdout.write(json.dumps(answer) + "\n")
     elif done:
-        sys.stdout.write(f"{answer.get('did', 'done')}\n")
+        sys.stdout.write(f"{_printable(answer.get('did', 'done'))}\n")
     if not done:
         refusal = answer.get("error")
         reasons = refusal if isinstance(refusal, dict) else {}
-        parts = [str(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
+        parts = [_printable(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
         sys.stderr.write(f"resonatord: not tared: {'; '.join(parts) or 'refused'}\n")
     return ExitCode.DONE if done else ExitCode.FAILED
+
+
+def _printable(said: object) -> str:
+    """Return what a daemon, or whoever answers in its place, has said, without what no terminal can write."""
+    return str(said).encode(errors="replace").decode()
 
 
 async def _ask(config: Client) -> dict[str, object]:

@@ -3,21 +3,14 @@
 import os
 import shutil
 import signal
-import socket
 import subprocess
 from contextlib import AsyncExitStack
 from pathlib import Path
 
 import pytest
+from system_parts import free_port
 
 from resonator_daemon.publishing.embedded_broker import embedded_broker
-
-
-def free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-    return port
 
 
 class Mosquitto:

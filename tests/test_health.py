@@ -6,6 +6,7 @@ import math
 import os
 import resource
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -168,6 +169,8 @@ async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
     assert held["file_descriptors"] == before["file_descriptors"] + 2
     release.set()
     thread.join()
+    while Path(f"/proc/self/task/{thread.native_id}").exists():  # joined a moment before the kernel lets it go
+        await asyncio.sleep(0)
     task.cancel()
     await asyncio.wait([task])
     for descriptor in descriptors:

@@ -11,7 +11,8 @@ from brokers import Mosquitto
 from jsonschema import Draft7Validator
 from observer import Observer, observe
 from service_bench import Bench
-from test_skin_service import SHEARED, SMALL_SKIN
+from system_parts import SMALL_SKIN
+from test_skin_service import SHEARED
 
 from resonator_daemon.publishing.asyncapi import document
 from resonator_daemon.schema import print_schema

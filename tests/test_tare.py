@@ -8,9 +8,11 @@ from collections.abc import AsyncIterator, Collection
 from contextlib import asynccontextmanager
 from pathlib import Path
 
+import pytest
 from brokers import Mosquitto, free_port
 from commanded import commanded, state
 
+from resonator_daemon import tare as tare_module
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
@@ -153,3 +155,13 @@ async def test_a_file_of_name_and_broker_is_enough_and_one_without_either_is_tol
     assert said[0] == (b"common mode taken as untouched\n", b"", 0)
     assert said[1][1].startswith(b"resonatord: name: missing;")
     assert said[1][2] == 78
+
+
+def test_what_no_terminal_can_write_is_printed_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsysbinary: pytest.CaptureFixture[bytes]
+) -> None:
+    monkeypatch.setattr(tare_module, "_ask", lambda _: asyncio.sleep(0, {"ok": True, "did": "a\ud800b"}))
+    config = tmp_path / "operator.toml"
+    config.write_text('name = "left"\n')
+    assert tare_module.tare(config, as_json=False) == 0
+    assert capsysbinary.readouterr().out == b"a?b\n"

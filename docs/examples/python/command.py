@@ -36,7 +36,10 @@ async def ask(version):
         async for message in client.messages:
             if asked is None or getattr(message.properties, "CorrelationData", None) == number.encode():
                 break
-        return json.loads(message.payload)
+        try:
+            return json.loads(message.payload)
+        except (ValueError, RecursionError) as error:
+            sys.exit(f"the answer is no JSON: {error}")
 
 
 async def main():
