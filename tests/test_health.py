@@ -169,8 +169,7 @@ async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
     assert held["file_descriptors"] == before["file_descriptors"] + 2
     release.set()
     thread.join()
-    while Path(f"/proc/self/task/{thread.native_id}").exists():  # joined a moment before the kernel lets it go
-        await asyncio.sleep(0)
+    wait_for_the_kernel_to_let_go(thread)
     task.cancel()
     await asyncio.wait([task])
     for descriptor in descriptors:
@@ -178,6 +177,11 @@ async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
     after = vitals_of_now()
     for key in ("threads", "tasks", "file_descriptors"):
         assert after[key] == before[key]
+
+
+def wait_for_the_kernel_to_let_go(thread: threading.Thread) -> None:
+    while Path(f"/proc/self/task/{thread.native_id}").exists():  # for a moment after it was joined
+        os.sched_yield()
 
 
 def resident_mb() -> float:
