@@ -3,39 +3,44 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any, Literal
-from urllib.parse import parse_qsl, quote
+from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
-    BeforeValidator,
     Field,
     ModelWrapValidatorHandler,
     PlainValidator,
-    StrictBool,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
 )
 from pydantic_core import InitErrorDetails
 
 from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
 from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
+from resonator_daemon.config_tables import DECODER as DECODER
+from resonator_daemon.config_tables import Commands, Metrics
+from resonator_daemon.config_tables import Decoding as Decoding
+from resonator_daemon.config_tables import Listen as Listen
+from resonator_daemon.config_tables import Measurement as Measurement
+from resonator_daemon.config_tables import Recording as Recording
+from resonator_daemon.config_tables import plate_name as plate_name
 from resonator_daemon.errors import ConfigError
+from resonator_daemon.link_targets import LinkTarget as LinkTarget
+from resonator_daemon.link_targets import ReplayLink as ReplayLink
+from resonator_daemon.link_targets import SerialLink as SerialLink
+from resonator_daemon.link_targets import TcpLink as TcpLink
+from resonator_daemon.link_targets import UsbLink as UsbLink
+from resonator_daemon.link_targets import parse_link as parse_link
 from resonator_daemon.mqtt_settings import Mqtt as Mqtt
-from resonator_daemon.mqtt_settings import split_url
-from resonator_daemon.mqtt_settings import topic_level as topic_level
-from resonator_daemon.places import state_directory
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.toml_file import Number, Table, check_with, finding, load_model, nearest, read_toml
+from resonator_daemon.toml_file import Table, TomlFile, check_with, finding, load_model, read_toml
 
-_BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
-DECODER = "decoder"  # level of the topics of decoder processes, which no plate can have as a name
 _EXAMPLE = """\
 name = "left-index"                      # topics: resonator/left-index/...; default: the board's serial number
 plate = "quartz16"                       # a shipped plate or a path, relative to this file
@@ -52,210 +57,15 @@ contact_physics = true
 friction_coefficient = "unknown"         # or a number
 [commands]
 allow = ["tare"]                         # of subscribers; those that change nothing are always obeyed
+# [recording] and [metrics]: resonatord config explain recording
 """
-
-
-@dataclass(frozen=True)
-class SerialLink:
-    """A board on a serial port."""
-
-    path: str
-    baud: int
-
-    def __str__(self) -> str:
-        return f"serial:{self.path}?baud={self.baud}"
-
-
-@dataclass(frozen=True)
-class TcpLink:
-    """A board that listens on the network."""
-
-    host: str
-    port: int
-
-    def __str__(self) -> str:
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"tcp://{host}:{self.port}"
-
-
-@dataclass(frozen=True)
-class UsbLink:
-    """A board on a USB bus; without a serial number the only one of its vendor and product."""
-
-    vendor_id: int
-    product_id: int
-    serial_number: str | None = None
-    reset: bool = False  # whether the device may be reset as the last step, when it stays silent
-
-    def __str__(self) -> str:
-        options = {"serial": self.serial_number, "reset": "yes" if self.reset else None}
-        query = "&".join(f"{key}={quote(value, safe='')}" for key, value in options.items() if value is not None)
-        return f"usb:{self.vendor_id:04x}:{self.product_id:04x}" + (f"?{query}" if query else "")
-
-
-@dataclass(frozen=True)
-class ReplayLink:
-    """A recording of a link, in place of one."""
-
-    path: str
-
-    def __str__(self) -> str:
-        return f"replay:{self.path}"
-
-
-LinkTarget = SerialLink | TcpLink | UsbLink | ReplayLink
-
-
-def parse_link(text: object) -> LinkTarget:
-    """Parse `serial:PATH?baud=N`, `tcp://host:port`, `usb:VID:PID?serial=S`, `replay:FILE`; ValueError says why not."""
-    if not isinstance(text, str):
-        raise ValueError("must be a string: serial:PATH?baud=N, tcp://host:port, usb:VID:PID?serial=S or replay:FILE")
-    scheme, _, rest = text.partition(":")
-    match scheme:
-        case "serial":
-            return _serial_link(rest)
-        case "tcp":
-            url = split_url(text)
-            if not url.hostname or url.port is None or url.netloc.count("@") or url.path or url.query or url.fragment:
-                raise ValueError("must be tcp://host:port, nothing more")
-            return TcpLink(url.hostname, url.port)
-        case "usb":
-            return _usb_link(rest)
-        case "replay":
-            if not rest or "\0" in rest:
-                raise ValueError("must be replay:FILE, a file that `resonatord record` has written")
-            return ReplayLink(rest)
-        case _:
-            raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, ['serial', 'tcp', 'usb', 'replay'])}")
-
-
-def _serial_link(rest: str) -> SerialLink:
-    path, _, query = rest.partition("?")
-    baud = _options(query, ["baud"]).get("baud", "")
-    if not path or "\0" in path or not (baud.isascii() and baud.isdecimal() and 0 < int(baud[:12]) <= 1e9):
-        raise ValueError("must be serial:PATH?baud=N with N from 1 to 1e9, as serial:/dev/ttyACM0?baud=4000000")
-    return SerialLink(path, int(baud))
-
-
-def _usb_link(rest: str) -> UsbLink:
-    ids, question, query = rest.partition("?")
-    found = re.fullmatch(r"([0-9a-fA-F]{4}):([0-9a-fA-F]{4})", ids)
-    if found is None or (question and not query):
-        raise ValueError(
-            "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them, "
-            "as usb:1209:0001?serial=0042"
-        )
-    options = _options(query, ["serial", "reset"])
-    serial_number = options.get("serial")
-    if serial_number is not None and (not serial_number.isprintable() or not 0 < len(serial_number) <= 126):
-        raise ValueError("serial must be 1 to 126 printable characters, as in the device's string descriptor")
-    if (reset := options.get("reset", "no")) not in ("yes", "no"):
-        raise ValueError(f"reset must be yes or no, got {reset!r}")
-    return UsbLink(int(found[1], 16), int(found[2], 16), serial_number, reset == "yes")
-
-
-def _options(query: str, allowed: list[str]) -> dict[str, str]:
-    """Return the options of a link, each named once."""
-    pairs = parse_qsl(query, keep_blank_values=True)
-    for position, (key, _) in enumerate(pairs):
-        if key not in allowed:
-            raise ValueError(f"no option is called {key!r}; {nearest(key, allowed)}")
-        if key in (other for other, _ in pairs[:position]):
-            raise ValueError(f"{key} is given twice")
-    return dict(pairs)
-
-
-def plate_name(text: str) -> str:
-    """Return the text if plates can publish under it; ValueError says why not."""
-    if text == DECODER:
-        raise ValueError("is the topic of decoder processes; choose another")
-    if text in (".", ".."):
-        raise ValueError("becomes a directory of its own; choose another")
-    return topic_level(text)
-
-
-def _directory(value: object, info: ValidationInfo) -> Path:
-    if not isinstance(value, str) or not value or "\0" in value:
-        raise ValueError("must be a string: a directory, relative to this file or absolute")
-    return (info.context or Path()) / value
-
-
-def _plates(names: tuple[str, ...]) -> tuple[str, ...]:
-    if "+" in names and len(names) > 1:
-        raise ValueError('"+" stands for all plates; name them or give it alone')
-    if len(set(names)) < len(names):
-        raise ValueError("must not name a plate twice")
-    for name in names:
-        if name != "+":
-            plate_name(name)
-    return names
-
-
-def _friction(value: object) -> object:
-    if value == "unknown":
-        return None
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("must be 'unknown' or a number above 0, at most 10")
-    return value
-
-
-Verb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
-
-
-class Commands(Table):
-    """What subscribers may have the daemon do; `ping`, `health` and `snapshot`, which change nothing, always."""
-
-    allow: tuple[Verb, ...] = ()
-
-
-class Recording(Table):
-    """Where recordings go that a command starts."""
-
-    directory: Annotated[Path, BeforeValidator(_directory)] = Field(
-        default_factory=lambda: state_directory() / "recordings"
-    )
-
-
-class Measurement(Table):
-    """How long to count for one force, and how often to publish one."""
-
-    window_ms: Annotated[Number, Field(gt=0, le=1000)] = 10.0
-    step_ms: Annotated[Number, Field(gt=0, le=1000)] = 5.0
-
-    @property
-    def window_s(self) -> float:
-        return self.window_ms * 1e-3
-
-    @property
-    def step_s(self) -> float:
-        return self.step_ms * 1e-3
-
-
-class Decoding(Table):
-    """How signals under a skin are taken back to its surface."""
-
-    method: Literal["open-plane", "fourier", "off"] = "open-plane"
-    contact_physics: StrictBool = True
-    friction_coefficient: Annotated[Annotated[Number, Field(ge=0.001, le=10)] | None, BeforeValidator(_friction)] = None
-    uncertainty: StrictBool = True  # in `decoded`, the standard deviation of the traction
-    displacement: StrictBool = True  # in `decoded`, too
-    apart: StrictBool = False  # the daemon publishes signals alone, `resonatord decode` takes them on
-    plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = ()  # of decoders that share them; else `name`
-    group: Annotated[Annotated[str, AfterValidator(topic_level)] | None, Field(validate_default=True)] = None
-
-    @field_validator("group")
-    @classmethod
-    def _group_shares_plates(cls, group: str | None, info: ValidationInfo) -> str | None:
-        plates = info.data.get("plates")
-        if plates and group is None:
-            raise ValueError("missing; decoders of the same group share the plates, each frame goes to one of them")
-        if plates == () and group is not None:
-            raise ValueError('shares plates that are named in decoding.plates, as plates = ["+"]; there are none')
-        return group
+_BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
 
 
 def _plate(value: object, info: ValidationInfo) -> Plate:
     """Load the plate that a configuration names, relative to the configuration's directory."""
+    if isinstance(value, Plate):
+        return value
     if not isinstance(value, str):
         raise ValueError("must be a string: the name of a shipped plate or a path")
     try:
@@ -268,14 +78,34 @@ def _plate(value: object, info: ValidationInfo) -> Plate:
 class Config(Table):
     """One board: its plate, its link, and what to do with its counts."""
 
-    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = None  # default: serial number
-    plate: Annotated[Plate, PlainValidator(_plate)]
-    link: Annotated[LinkTarget, PlainValidator(parse_link)]
-    mqtt: Mqtt = Mqtt()
-    measurement: Annotated[Measurement, Field(validate_default=True)] = Measurement()
-    decoding: Decoding = Decoding()
-    commands: Commands = Commands()
-    recording: Recording = Field(default_factory=Recording)
+    name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = Field(
+        default=None,
+        description="publish under this name; default: the board's serial number",
+        examples=["left-index"],
+    )
+    plate: Annotated[Plate, PlainValidator(_plate), WithJsonSchema({"type": "string"})] = Field(
+        description="the name of a shipped plate, or the path of a plate file, relative to this file",
+        examples=["quartz16", "left-index-plate.toml"],
+    )
+    link: Annotated[LinkTarget, PlainValidator(parse_link), WithJsonSchema({"type": "string"})] = Field(
+        description="the board: serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S (`resonatord ports` lists "
+        "what is there); or a recording: replay:FILE",
+        examples=["serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000", "tcp://192.168.0.42:7000"],
+    )
+    mqtt: Mqtt = Field(
+        default=Mqtt(), description="which broker, how to prove who is there, and the first of the topics"
+    )
+    measurement: Measurement = Field(
+        default=Measurement(),
+        validate_default=True,
+        description="how long to count for one force, and how often to publish one",
+    )
+    decoding: Decoding = Field(default=Decoding(), description="how signals under a skin are taken back to its surface")
+    commands: Commands = Field(default=Commands(), description="what subscribers may have the daemon do")
+    recording: Recording = Field(
+        default_factory=Recording, description="where recordings go, when, and how much room they may take"
+    )
+    metrics: Metrics = Field(default=Metrics(), description="figures of the daemon for Prometheus")
 
     @field_validator("link")
     @classmethod
@@ -303,7 +133,7 @@ class Config(Table):
     def _whole_frames(
         cls, raw: Any, handler: ModelWrapValidatorHandler[Measurement], info: ValidationInfo
     ) -> Measurement:
-        table = raw if isinstance(raw, dict) else {}
+        table = dict(raw) if isinstance(raw, dict | Measurement) else {}
         return check_with(_timing_findings(table, info.data.get("plate")), handler, raw)
 
     @property
@@ -315,7 +145,9 @@ class Config(Table):
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
                 "tractions are those of the linear map"
             )
-        return (*filter(None, notes), *self.mqtt.notes)
+        if self.recording.continuous and isinstance(self.link, ReplayLink):
+            notes.append("recording.continuous = true has no effect: link is a recording already")
+        return (*filter(None, notes), *self.mqtt.notes, *self.metrics.notes)
 
 
 def load_config(path: Path) -> Config:
@@ -326,7 +158,18 @@ def load_config(path: Path) -> Config:
     ConfigError
         One message for each finding, those of the plate file among them.
     """
-    return load_model(Config, read_toml(path), context=path.parent)
+    return config_from(read_toml(path), path.parent)
+
+
+def config_from(file: TomlFile, directory: Path) -> Config:
+    """Check what a file says; the paths in it are relative to the directory.
+
+    Raises
+    ------
+    ConfigError
+        One message for each finding.
+    """
+    return load_model(Config, file, context=directory)
 
 
 class Client(Table):

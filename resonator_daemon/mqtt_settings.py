@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import Annotated, Any, Final
 from urllib.parse import SplitResult, unquote, urlsplit
 
-from pydantic import AfterValidator, Field, ModelWrapValidatorHandler, PlainValidator, ValidationInfo, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
 from pydantic_core import InitErrorDetails
 
 from resonator_daemon.broker_files import (
@@ -80,16 +88,44 @@ def _file(check: Callable[[BrokerFile], object], value: object, info: Validation
     return file
 
 
+_PATH: Final = WithJsonSchema({"type": "string"})
+
+
 class Mqtt(Table):
     """Where to publish, and how to get in there."""
 
-    url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = "mqtt://127.0.0.1:1883"
-    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = "resonator"
-    username: Annotated[str, Field(max_length=1000), AfterValidator(_user)] | None = None
-    password_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_password))] | None = None
-    ca_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates))] | None = None
-    certificate_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates))] | None = None
-    key_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_key))] | None = None
+    url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = Field(
+        default="mqtt://127.0.0.1:1883",
+        description="the broker: mqtt://HOST:PORT, or mqtts:// for TLS; default ports: 1883 and 8883",
+        examples=["mqtt://127.0.0.1:1883", "mqtts://broker.example"],
+    )
+    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = Field(
+        default="resonator", description="the first of the topics; may have levels, as lab/one"
+    )
+    username: Annotated[str, Field(max_length=1000), AfterValidator(_user)] | None = Field(
+        default=None, description="of an account at the broker", examples=["left-index"]
+    )
+    password_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_password)), _PATH] | None = Field(
+        default=None,
+        description="a file with the password of that account, alone on one line, or credential:NAME",
+        examples=["left-index.password", "credential:mqtt-password"],
+    )
+    ca_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of the authorities that may have signed the broker's certificate, or credential:NAME; "
+        "default: the system's",
+        examples=["ca.crt"],
+    )
+    certificate_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of the daemon's own certificate, or credential:NAME",
+        examples=["left-index.crt"],
+    )
+    key_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_key)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of that certificate's key, not encrypted, or credential:NAME",
+        examples=["left-index.key", "credential:mqtt-key"],
+    )
 
     @model_validator(mode="wrap")
     @classmethod

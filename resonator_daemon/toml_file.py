@@ -1,5 +1,6 @@
 """Reading a TOML file into a pydantic model, with every finding at once: line, key path, value and remedy."""
 
+import codecs
 import json
 import re
 import tomllib
@@ -7,12 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, Final, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict, ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.errors import ConfigError
+from resonator_daemon.toml_advice import advice
 
 KeyPath = tuple[int | str, ...]
 Model = TypeVar("Model", bound="Table")
@@ -21,6 +23,12 @@ Model = TypeVar("Model", bound="Table")
 Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Count = Annotated[int, Strict()]
 
+MAX_BYTES: Final = 10_000_000  # the most tones that fit into a frame are 8 MB of plate file
+MAX_FINDINGS: Final = 100
+
+_LONGEST_SHOWN: Final = 120
+_LONGEST_REASON: Final = 300
+_LONGEST_HEAD: Final = 1000  # of a line, in which a key or header is looked for: longer ones are values, or no TOML
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"\s*(\[\[?)([A-Za-z0-9_.\-\s]+)\]\]?\s*(#.*)?")
 _ASSIGNMENT = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?(\s*\.[\w.\s-]+)?\s*=""")
@@ -49,38 +57,67 @@ def read_toml(path: Path) -> TomlFile:
     Raises
     ------
     ConfigError
-        The file is missing, no regular file, not readable, not UTF-8 or not TOML.
+        The file is missing, no regular file, longer than MAX_BYTES, not readable, not UTF-8 or not TOML.
     """
     try:
-        if path.exists() and not path.is_file():
-            raise ConfigError(f"{path}: not a regular file; name a TOML file")
-        data = path.read_bytes()
+        if path.exists() and not path.is_file():  # opening a pipe would wait for ever, /dev/zero never ends
+            raise ConfigError(f"{named(path)}: not a regular file; name a TOML file")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
+        raise ConfigError(f"{named(path)}: no such file; give the path of an existing TOML file") from None
+    except PermissionError:
+        raise ConfigError(f"{named(path)}: permission denied; let the user who runs this read it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         raise ConfigError(f"{str(path)!r}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if len(data) > MAX_BYTES:
+        raise ConfigError(f"{named(path)}: longer than {MAX_BYTES} bytes; name a TOML file of settings")
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise ConfigError(f"{named(path)}:1: not UTF-8 but UTF-16; save the file as UTF-8")
     try:
-        text = data.decode()
+        text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError(f"{path}:{line}: not UTF-8: byte 0x{data[error.start]:02x}; save the file as UTF-8") from None
+        raise ConfigError(
+            f"{named(path)}:{line}: not UTF-8: byte 0x{data[error.start]:02x}; save the file as UTF-8"
+        ) from None
+    return parse_toml(text.removeprefix("\ufeff"), path)
+
+
+def parse_toml(text: str, path: Path) -> TomlFile:
+    """Parse the text of a TOML file; `path` names it in messages.
+
+    Raises
+    ------
+    ConfigError
+        It is not TOML.
+    """
     try:
         return TomlFile(path, text, tomllib.loads(text))
     except (ValueError, RecursionError) as error:  # ValueError: also of numbers and dates that Python cannot hold
-        place = re.search(r"\(at line (\d+), column \d+\)", str(error))
-        line = int(place[1]) if place else text.count("\n") + 1
-        raise ConfigError(f"{path}:{line}: not TOML: {' '.join(str(error).split())}") from None
+        place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
+        number, column = (int(place[1]), int(place[2])) if place else (text.count("\n") + 1, 1)
+        said = advice((text + "\n").split("\n")[number - 1], column, str(error))
+        reason = "; ".join(filter(None, (" ".join(str(error).split())[:_LONGEST_REASON], said)))
+        raise ConfigError(f"{named(path)}:{number}: not TOML: {reason}") from None
 
 
 def load_model(model: type[Model], file: TomlFile, context: object = None) -> Model:
-    """Check a file against a model; ConfigError carries one line for each finding, in the order of the file."""
+    """Check a file against a model; ConfigError carries one line for each finding, in the order of the file.
+
+    Of more than MAX_FINDINGS the rest is counted.
+    """
     try:
         return model.model_validate(file.content, context=context)
     except ValidationError as error:
         lines = dict(_lines_of_keys(file.text))
-        placed = [(_line_of(lines, finding["loc"]), _sentence(model, finding)) for finding in error.errors()]
+        placed = [(_line_of(lines, finding["loc"]), finding) for finding in error.errors()]
     placed.sort(key=lambda item: item[0] or 0)
-    raise ConfigError(*(f"{file.path}:{line}: {text}" if line else f"{file.path}: {text}" for line, text in placed))
+    name = named(file.path)
+    told = [f"{name}:{f'{line}:' if line else ''} {_sentence(model, item)}" for line, item in placed[:MAX_FINDINGS]]
+    if len(placed) > MAX_FINDINGS:
+        told.append(f"{name}: {len(placed) - MAX_FINDINGS} more; mend the first ones first")
+    raise ConfigError(*told)
 
 
 def finding(key_path: KeyPath, value: object, sentence: str) -> InitErrorDetails:
@@ -107,6 +144,12 @@ def nearest(word: str, allowed: Sequence[str]) -> str:
     return f"allowed: {', '.join(allowed)}{f'; did you mean {near[0]}?' if near else ''}"
 
 
+def named(path: Path) -> str:
+    """Return a path as a message shows it: on one line, without signs that a terminal takes as commands."""
+    text = str(path)
+    return text if text.isprintable() else repr(text)
+
+
 def shown(value: object) -> str:
     """Return a value as a message shows it: on one line, not too long, without a password."""
     if isinstance(value, dict):
@@ -117,7 +160,7 @@ def shown(value: object) -> str:
         text = f"[{', '.join(shown(item) for item in value[:10])}{', ...' if len(value) > 10 else ''}]"
     else:
         text = _USER_INFO.sub("//***@", repr(value))
-    return text if len(text) <= 120 else f"{text[:117]}..."
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
 
 
 def _sentence(model: type[BaseModel], error: ErrorDetails) -> str:
@@ -127,38 +170,59 @@ def _sentence(model: type[BaseModel], error: ErrorDetails) -> str:
         case "extra_forbidden":
             return f"{where}: unknown key; {_nearest_key(model, path)}"
         case "missing":
-            return f"{where}: missing; give a value"
+            return f"{where}: missing; give {_meaning(model, path)}"
         case "value_error":
             got = "" if value is None else f"got {shown(value)}; "  # TOML knows no null: the key is not there
             return f"{where}: {got}{error['ctx']['error']}"
         case "literal_error" if isinstance(value, str):
             allowed = error["ctx"]["expected"].replace("'", "").replace(" or ", ", ").split(", ")
             return f"{where}: got {shown(value)}; {nearest(value, allowed)}"
+        case "string_type" if isinstance(value, int | float) and not isinstance(value, bool):
+            return f'{where}: got {shown(value)}; must be text: put it in quotes, as "{shown(value)}"'
+        case "bool_type":
+            return f"{where}: got {shown(value)}; must be true or false, without quotes"
+        case "tuple_type":
+            example = f", as [{shown(value)}]" if isinstance(value, str) else ""
+            return f"{where}: got {shown(value)}; must be a list{example}"
         case "float_type" | "int_type" if isinstance(value, str) and (alone := _NUMBER_WITH_UNIT.fullmatch(value)):
             return f"{where}: got {shown(value)}; must be a number: give it alone, as {alone[1]}; the key says its unit"
         case "model_type" | "model_attributes_type" | "dict_type":
             return f"{where}: got {shown(value)}; must be a table of keys"
         case _:
-            return f"{where}: got {shown(value)}; {error['msg'].replace('Input should be', 'must be', 1)}"
+            sentence = re.sub(r"^(Input|String|List|Tuple) should (be|have|match)", r"must \2", error["msg"])
+            return f"{where}: got {shown(value)}; {sentence}"
 
 
 def _shown_key(key: int | str) -> str:
     if isinstance(key, int):
         return f"[{key}]"
-    return key if _BARE_KEY.fullmatch(key) else json.dumps(key)
+    short = key if len(key) <= _LONGEST_SHOWN else f"{key[: _LONGEST_SHOWN - 3]}..."
+    return short if _BARE_KEY.fullmatch(key) else json.dumps(short)
+
+
+def _meaning(model: type[BaseModel], path: KeyPath) -> str:
+    """Return what a key is, with an example, where its model says so."""
+    *parents, last = path
+    table = dict(_tables(model)).get(tuple(key for key in parents if isinstance(key, str)))
+    field = table.model_fields.get(str(last)) if table else None
+    if field is None or field.description is None:
+        return "a value"
+    example = f", as {last} = {json.dumps(field.examples[0], ensure_ascii=False)}" if field.examples else ""
+    return field.description + example
 
 
 def _nearest_key(model: type[BaseModel], path: KeyPath) -> str:
-    """Look in the key's own table first, then for the same key in any other table."""
+    """Look for the same key in any other table first, then for a similar one in its own."""
     *parents, last = path
-    tables = dict(_tables(model))
     table = tuple(key for key in parents if isinstance(key, str))
-    own = list(tables[table].model_fields)
-    if near := get_close_matches(str(last), own, n=1):
-        return f"did you mean {near[0]}?"
+    tables = dict(_tables(model))
     for other, fields in tables.items():
         if last in fields.model_fields:
-            return f"did you mean {'.'.join((*other, str(last)))}?"
+            place = "" if other else " It belongs above the first [table]"
+            return f"did you mean {'.'.join((*other, str(last)))}?{place}"
+    own = list(tables[table].model_fields)
+    if near := get_close_matches(str(last).lower(), own, n=1):
+        return f"did you mean {near[0]}?"
     return f"allowed: {', '.join(own)}"
 
 
@@ -183,7 +247,8 @@ def _lines_of_keys(text: str) -> Iterator[tuple[KeyPath, int]]:
     """Yield the line of each header and key that stands first on its line."""
     lengths: dict[KeyPath, int] = {}  # of the arrays of tables so far
     table: KeyPath = ()
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, whole_line in enumerate(text.split("\n"), 1):
+        line = whole_line[:_LONGEST_HEAD]
         if header := _HEADER.fullmatch(line.rstrip("\r")):
             table = ()
             names = [name.strip() for name in header[2].split(".")]
@@ -191,6 +256,8 @@ def _lines_of_keys(text: str) -> Iterator[tuple[KeyPath, int]]:
                 table = (*table, name)
                 if depth == len(names) and header[1] == "[[":
                     lengths[table] = lengths.get(table, 0) + 1
+                    if depth == lengths[table] == 1:
+                        yield table, number  # of what is wrong with all of the array
                 if table in lengths:
                     table = (*table, lengths[table] - 1)
             yield table, number

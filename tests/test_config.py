@@ -145,7 +145,7 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
         ('name = "a#"', "3: name: got 'a#'; becomes part of MQTT topics"),
         ('name = "a\\u0000"', "3: name: got 'a\\x00'; becomes part of MQTT topics"),
         ('name = ""', "3: name: got ''; becomes part of MQTT topics"),
-        ("name = 5", "3: name: got 5; must be a valid string"),
+        ("name = 5", '3: name: got 5; must be text: put it in quotes, as "5"'),
         ('nmae = "a"', "3: nmae: unknown key; did you mean name?"),
         ("window_ms = 10", "3: window_ms: unknown key; did you mean measurement.window_ms?"),
         (
@@ -192,7 +192,10 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
             '[decoding]\nmethod = "open-plain"',
             "4: decoding.method: got 'open-plain'; allowed: open-plane, fourier, off; did you mean open-plane?",
         ),
-        ("[decoding]\ncontact_physics = 1", "4: decoding.contact_physics: got 1; must be a valid boolean"),
+        (
+            "[decoding]\ncontact_physics = 1",
+            "4: decoding.contact_physics: got 1; must be true or false, without quotes",
+        ),
         (
             '[decoding]\nfriction_coefficient = "low"',
             "4: decoding.friction_coefficient: got 'low'; must be 'unknown' or a number above 0, at most 10",
@@ -216,7 +219,7 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
             '"seriel:/dev/x?baud=4000000"',
             "no link is called 'seriel'; allowed: serial, tcp, usb, replay; did you mean serial?",
         ),
-        ('"/dev/ttyACM0"', "no link is called '/dev/ttyACM0'; allowed: serial, tcp, usb, replay"),
+        ('"/dev/ttyACM0"', "must say what kind of link it is and how fast, as serial:/dev/ttyACM0?baud=4000000"),
         ('"serial:/dev/x?baud=9600&baud=4000000"', "baud is given twice"),
         ('"usb:1209"', "must be usb:VID:PID?serial=S, ids of four hexadecimal digits as lsusb shows them"),
         ('"usb:1209:1"', "must be usb:VID:PID?serial=S"),

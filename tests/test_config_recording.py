@@ -1,0 +1,102 @@
+"""The tables [recording] and [metrics]: defaults, limits, and what is noted."""
+
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config import Config, Listen, load_config
+from resonator_daemon.errors import ConfigError
+
+BASE = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
+
+
+def loaded(tmp_path: Path, text: str) -> Config:
+    path = tmp_path / "board.toml"
+    path.write_text(BASE + text)
+    return load_config(path)
+
+
+def refusal(tmp_path: Path, text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        loaded(tmp_path, text)
+    (message,) = caught.value.messages
+    return message.removeprefix(f"{tmp_path / 'board.toml'}:")
+
+
+def test_nothing_is_recorded_or_served_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/resonatord:/elsewhere")
+    config = loaded(tmp_path, "")
+    recording = config.recording
+    assert recording.directory == Path("/var/lib/resonatord/recordings")
+    assert (recording.continuous, recording.derived) == (False, False)
+    assert (recording.file_max_mb, recording.file_max_minutes) == (1000, 60)
+    assert (recording.budget_mb, recording.keep_free_mb) == (10_000, 500)
+    assert config.metrics.listen is None
+    assert config.notes == ()
+
+
+def test_all_of_recording_can_be_set(tmp_path: Path) -> None:
+    config = loaded(
+        tmp_path,
+        '[recording]\ndirectory = "runs"\ncontinuous = true\nderived = true\nfile_max_mb = 1\nfile_max_minutes = 0.5\n'
+        "budget_mb = 1\nkeep_free_mb = 0\n",
+    )
+    recording = config.recording
+    assert recording.directory == tmp_path / "runs"
+    assert (recording.continuous, recording.derived) == (True, True)
+    assert (recording.file_max_mb, recording.file_max_minutes) == (1, 0.5)
+    assert (recording.budget_mb, recording.keep_free_mb) == (1, 0)
+    assert config.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("continuous = 1", "4: recording.continuous: got 1; must be true or false, without quotes"),
+        ("file_max_mb = 0.5", "4: recording.file_max_mb: got 0.5; must be greater than or equal to 1"),
+        ("file_max_minutes = 0", "4: recording.file_max_minutes: got 0; must be greater than 0"),
+        ("keep_free_mb = -1", "4: recording.keep_free_mb: got -1; must be greater than or equal to 0"),
+        ('budget_mb = "10 GB"', "4: recording.budget_mb: got '10 GB'; must be a number"),
+        (
+            "file_max_mb = 50\nbudget_mb = 49",
+            "5: recording.budget_mb: got 49; must be at least file_max_mb = 50; raise it, or lower file_max_mb",
+        ),
+        ("file_max_mb = 10_001", "3: recording.budget_mb: got 10000.0; must be at least file_max_mb = 10001"),
+        ('directory = ""', "4: recording.directory: got ''; must be a string: a directory"),
+    ],
+)
+def test_a_recording_that_cannot_be(tmp_path: Path, text: str, expected: str) -> None:
+    assert refusal(tmp_path, f"[recording]\n{text}\n").startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("text", "listen", "loopback"),
+    [
+        ("127.0.0.1:9464", Listen("127.0.0.1", 9464), True),
+        ("[::1]:1", Listen("::1", 1), True),
+        ("localhost:65535", Listen("localhost", 65535), True),
+        ("0.0.0.0:9464", Listen("0.0.0.0", 9464), False),
+        ("robot.local:9464", Listen("robot.local", 9464), False),
+    ],
+)
+def test_where_figures_can_be_had(tmp_path: Path, text: str, listen: Listen, loopback: bool) -> None:
+    config = loaded(tmp_path, f'[metrics]\nlisten = "{text}"\n')
+    assert config.metrics.listen == listen
+    assert str(listen) == text
+    assert [text in note and "127.0.0.1" in note for note in config.notes] == ([] if loopback else [True])
+
+
+@pytest.mark.parametrize(
+    "listen", ['"9464"', '":9464"', '"127.0.0.1"', '"127.0.0.1:0"', '"127.0.0.1:70000"', '"http://127.0.0.1:9464"',
+               '"127.0.0.1:9464/metrics"', '"me@127.0.0.1:9464"', '"a b:1"', "9464", "true"]
+)  # fmt: skip
+def test_an_address_that_is_none(tmp_path: Path, listen: str) -> None:
+    message = refusal(tmp_path, f"[metrics]\nlisten = {listen}\n")
+    assert message.startswith("4: metrics.listen: got ")
+    assert message.endswith('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')
+
+
+def test_recording_a_recording_is_noted(tmp_path: Path) -> None:
+    path = tmp_path / "replay.toml"
+    path.write_text('plate = "quartz16"\nlink = "replay:run.mcap"\n[recording]\ncontinuous = true\n')
+    assert load_config(path).notes == ("recording.continuous = true has no effect: link is a recording already",)

@@ -1,0 +1,26 @@
+"""docs/configuration.md says what the code does."""
+
+import re
+
+import configuration_tables
+
+from resonator_daemon.config_help import config_keys
+from resonator_daemon.toml_file import MAX_BYTES
+
+PAGE = configuration_tables.PAGE.read_text()
+
+
+def test_example_and_keys_are_those_of_the_models() -> None:
+    assert configuration_tables.with_tables(PAGE) == PAGE, "python tests/configuration_tables.py writes them anew"
+    assert len(re.findall(r"^\| `", PAGE, re.MULTILINE)) == len(config_keys())
+
+
+def test_the_limit_it_names_is_the_limit() -> None:
+    assert "longer than 10 MB" in PAGE
+    assert MAX_BYTES == 10e6
+
+
+def test_every_link_of_the_page_leads_somewhere() -> None:
+    targets = re.findall(r"\]\(((?!http)[^)#]+)", PAGE)
+    assert targets
+    assert all((configuration_tables.PAGE.parent / target).exists() for target in targets)
