@@ -1,0 +1,45 @@
+"""What a running daemon says of itself to programs on the same computer: its states, health, and configuration."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from resonator_daemon.publishing.payloads import Health, Int64, Message, RecordingInfo, State
+
+
+class ConfigStatus(Message):
+    """Which configuration a daemon works by."""
+
+    file: str = Field(description="that the daemon was started with")
+    in_use: Literal["file", "last_good"] = Field(
+        description="`file`: its present content; `last_good`: an earlier one, because the present one has problems"
+    )
+    problems: tuple[str, ...] = Field((), description="of the file, as `resonatord check` says them")
+    loaded_t_ns: Int64 = Field(description="UTC, when what is in use was read")
+    needs_restart: tuple[str, ...] = Field(
+        (), description="keys that the file has changed and that have an effect after a restart only"
+    )
+
+
+class BrokerStatus(Message):
+    """How a daemon stands with its broker."""
+
+    url: str = Field(description="without user and password")
+    connected: bool = Field(description="whether messages go out at present")
+
+
+class Status(Message):
+    """How one daemon is."""
+
+    name: str | None = Field(description="under which it publishes; null until the board has said its serial number")
+    instance: str = Field(description="file name of the configuration, without its ending")
+    pid: int = Field(description="of the daemon's process")
+    version: str = Field(description="of resonatord")
+    started_t_ns: Int64 = Field(description="UTC")
+    config: ConfigStatus = Field(description="which configuration is in use")
+    daemon: State | None = Field(description="as last published on `state/daemon`")
+    link: State | None = Field(description="as last published on `state/link`")
+    sensor: State | None = Field(description="as last published on `state/sensor`")
+    health: Health | None = Field(description="as last made for `health`; null in the first second")
+    broker: BrokerStatus = Field(description="how it stands with its broker")
+    recording: RecordingInfo | None = Field(description="null where none was started")

@@ -1,0 +1,152 @@
+"""How a daemon is, as a block of text: words, rates and ages."""
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from rich.text import Text
+
+from resonator_daemon.publishing.payloads import Condition, Health, State
+from resonator_daemon.status import Status
+from resonator_daemon.view.words import UNKNOWN, duration, quantity
+
+_LABEL_WIDTH: Final = 11
+_STYLES: Final = {
+    Condition.ONLINE: "green",
+    Condition.STARTING: "yellow",
+    Condition.WAITING: "yellow",
+    Condition.DRIFTING: "yellow",
+    Condition.UNCALIBRATED: "yellow",
+    Condition.PRESSED_AT_START: "yellow",
+}
+
+
+def status_block(status: Status, now_ns: int) -> Text:
+    """Return a block of lines, without a line break at its end; `now_ns` is UTC."""
+    title = one_line(status.name or "(its name comes from the board)")
+    about = f"process {status.pid}, resonatord {one_line(status.version)}, up {_age(status.started_t_ns, now_ns)}"
+    lines = [Text.assemble((title, "bold"), f"   {about}")]
+    for label, text in _lines(status, now_ns):
+        lines.append(Text(f"  {label:<{_LABEL_WIDTH}}").append_text(text))
+    return Text("\n").join(lines)
+
+
+def one_line(said: object) -> str:
+    """Return what boards, brokers and files say without what moves a terminal's cursor or changes its look."""
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(said))
+
+
+def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
+    for part, state in (("daemon", status.daemon), ("link", status.link), ("sensor", status.sensor)):
+        yield part, _state(state, now_ns) if state else Text(UNKNOWN)
+    if status.health is not None:
+        yield (
+            "frames",
+            Text(f"{quantity(status.health.frame_rate_hz, '.0f', '/s')}, {_count(status.health.frames)} in all"),
+        )
+        yield "lost", _lost(status.health)
+        yield "clock", Text(_clock(status.health))
+    yield "broker", _broker(status, now_ns)
+    if status.health is not None:
+        yield "messages", _messages(status.health)
+    yield "recording", _recording(status, now_ns)
+    for text in _config(status, now_ns):
+        yield "config", text
+    if status.health is not None:
+        health = status.health
+        load = quantity(health.cpu_percent, ".1f", " % of a core")
+        memory = quantity(health.rss_mb, ".0f", " MiB")
+        yield "process", Text(f"{load}, {memory}, {health.file_descriptors} file descriptors, {health.threads} threads")
+
+
+def _state(state: State, now_ns: int) -> Text:
+    text = Text.assemble((str(state.state), _STYLES.get(state.state, "red")))
+    if state.reason:
+        text.append(f": {one_line(state.reason)}")
+    if state.since_t_ns is not None:
+        text.append(f" (for {_age(state.since_t_ns, now_ns)})")
+    if state.boots is not None and state.boots > 1:
+        text.append(f"; {state.boots} boots of the board")
+    if (outage := state.last_outage) is not None:
+        length_s = (outage.end_t_ns - outage.start_t_ns) * 1e-9
+        text.append(
+            f"; {_age(outage.end_t_ns, now_ns)} ago {duration(length_s)} without frames, "
+            f"{_count(outage.frames_lost)} lost: {one_line(outage.reason)}"
+        )
+    return text
+
+
+def _lost(health: Health) -> Text:
+    text = _by_cause(health.lost.model_dump(exclude={"publish_dropped"}), "nothing")
+    others = {"parts of frames": health.parts_lost, "frames not decoded": health.frames_not_decoded}
+    others |= {f"readings unusable ({cause})": count for cause, count in health.records_unusable.items()}
+    return text.append("".join(f"; {_count(count)} {one_line(what)}" for what, count in others.items() if count))
+
+
+def _clock(health: Health) -> str:
+    known = math.isfinite(health.clock_drift_ppm)
+    drift = f"board {health.clock_drift_ppm:+.1f} ppm" if known else "rate of the board not known yet"
+    return f"{drift}, {_count(health.clock_outliers)} outliers, learnt anew {_count(health.clock_restarts)} times"
+
+
+def _broker(status: Status, now_ns: int) -> Text:
+    url, daemon = one_line(status.broker.url), status.daemon
+    if not status.broker.connected:
+        return Text.assemble(url, ", ", ("not connected", "red"))
+    since_ns = daemon.connected_t_ns if daemon else None
+    return Text(f"{url}, connected" + (f" for {_age(since_ns, now_ns)}" if since_ns is not None else ""))
+
+
+def _messages(health: Health) -> Text:
+    account = health.messages
+    sent = account.acknowledged + account.handed_to_socket
+    text = Text(f"{_count(sent)} sent, {_count(account.waiting)} waiting")
+    if account.spooled:
+        text.append(f" ({_count(account.spooled)} of them on disk)")
+    text.append("; dropped: ").append_text(_by_cause(account.dropped, "none"))
+    return text
+
+
+def _recording(status: Status, now_ns: int) -> Text:
+    recording = status.recording
+    if recording is None:
+        return Text("off")
+    size = f"{recording.file_bytes / 1e6:.1f} MB"
+    text = Text(f"{one_line(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
+    if recording.files > 1:
+        text.append(f", {_count(recording.files)} files")
+    if recording.files_removed:
+        text.append(f", {_count(recording.files_removed)} old ones removed for the budget")
+    if missing := recording.events_missing + recording.messages_missing:
+        text.append(f"; {_count(missing)} pieces missing", "yellow")
+    if recording.failure is not None:
+        text.append(f"; takes nothing more: {one_line(recording.failure)}", "red")
+    return text
+
+
+def _config(status: Status, now_ns: int) -> Iterator[Text]:
+    config = status.config
+    if config.in_use == "file":
+        yield Text(f"{one_line(config.file)}, read {_age(config.loaded_t_ns, now_ns)} ago")
+    else:
+        read = f", read {_age(config.loaded_t_ns, now_ns)} ago"
+        yield Text.assemble(("the last good one", "red"), f"{read}; {one_line(config.file)} has problems:")
+    for problem in config.problems:
+        yield Text(one_line(problem))
+    if config.needs_restart:
+        yield Text.assemble(
+            ("restart", "yellow"), f" for what has changed: {', '.join(map(one_line, config.needs_restart))}"
+        )
+
+
+def _by_cause(counts: Mapping[str, int], nothing: str) -> Text:
+    said = ", ".join(f"{_count(count)} {one_line(cause)}" for cause, count in counts.items() if count)
+    return Text(said, "yellow") if said else Text(nothing)
+
+
+def _count(count: int) -> str:
+    return f"{count:,}".replace(",", " ")
+
+
+def _age(t_ns: int, now_ns: int) -> str:
+    return duration((now_ns - t_ns) * 1e-9)

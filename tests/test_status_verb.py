@@ -1,0 +1,243 @@
+"""`resonatord status` beside daemons that answer, hang, refuse, or are not there."""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator
+from contextlib import AsyncExitStack, asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import status_samples
+
+from resonator_daemon import status_client, status_verb
+from resonator_daemon.cli import main
+from resonator_daemon.places import runtime_directory
+from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.status_server import SOCKET_NAME, StatusServer
+
+DEADLINE_S = 20.0
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The only place where daemons are."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    home = runtime_directory("x").parent
+    for module in (status_client, status_verb):
+        monkeypatch.setattr(module, "runtime_directories", lambda: (home,))
+    monkeypatch.setenv("COLUMNS", "200")
+    return home
+
+
+def listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as asking:
+        return asking.connect_ex(str(path)) == 0
+
+
+@asynccontextmanager
+async def daemons(*statuses: Status) -> AsyncIterator[None]:
+    async with AsyncExitStack() as stack, asyncio.timeout(DEADLINE_S):
+        for status in statuses:
+            path = runtime_directory(status.instance) / SOCKET_NAME
+            task = asyncio.create_task(StatusServer(path, lambda status=status: status).run())
+            stack.push_async_callback(asyncio.wait, [task])
+            stack.callback(task.cancel)
+            while not listens(path):  # noqa: ASYNC110 - a socket that is not there yet has no event
+                await asyncio.sleep(0.001)
+        yield
+
+
+async def run(*arguments: str) -> int:
+    return await asyncio.to_thread(main, ["status", *arguments])
+
+
+def listening(home: Path, instance: str) -> socket.socket:
+    """Return a socket that takes connections in and never answers."""
+    (home / instance).mkdir(parents=True)
+    silent = socket.socket(socket.AF_UNIX)
+    silent.bind(str(home / instance / SOCKET_NAME))
+    silent.listen()
+    return silent
+
+
+def test_nothing_runs_and_it_says_where_it_looked(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["status"]) == 1
+    assert capsys.readouterr() == (
+        "",
+        f"resonatord: no daemon runs on this computer, by what is in {home}; start one: resonatord run\n",
+    )
+    assert main(["status", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out) == {"verb": "status", "daemons": [], "problems": []}
+
+
+def test_what_a_killed_daemon_left_does_not_count(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    listening(home, "hand").close()
+    assert main(["status"]) == 1
+    assert "no daemon runs" in capsys.readouterr().err
+
+
+async def test_a_block_for_each_daemon(capsys: pytest.CaptureFixture[str]) -> None:
+    async with daemons(status_samples.status(), status_samples.status(instance="foot", name=None)):
+        assert await run() == 0
+    foot, hand = capsys.readouterr().out.split("\n\n")
+    assert foot.startswith("(its name comes from the board)   process 4711, resonatord 0.1.0, up ")
+    assert hand.startswith("left-index   process 4711")
+
+
+@pytest.mark.parametrize("name", ["left-index", "hand"])
+async def test_one_of_many_by_its_name_or_its_files(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    async with daemons(status_samples.status(), status_samples.status(instance="foot", name="sole")):
+        assert await run(name, "--json") == 0
+        said = json.loads(capsys.readouterr().out)
+        assert await run("nobody") == 1
+    assert [daemon["instance"] for daemon in said["daemons"]] == ["hand"]
+    assert Status.model_validate_json(json.dumps(said["daemons"][0])) == status_samples.status()
+    assert "no daemon called nobody runs" in capsys.readouterr().err
+
+
+async def test_one_that_is_stopped_is_said_beside_the_others(
+    home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status_client, "ANSWER_S", 0.2)
+    with listening(home, "asleep"):
+        async with daemons(status_samples.status()):
+            assert await run() == 1
+            page = capsys.readouterr().out
+            assert await run("--json") == 1
+            said = json.loads(capsys.readouterr().out)
+            assert await run("hand") == 0
+    assert page.startswith("asleep   runs and gives no answer within 0.2 s: is it stopped")
+    assert "left-index   process 4711" in page
+    assert [problem["socket"] for problem in said["problems"]] == [str(home / "asleep" / SOCKET_NAME)]
+    assert [daemon["instance"] for daemon in said["daemons"]] == ["hand"]
+
+
+async def test_one_with_a_full_queue_is_stopped_too(
+    home: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status_client, "ANSWER_S", 0.2)
+    with listening(home, "asleep") as asleep:
+        asleep.listen(0)
+        with socket.socket(socket.AF_UNIX) as earlier:
+            earlier.connect(asleep.getsockname())
+            assert await run() == 1
+    assert "asleep   runs and gives no answer within 0.2 s" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("answer", "said", "code"),
+    [
+        (b"", "is no status", 1),
+        (b"\xff\xfe", "is no status", 1),
+        (b"[" * 100_000, "is no status", 1),
+        (b"[]", "is no status", 1),
+        (b'{"version": "9.9\\u001b[31m", "name": 5}', "version 9.9\N{REPLACEMENT CHARACTER}[31m says of itself", 0),
+    ],
+)
+async def test_an_answer_that_cannot_be_read_is_said(
+    home: Path, capsys: pytest.CaptureFixture[str], answer: bytes, said: str, code: int
+) -> None:
+    async def give(_reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(answer)
+        writer.close()
+
+    (home / "odd").mkdir(parents=True)
+    async with await asyncio.start_unix_server(give, home / "odd" / SOCKET_NAME):
+        assert await run() == code
+    page = capsys.readouterr().out
+    assert page.startswith("odd   ")
+    assert said in page
+    assert "\x1b" not in page
+
+
+def test_one_that_this_user_may_not_ask_names_the_group(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can ask as another user")
+    with listening(home, "hand"):
+        path = home / "hand" / SOCKET_NAME
+        os.chown(path, 0, 1)  # the group daemon, which is everywhere
+        path.chmod(0o660)
+        for place in (*home.parents, home, home / "hand"):
+            if place.is_relative_to("/tmp") and place != Path("/tmp"):
+                place.chmod(0o755)
+        os.seteuid(65534)
+        try:
+            code = main(["status"])
+        finally:
+            os.seteuid(0)
+    assert code == 1
+    assert "hand   this user may not ask it; users of the group daemon may: `sudo usermod -aG daemon" in (
+        capsys.readouterr().out
+    )
+
+
+async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[str]) -> None:
+    config = ConfigStatus(
+        file="/etc/hand.toml",
+        in_use="last_good",
+        problems=("hand.toml:3: link: missing", "hand.toml:4: nmae: unknown key"),
+        loaded_t_ns=status_samples.NOW_NS,
+        needs_restart=("link", "mqtt.url"),
+    )
+    link = status_samples.state(Condition.LOST, "unplugged\x1b[2J\u202e", boots=2, last_outage=status_samples.outage())
+    status = status_samples.status(
+        config=config,
+        link=link,
+        broker=BrokerStatus(url="mqtt://robot:1883", connected=False),
+        recording=status_samples.RECORDING.model_copy(update={"failure": "no room"}),
+    )
+    async with daemons(status):
+        assert await run() == 0
+    page = capsys.readouterr().out
+    for words in (
+        "lost: unplugged\N{REPLACEMENT CHARACTER}[2J\N{REPLACEMENT CHARACTER} (for ",
+        "; 2 boots of the board; ",
+        " ago 1.5 s without frames, 1 500 lost: unplugged",
+        "mqtt://robot:1883, not connected",
+        "takes nothing more: no room",
+        "the last good one, read ",
+        "/etc/hand.toml has problems:",
+        "hand.toml:4: nmae: unknown key",
+        "restart for what has changed: link, mqtt.url",
+        "1 link_gap, 2 damaged",
+        "61 sent, 80 waiting (36 of them on disk); dropped: 32 no_connection, 33 spool_full",
+        "12.5 % of a core, 96 MiB, 20 file descriptors, 19 threads",
+    ):
+        assert words in page
+    assert str(status_samples.NOW_NS)[:10] not in page
+    assert "\x1b" not in page
+
+
+async def test_early_there_is_less_to_say(capsys: pytest.CaptureFixture[str]) -> None:
+    early: dict[str, Any] = dict.fromkeys(("health", "sensor", "link", "recording"))
+    async with daemons(status_samples.status(**early)):
+        assert await run() == 0
+    lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:]]
+    assert ["sensor", "-"] in lines
+    assert ["recording", "off"] in lines
+    assert "frames" not in [label for label, _ in lines]
+
+
+@pytest.mark.parametrize("form", [["--json"], []])
+async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[str], home: Path) -> None:
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "PYTHONUNBUFFERED": "1"}
+    command = [sys.executable, "-m", "resonator_daemon.cli", "status", "hand", "--watch", *form]
+    watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=subprocess.PIPE)
+    assert watch.stdout is not None
+    async with daemons(status_samples.status()):
+        line = b""
+        while b"left-index" not in line:
+            line = await watch.stdout.readline()
+    async with asyncio.timeout(DEADLINE_S):
+        while not (b'"daemons": []' in line or b"no daemon called hand runs" in line):
+            line = await watch.stdout.readline()
+        watch.send_signal(signal.SIGINT)
+        assert await watch.wait() == 0
