@@ -1,4 +1,4 @@
-"""The systemd unit, as systemd itself reads it and as its command behaves."""
+"""The service files, as systemd and udev themselves read them and as their commands behave."""
 
 import re
 import shutil
@@ -11,57 +11,118 @@ import pytest
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.errors import ExitCode
 
-UNIT = (Path(__file__).parents[2] / "systemd" / "resonatord@.service").read_text()
+DIRECTORY = Path(__file__).parents[2] / "systemd"
+UNITS = {path.name: path.read_text() for path in DIRECTORY.glob("*.service")}
 INSTALLED_AT = "/opt/resonatord/bin/resonatord"
+SCORE_MAX = 2.0
+
+each_unit = pytest.mark.parametrize("name", sorted(UNITS))
 
 
-def setting(name: str) -> str:
-    (value,) = re.findall(rf"^{name}=(.*)$", UNIT, re.MULTILINE)
-    return str(value)
+def settings(name: str, key: str) -> list[str]:
+    return re.findall(rf"^{key}=(.*)$", UNITS[name], re.MULTILINE)
 
 
-def remarks_of_systemd(unit: str, directory: Path) -> str:
+def setting(name: str, key: str) -> str:
+    (value,) = settings(name, key)
+    return value
+
+
+def analyze(*arguments: str) -> subprocess.CompletedProcess[str]:
+    program = shutil.which("systemd-analyze")
+    assert program, "systemd-analyze is missing: `make test` installs it, or as root: apt-get install systemd"
+    return subprocess.run(
+        [program, *arguments], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False
+    )
+
+
+def remarks_of_systemd(name: str, unit: str, directory: Path) -> str:
     """All that `systemd-analyze verify` says of a unit, whose program need not be installed."""
-    analyze = shutil.which("systemd-analyze")
-    assert analyze, "systemd-analyze is missing: `make test` installs it, or as root: apt-get install systemd"
-    path = directory / "resonatord@.service"
+    path = directory / name
     path.write_text(unit.replace(INSTALLED_AT, sys.executable))
-    verify = [analyze, "verify", "--recursive-errors=no", str(path)]
-    done = subprocess.run(verify, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
-    return done.stdout
+    return analyze("verify", "--recursive-errors=no", str(path)).stdout
 
 
-def test_systemd_has_nothing_to_remark(tmp_path: Path) -> None:
-    assert remarks_of_systemd(UNIT, tmp_path) == ""
+def score(name: str, unit: str, directory: Path) -> float:
+    """How exposed a unit is, from 0 to 10."""
+    (directory / name).write_text(unit)
+    found = re.search(
+        r"Overall exposure level for .*: ([0-9.]+)", analyze("security", "--offline=true", str(directory / name)).stdout
+    )
+    assert found is not None
+    return float(found[1])
+
+
+def test_both_units_are_there() -> None:
+    assert set(UNITS) == {"resonatord@.service", "resonatord-decode@.service"}
+
+
+@each_unit
+def test_systemd_has_nothing_to_remark(name: str, tmp_path: Path) -> None:
+    assert remarks_of_systemd(name, UNITS[name], tmp_path) == ""
 
 
 def test_systemd_remarks_on_a_misspelt_setting(tmp_path: Path) -> None:
-    assert "Restrat" in remarks_of_systemd(UNIT.replace("Restart=", "Restrat="), tmp_path)
+    name = "resonatord@.service"
+    assert "Restrat" in remarks_of_systemd(name, UNITS[name].replace("Restart=", "Restrat="), tmp_path)
 
 
-def test_no_restart_where_a_person_must_act() -> None:
-    prevented = {int(status) for status in setting("RestartPreventExitStatus").split()}
+@each_unit
+def test_little_is_exposed(name: str, tmp_path: Path) -> None:
+    assert score(name, UNITS[name], tmp_path) <= SCORE_MAX
+    assert score(name, UNITS[name].replace("SystemCallFilter=", "#"), tmp_path) > score(name, UNITS[name], tmp_path)
+
+
+@each_unit
+def test_the_page_tells_the_score(name: str, tmp_path: Path) -> None:
+    page = (DIRECTORY.parent / "docs" / "service.md").read_text()
+    (told,) = re.findall(rf"{re.escape(name)} +# ([0-9.]+)", page)
+    assert float(told) == score(name, UNITS[name], tmp_path)
+
+
+@each_unit
+def test_no_restart_where_a_person_must_act(name: str) -> None:
+    prevented = {int(status) for status in setting(name, "RestartPreventExitStatus").split()}
     assert prevented == {ExitCode.USAGE, ExitCode.UNAVAILABLE, ExitCode.CONFIG}
 
 
-def test_restarts_never_reach_systemds_limit() -> None:
-    assert 5 * float(setting("RestartSec")) > 10  # systemd gives a unit up at more than 5 starts in 10 s
+@each_unit
+def test_restarts_never_reach_systemds_limit(name: str) -> None:
+    assert 5 * float(setting(name, "RestartSec")) > 10  # systemd gives a unit up at more than 5 starts in 10 s
+
+
+@each_unit
+def test_the_user_is_one_that_sysusers_makes(name: str) -> None:
+    made = re.findall(r"^u (\S+)", (DIRECTORY / "resonatord.sysusers").read_text(), re.MULTILINE)
+    groups = re.findall(r"^g (\S+)", (DIRECTORY / "resonatord.sysusers").read_text(), re.MULTILINE)
+    assert [setting(name, "User")] == [setting(name, "Group")] == made
+    assert [group for value in settings(name, "SupplementaryGroups") for group in value.split()] in ([], groups)
 
 
 def test_a_user_without_a_home_keeps_its_set_ups_where_systemd_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert setting("DynamicUser") == "yes"
-    directory = tmp_path / setting("CacheDirectory")
+    directory = tmp_path / setting("resonatord@.service", "CacheDirectory")
     monkeypatch.setenv("CACHE_DIRECTORY", str(directory))
     assert cached("anything", lambda: 5) == 5
     assert len(list(directory.iterdir())) == 1
 
 
-def test_command_runs_and_refuses_a_missing_configuration(tmp_path: Path) -> None:
-    program, *arguments = setting("ExecStart").replace("/etc/resonatord/%i", str(tmp_path / "absent")).split()
+@each_unit
+def test_command_runs_and_refuses_a_missing_configuration(name: str, tmp_path: Path) -> None:
+    program, *arguments = setting(name, "ExecStart").replace("/etc/resonatord/%i", str(tmp_path / "absent")).split()
     assert program == INSTALLED_AT
     here = Path(sys.executable).with_name("resonatord")
     done = subprocess.run([here, *arguments], capture_output=True, text=True, check=False)
     assert done.returncode == ExitCode.CONFIG
     assert "absent.toml" in done.stderr
+
+
+def test_udev_rules_are_for_our_ids_alone() -> None:
+    text = re.sub(
+        r"^#.*\n", "", (DIRECTORY / "70-resonatord.rules").read_text().replace("\\\n", ""), flags=re.MULTILINE
+    )
+    rules = [rule for rule in text.splitlines() if rule and not re.match(r'ACTION=="remove"|LABEL=', rule)]
+    ours = re.compile(r'ATTRS?\{idVendor\}=="1209", ATTRS?\{idProduct\}=="0001"|ENV\{RESONATORD\}=="1"')
+    assert len(rules) == 5
+    assert [rule for rule in rules if not ours.search(rule)] == []

@@ -1,0 +1,223 @@
+"""`resonatord install`: units, udev rules, user and directories into their places, from the wheel this runs from."""
+
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import resources
+from pathlib import Path, PurePosixPath
+
+from resonator_daemon.config import example_config
+from resonator_daemon.errors import ExitCode, OperatorError
+
+_PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
+_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=
+_PLACES = {
+    "resonatord@.service": "/etc/systemd/system/resonatord@.service",
+    "resonatord-decode@.service": "/etc/systemd/system/resonatord-decode@.service",
+    "70-resonatord.rules": "/etc/udev/rules.d/70-resonatord.rules",
+    "resonatord.sysusers": "/etc/sysusers.d/resonatord.conf",
+    "resonatord.tmpfiles": "/etc/tmpfiles.d/resonatord.conf",
+}
+_EXAMPLE = "/etc/resonatord/example.toml"
+_SEAL = re.compile(r"# resonatord install [0-9a-f]{64}\n\Z")
+_SYSTEMD, _UDEV = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
+# Those that need nobody running prepare an image, too.
+_COMMANDS: tuple[tuple[tuple[str, ...], Path | None], ...] = (
+    (("systemd-sysusers", "/etc/sysusers.d/resonatord.conf"), None),
+    (("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/resonatord.conf"), None),
+    (("systemctl", "daemon-reload"), _SYSTEMD),
+    (("udevadm", "control", "--reload"), _UDEV),
+    (("udevadm", "trigger", "--action=change", "--attr-match=idVendor=1209", "--attr-match=idProduct=0001"), _UDEV),
+)
+_COMMAND_S = 60.0
+
+
+class InstallError(OperatorError):
+    """Something could not be put in its place."""
+
+    exit_code = ExitCode.FAILED
+
+
+class Action(StrEnum):
+    """What is done with a file."""
+
+    WRITTEN = "written"
+    UPDATED = "updated"
+    UNCHANGED = "unchanged"
+    KEPT = "kept"  # somebody changed it
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A file in its place.
+
+    Attributes
+    ----------
+    path
+        Where it is, below the prefix.
+    content
+        What belongs there, with its seal.
+    """
+
+    path: Path
+    content: str
+    action: Action
+
+
+def install(prefix: Path | None, *, dry_run: bool, as_json: bool) -> None:
+    """Put all in place, and tell on stdout what was done.
+
+    Parameters
+    ----------
+    prefix
+        Below it everything is put, and no command is run: for a package or an image.
+    dry_run
+        Change nothing, and tell what would be done.
+
+    Raises
+    ------
+    InstallError
+        It may not or cannot write there, there is no systemd, or services could not reach this program.
+    """
+    program = _program()
+    running = _may_run_commands(prefix, dry_run)
+    placed = [_judge(path, content) for path, content in _contents(prefix or Path("/"), program)]
+    if not dry_run:
+        for file in placed:
+            _write(file)
+    commands = [(command, _run(command) if running else None) for command in _due(prefix is None)]
+    if as_json:
+        _tell_json(program, placed, commands, dry_run)
+    else:
+        _tell(placed, commands, prefix, dry_run)
+    if failed := [f"{' '.join(command)}: {said}" for command, said in commands if said]:
+        raise InstallError(*failed)
+
+
+def _program() -> Path:
+    """Return the command that units start: of the environment that this runs in."""
+    program = Path(sys.executable).with_name("resonatord")
+    if not program.exists():
+        raise InstallError(f"{program} is missing: install resonatord into this Python's environment with pip or pipx")
+    for hidden in _HIDDEN:
+        if PurePosixPath(os.path.realpath(program)).is_relative_to(hidden):
+            raise InstallError(
+                f"{program} is below {hidden}, which services do not see; install it elsewhere: python3 -m venv "
+                "/opt/resonatord && /opt/resonatord/bin/pip install resonatord"
+            )
+    return program
+
+
+def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
+    if prefix is not None or dry_run:
+        return False
+    if shutil.which("systemctl") is None:
+        raise InstallError("no systemctl on PATH: this computer has no systemd; see docs/service.md for others")
+    if os.geteuid() != 0:
+        raise InstallError(f"only root may write to /etc: sudo {sys.argv[0]} install, or look first with --dry-run")
+    return True
+
+
+def _contents(root: Path, program: Path) -> list[tuple[Path, str]]:
+    """Return each file's place and content."""
+    shipped = resources.files("resonator_daemon") / "service_files"
+    texts = [(place, (shipped / name).read_text("utf-8")) for name, place in _PLACES.items()]
+    texts.append((_EXAMPLE, example_config()))
+    return [(root / place.lstrip("/"), _sealed(_started_by(text, program))) for place, text in texts]
+
+
+def _started_by(text: str, program: Path) -> str:
+    escaped = str(program).replace("\\", "\\\\").replace("%", "%%").replace(" ", "\\x20")  # systemd.service(5)
+    return text.replace(f"ExecStart={_PROGRAM_IN_UNITS}", f"ExecStart={escaped}")
+
+
+def _sealed(text: str) -> str:
+    """Return the text with a last line by which `_judge` knows whether somebody changed it."""
+    return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
+
+
+def _judge(path: Path, content: str) -> Placed:
+    try:
+        there = path.read_bytes().decode(errors="replace")
+    except FileNotFoundError:
+        return Placed(path, content, Action.WRITTEN)
+    except OSError as error:
+        raise InstallError(f"{path}: {error.strerror}") from error
+    if there == content:
+        return Placed(path, content, Action.UNCHANGED)
+    intact = there == _sealed(_SEAL.sub("", there))
+    return Placed(path, content, Action.UPDATED if intact else Action.KEPT)
+
+
+def _write(file: Placed) -> None:
+    """Write whole files only: an interrupted one is begun again by the next run."""
+    if file.action in (Action.UNCHANGED, Action.KEPT):
+        return
+    new = file.path.with_name(f".{file.path.name}.new")
+    try:
+        file.path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            new.write_text(file.content, "utf-8")
+            new.chmod(0o644)
+            new.replace(file.path)
+        finally:
+            new.unlink(missing_ok=True)
+    except OSError as error:
+        raise InstallError(f"{file.path} cannot be written: {error.strerror}") from error
+
+
+def _due(here: bool) -> list[tuple[str, ...]]:
+    """Return the commands that make the present system know the files; none of it where they are for another."""
+    return [command for command, needed in _COMMANDS if here and (needed is None or needed.exists())]
+
+
+def _run(command: tuple[str, ...]) -> str:
+    """Run it; return what went wrong, or ""."""
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_S, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return str(error)
+    said = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
+    return said if done.returncode else ""
+
+
+def _tell(
+    placed: list[Placed], commands: list[tuple[tuple[str, ...], str | None]], prefix: Path | None, dry_run: bool
+) -> None:
+    would = {Action.WRITTEN: "would be written", Action.UPDATED: "would be updated"} if dry_run else {}
+    for file in placed:
+        said = would.get(file.action, str(file.action))
+        if file.action is Action.KEPT:
+            said = "kept: it was changed here; `resonatord install --prefix DIR` writes the new one elsewhere"
+        _print(f"{file.path}: {said}")
+    for command, failed in commands:
+        _print(f"{' '.join(command)}: {failed or ('would be run' if failed is None else 'done')}")
+    if prefix is None:
+        _print(f"next: copy {_EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME")
+
+
+def _print(text: str) -> None:
+    sys.stdout.write(f"{text}\n")
+
+
+def _tell_json(
+    program: Path, placed: list[Placed], commands: list[tuple[tuple[str, ...], str | None]], dry_run: bool
+) -> None:
+    told = {
+        "program": str(program),
+        "dry_run": dry_run,
+        "files": [{"path": str(file.path), "action": file.action} for file in placed],
+        "commands": [
+            {"command": " ".join(command), "done": failed == "", "error": failed or None}
+            for command, failed in commands
+        ],
+    }
+    _print(json.dumps(told))

@@ -1,0 +1,125 @@
+"""Where log lines go: to stderr as text, or with their fields to systemd's journal where stderr is connected to it."""
+
+import logging
+import os
+import socket
+import struct
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+
+JOURNAL = Path("/run/systemd/journal/socket")
+
+_IDENTIFIER = "resonatord"
+_FIELD = "resonatord_"  # attributes of a record, by `extra=`, that become fields of the line
+_VALUE_BYTES_MAX = 32_768  # what a datagram takes with certainty, however many fields there are
+_PRIORITIES = ((logging.CRITICAL, 2), (logging.ERROR, 3), (logging.WARNING, 4), (logging.INFO, 6))
+_DEBUG = 7
+
+
+def set_up_logging(level: int = logging.INFO, journal: Path = JOURNAL) -> None:
+    """Send all log lines of this process to where people look for them."""
+    plain = logging.StreamHandler(sys.stderr)
+    plain.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
+    connection = _connect(journal) if _stderr_is_journal(os.environ) else None
+    logging.basicConfig(level=level, handlers=[JournalHandler(connection, plain) if connection else plain])
+
+
+def name_lines(name: str) -> None:
+    """Have all further lines in the journal carry the daemon's name."""
+    for handler in logging.getLogger().handlers:
+        if isinstance(handler, JournalHandler):
+            handler.name_lines(name)
+
+
+def error_prefix() -> str:
+    """Return what makes a line on stderr an error in the journal, "" where stderr does not lead there."""
+    return "<3>" if _stderr_is_journal(os.environ) else ""
+
+
+class JournalHandler(logging.Handler):
+    """Hands lines to the journal in its own protocol (systemd.io/JOURNAL_NATIVE_PROTOCOL), without ever waiting.
+
+    A line that finds the journal's queue full is lost; the next one that does not says how many were, in
+    `RESONATORD_LINES_LOST`. A value of more than 32 kB is cut off.
+
+    Parameters
+    ----------
+    connection
+        To the journal's socket, not blocking.
+    fallback
+        Takes the lines of a journal that has gone.
+    """
+
+    def __init__(self, connection: socket.socket, fallback: logging.Handler) -> None:
+        super().__init__()
+        self.setFormatter(logging.Formatter("%(message)s"))
+        self._connection = connection
+        self._fallback = fallback
+        self._lost = 0
+        self._common: dict[str, str] = {"SYSLOG_IDENTIFIER": _IDENTIFIER}
+
+    def name_lines(self, name: str) -> None:
+        self._common["RESONATORD_NAME"] = name
+
+    def close(self) -> None:
+        self._connection.close()
+        super().close()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        try:
+            fields = self._common | _fields(record, self.format(record))
+            if self._lost:
+                fields["RESONATORD_LINES_LOST"] = str(self._lost)
+            self._connection.send(b"".join(_encoded(name, value) for name, value in fields.items()))
+            self._lost = 0
+        except BlockingIOError:
+            self._lost += 1
+        except OSError:
+            self._fallback.handle(record)
+        except Exception:  # noqa: BLE001 - as every handler of the standard library: a log line ends no program
+            self.handleError(record)
+
+
+def _fields(record: logging.LogRecord, message: str) -> dict[str, str]:
+    fields = {
+        "MESSAGE": message,
+        "PRIORITY": str(next((priority for level, priority in _PRIORITIES if record.levelno >= level), _DEBUG)),
+        "CODE_FILE": record.pathname,
+        "CODE_LINE": str(record.lineno),
+        "CODE_FUNC": record.funcName or "",
+        "RESONATORD_MODULE": record.name,
+        "RESONATORD_THREAD": record.threadName or "",
+    }
+    extra: Mapping[str, object] = vars(record)
+    return fields | {name.upper(): str(value) for name, value in extra.items() if name.startswith(_FIELD)}
+
+
+def _encoded(name: str, value: str) -> bytes:
+    """Return a field as the journal wants it: a value of several lines has its length before it."""
+    # With other control characters in it, a line is shown as so many bytes of a blob.
+    shown = "".join(sign if sign in "\t\n" or sign.isprintable() else ascii(sign)[1:-1] for sign in value)
+    data = shown.encode(errors="backslashreplace")[:_VALUE_BYTES_MAX].decode(errors="ignore").encode()
+    if b"\n" in data:
+        return name.encode() + b"\n" + struct.pack("<Q", len(data)) + data + b"\n"
+    return name.encode() + b"=" + data + b"\n"
+
+
+def _stderr_is_journal(environment: Mapping[str, str]) -> bool:
+    """Whether what systemd says of the journal's stream is still true of stderr (systemd.exec(5), JOURNAL_STREAM)."""
+    try:
+        there = os.fstat(2)
+    except OSError:
+        return False
+    return environment.get("JOURNAL_STREAM") == f"{there.st_dev}:{there.st_ino}"
+
+
+def _connect(journal: Path) -> socket.socket | None:
+    """Return a connection, None where there is no journal to be seen from here."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+    try:
+        connection.connect(str(journal))
+    except OSError:
+        connection.close()
+        return None
+    return connection

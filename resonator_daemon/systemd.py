@@ -1,0 +1,81 @@
+"""What a service manager is told: ready, alive, how it goes (the protocol of sd_notify(3))."""
+
+import os
+import socket
+import time
+from collections.abc import Mapping
+
+_STATUS_BYTES_MAX = 1000  # the manager reads 4096 bytes of a message
+
+
+class ServiceManager:
+    """Speaks to the manager that started this process, where there is one; never waits and never raises.
+
+    What cannot be said, since the manager's queue is full, is said with the next message.
+
+    Parameters
+    ----------
+    environment
+        As given by the manager: `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`.
+    """
+
+    def __init__(self, environment: Mapping[str, str] = os.environ) -> None:
+        path = environment.get("NOTIFY_SOCKET", "")
+        self._address = "\0" + path[1:] if path.startswith("@") else path if path.startswith("/") else None
+        self._unsaid: dict[str, str] = {}
+        self._status = ""
+        self.watchdog_s = _watchdog_s(environment) if self._address else None
+
+    def ready(self, status: str) -> None:
+        """Tell that the start, or a reload, is done."""
+        self._unsaid.pop("RELOADING", None)
+        self._unsaid.pop("MONOTONIC_USEC", None)
+        self._say(READY="1", STATUS=_one_line(status))
+
+    def status(self, text: str) -> None:
+        """Tell people how it goes, in one line; the same text twice is said once."""
+        if (line := _one_line(text)) != self._status:
+            self._say(STATUS=line)
+
+    def alive(self) -> None:
+        """Ask not to be restarted for another `WatchdogSec=`; due every `watchdog_s`."""
+        self._say(WATCHDOG="1")
+
+    def reloading(self) -> None:
+        """Tell that the configuration is read again; `ready` ends it."""
+        self._unsaid.pop("READY", None)
+        self._say(RELOADING="1", MONOTONIC_USEC=str(time.monotonic_ns() // 1000))
+
+    def stopping(self) -> None:
+        """Tell that the end has begun."""
+        self._say(STOPPING="1")
+
+    def _say(self, **variables: str) -> None:
+        if self._address is None:
+            return
+        self._status = variables.get("STATUS", self._status)
+        self._unsaid.update(variables)
+        message = "\n".join(f"{name}={value}" for name, value in self._unsaid.items())
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as sending:
+                sending.sendto(message.encode(), self._address)
+        except OSError:
+            return
+        self._unsaid.clear()
+
+
+def _watchdog_s(environment: Mapping[str, str]) -> float | None:
+    """Return half the time after which the manager restarts a silent process; None where it does not."""
+    if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
+        return None  # it is another process, as the one that started this one, that must not be silent
+    try:
+        timeout_us = int(environment.get("WATCHDOG_USEC", ""))
+    except ValueError:
+        return None
+    return timeout_us * 0.5e-6 if timeout_us > 0 else None
+
+
+def _one_line(text: str) -> str:
+    """Return a text that cannot be taken for another variable, whoever it comes from."""
+    line = "".join(sign if sign.isprintable() else " " for sign in text)
+    return line.encode(errors="replace")[:_STATUS_BYTES_MAX].decode(errors="ignore")

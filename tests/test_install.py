@@ -1,0 +1,170 @@
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon import install as module
+from resonator_daemon.cli import main
+from resonator_daemon.errors import ExitCode
+from resonator_daemon.toml_file import read_toml
+
+ROOT = Path(__file__).parents[1]
+PROGRAM = Path(sys.executable).with_name("resonatord")
+PLACES = {
+    "etc/systemd/system/resonatord@.service",
+    "etc/systemd/system/resonatord-decode@.service",
+    "etc/udev/rules.d/70-resonatord.rules",
+    "etc/sysusers.d/resonatord.conf",
+    "etc/tmpfiles.d/resonatord.conf",
+    "etc/resonatord/example.toml",
+}
+UNIT = "etc/systemd/system/resonatord@.service"
+
+
+def files_in(prefix: Path) -> set[str]:
+    return {str(path.relative_to(prefix)) for path in prefix.rglob("*") if path.is_file()}
+
+
+def installed(prefix: Path, capsys: pytest.CaptureFixture[str], *more: str) -> dict[str, str]:
+    """What an installation did with each file."""
+    assert main(["install", "--prefix", str(prefix), "--json", *more]) == ExitCode.DONE
+    told = json.loads(capsys.readouterr().out)
+    assert told["program"] == str(PROGRAM)
+    assert told["commands"] == []
+    return {str(Path(file["path"]).relative_to(prefix)): file["action"] for file in told["files"]}
+
+
+def test_all_is_put_below_the_prefix_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert installed(tmp_path, capsys) == dict.fromkeys(PLACES, "written")
+    assert files_in(tmp_path) == PLACES
+    assert installed(tmp_path, capsys) == dict.fromkeys(PLACES, "unchanged")
+
+
+def test_units_start_the_program_that_installed_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    installed(tmp_path, capsys)
+    started = [re.findall(r"(?m)^ExecStart=(\S+)", path.read_text()) for path in tmp_path.rglob("*.service")]
+    assert started == [[str(PROGRAM)], [str(PROGRAM)]]
+
+
+def test_the_example_is_a_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    installed(tmp_path, capsys)
+    assert main(["check", str(tmp_path / "etc/resonatord/example.toml")]) == ExitCode.DONE
+    assert "plate" in read_toml(tmp_path / "etc/resonatord/example.toml").content
+
+
+def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    installed(tmp_path, capsys)
+    changed, old, gone = (
+        tmp_path / UNIT,
+        tmp_path / "etc/udev/rules.d/70-resonatord.rules",
+        tmp_path / sorted(PLACES)[0],
+    )
+    changed.write_text(changed.read_text().replace("WatchdogSec=20", "WatchdogSec=60"))
+    as_changed, as_new = changed.read_text(), old.read_text()
+    old.write_text(module._sealed("# rules of an earlier version\n"))
+    gone.unlink()
+    actions = dict.fromkeys(PLACES, "unchanged")
+    actions |= {UNIT: "kept", "etc/udev/rules.d/70-resonatord.rules": "updated", sorted(PLACES)[0]: "written"}
+    assert installed(tmp_path, capsys) == actions
+    assert (changed.read_text(), old.read_text()) == (as_changed, as_new)
+
+
+def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    theirs = tmp_path / UNIT
+    theirs.parent.mkdir(parents=True)
+    theirs.write_bytes(b"[Service]\nExecStart=/bin/true \xff\n")
+    assert installed(tmp_path, capsys)[UNIT] == "kept"
+    assert theirs.read_bytes() == b"[Service]\nExecStart=/bin/true \xff\n"
+    assert main(["install", "--prefix", str(tmp_path)]) == ExitCode.DONE
+    assert f"{theirs}: kept: it was changed here" in capsys.readouterr().out
+
+
+def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert installed(tmp_path, capsys, "--dry-run") == dict.fromkeys(PLACES, "written")
+    assert list(tmp_path.iterdir()) == []
+    assert main(["install", "--prefix", str(tmp_path), "--dry-run"]) == ExitCode.DONE
+    assert capsys.readouterr().out.count(": would be written\n") == len(PLACES)
+
+
+def test_without_a_prefix_a_dry_run_names_the_commands(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(module, "_SYSTEMD", Path("/nowhere"))
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("a dry run runs nothing"))
+    assert main(["install", "--dry-run"]) == ExitCode.DONE
+    said = capsys.readouterr().out
+    assert "systemd-sysusers /etc/sysusers.d/resonatord.conf: would be run\n" in said
+    assert said.splitlines()[-1].startswith("next: copy /etc/resonatord/example.toml")
+
+
+def test_files_that_are_no_copies_reach_everybody(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    previous = os.umask(0o077)
+    try:
+        installed(tmp_path, capsys)
+    finally:
+        os.umask(previous)
+    assert {(tmp_path / place).stat().st_mode & 0o777 for place in PLACES} == {0o644}
+
+
+def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that says why nothing was installed."""
+    assert main(["install", *arguments]) == ExitCode.FAILED
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_who_may_not_write_is_told_who_may(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    monkeypatch.setattr("shutil.which", lambda _: "/usr/bin/systemctl")
+    line = refusal(capsys)
+    assert line.startswith("resonatord: only root may write to /etc: sudo ")
+    assert "--dry-run" in line
+
+
+def test_a_computer_without_systemd(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("shutil.which", lambda _: None)
+    assert "no systemctl on PATH: this computer has no systemd" in refusal(capsys)
+
+
+def test_a_target_that_takes_no_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "etc").write_text("a file")
+    assert "/etc/systemd/system/resonatord@.service: Not a directory" in refusal(capsys, "--prefix", str(tmp_path))
+
+
+@pytest.mark.parametrize("directory", ["/home", "/root", "/tmp"])
+def test_a_program_that_services_cannot_see(
+    directory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os.path, "realpath", lambda path: f"{directory}/user/venv/bin/resonatord")
+    line = refusal(capsys, "--prefix", str(tmp_path))
+    assert f"is below {directory}, which services do not see; install it elsewhere: python3 -m venv /opt/" in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_command_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert "no such user" in module._run((sys.executable, "-c", "import sys; sys.exit('no such\\n user')"))
+    assert module._run((sys.executable, "-c", "import sys; sys.exit(5)")) == "exit code 5"
+    assert module._run((sys.executable, "-c", "pass")) == ""
+    assert "No such file" in module._run((str(tmp_path / "absent"),))
+
+
+@pytest.mark.parametrize(
+    ("program", "written"),
+    [("/opt/r d/bin/resonatord", r"/opt/r\x20d/bin/resonatord"), ("/opt/100%/resonatord", "/opt/100%%/resonatord")],
+)
+def test_a_path_is_written_as_units_have_it(program: str, written: str) -> None:
+    unit = "ExecStart=/opt/resonatord/bin/resonatord run --config /etc/resonatord/%i.toml\n"
+    assert module._started_by(unit, Path(program)) == f"ExecStart={written} run --config /etc/resonatord/%i.toml\n"
+
+
+def test_a_wheel_has_the_files(tmp_path: Path) -> None:
+    """The one copy is in systemd/; the package reaches it by a link."""
+    build = ["egg_info", "--egg-base", str(tmp_path), "build_py", "--build-lib", str(tmp_path / "built")]
+    command = [sys.executable, "-W", "ignore", "-c", "from setuptools import setup; setup()", "--quiet", *build]
+    subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    shipped = {path.name: path.read_bytes() for path in (tmp_path / "built/resonator_daemon/service_files").iterdir()}
+    assert shipped == {path.name: path.read_bytes() for path in (ROOT / "systemd").iterdir()}
