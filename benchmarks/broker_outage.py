@@ -25,7 +25,7 @@ import psutil
 from slow_gate import Gate
 from system_parts import NAME, Part, free_port, mosquitto_command
 
-from resonator_daemon.config import load_config
+from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.publishing.payloads import MessageAccount
 from resonator_daemon.service import Service
 
@@ -296,7 +296,7 @@ async def measure(case: str, seconds: float, folder: Path) -> list[str]:
             path.write_text(f'name = "{NAME}"\nplate = "quartz16"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n')
             gate.opened = False
             heard = Heard()
-            service = Service(load_config(path))
+            service = Service(ConfigStore(path, path.parent / "last-good"))
             running = asyncio.create_task(service.run())
             scene = Scene(folder, broker, port, gate, heard, service)
             try:

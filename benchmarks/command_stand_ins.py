@@ -2,10 +2,14 @@
 
 import math
 import re
+import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from resonator_daemon import steering
+from resonator_daemon.acquisition.recording_budget import Series
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.recording_switch import NothingRecordedError, RecordingNow, RecordingSummary
 from resonator_daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.config import Config, Measurement
@@ -26,6 +30,7 @@ class StandIn:
         self.acts: list[tuple[Any, ...]] = []
         self.directory = directory
         self.touched = ""
+        self.measurement = Measurement()
         self.counts = True
         self.board_refuses: str | None = None
         self.disk_problem = ""
@@ -35,15 +40,6 @@ class StandIn:
     def compensation(self) -> Compensation:
         return Compensation((1e-6, math.nan, math.nan, math.nan), 2e-7, "followed", math.nan, math.nan, "off")
 
-    def tare(self) -> str:
-        self.acts.append(("tare",))
-        return self.touched
-
-    def set_window(self, window_frames: int, step_frames: int) -> None:
-        if not 1 <= step_frames <= window_frames:
-            raise ValueError(f"step of {step_frames} and window of {window_frames} frames")
-        self.acts.append(("set_window", window_frames, step_frames))
-
     def force_chain(self) -> "StandIn | None":
         return self if self.counts else None
 
@@ -51,13 +47,23 @@ class StandIn:
         self.acts.append(("locate",))
         done(self.board_refuses)
 
-    def set_rate(self, path: str, rate_hz: float | None) -> None:
-        self.acts.append(("set_rate", path, rate_hz))
+    def set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
+        self.acts.append(("set_rate", path, rate_hz, dict(limits_hz)))
 
-    def settings_changed(self, measurement: Measurement, limits_hz: Mapping[str, float]) -> None:
-        self.acts.append(("settings", measurement.window_ms, measurement.step_ms, dict(limits_hz)))
+    async def order(self, order: steering.Order) -> str:
+        if isinstance(order, steering.Tare):
+            self.acts.append(("tare",))
+            return self.touched
+        measurement = order.measurement
+        if not 0 < measurement.step_ms <= measurement.window_ms:
+            raise ValueError(f"step of {measurement.step_ms} and window of {measurement.window_ms} ms")
+        self.measurement = measurement
+        self.acts.append(("measure_over", measurement.window_ms, measurement.step_ms))
+        return ""
 
-    def start(self, path: Path, _plate: object, _link: str) -> None:
+    def start(self, series: Series, _origin: Origin) -> None:
+        series.directory.mkdir(parents=True, exist_ok=True)
+        path = series.path(time.time_ns())
         if path.parent != self.directory or not RECORDING_NAME.fullmatch(path.name):
             raise ValueError(f"{path} is no place for a recording")
         self.acts.append(("start", path))
@@ -99,7 +105,8 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         locate=stand_in.locate,
         streams=("forces", "contacts"),
         set_rate=stand_in.set_rate,
-        settings_changed=stand_in.settings_changed,
+        measurement=lambda: stand_in.measurement,
+        order=stand_in.order,
     )
     return CommandHandlers(config, "9f3c", parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
 

@@ -2,10 +2,11 @@
 
 import asyncio
 import time
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Final, Protocol, get_args
 
+from resonator_daemon import steering
 from resonator_daemon.config import Config, Measurement, timing_problems
 from resonator_daemon.measurement.readings import Compensation
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
@@ -40,10 +41,6 @@ class ForceChain(Protocol):
     @property
     def compensation(self) -> Compensation: ...
 
-    def tare(self) -> str: ...
-
-    def set_window(self, window_frames: int, step_frames: int) -> None: ...
-
 
 @dataclass(frozen=True)
 class DaemonParts:
@@ -62,9 +59,11 @@ class DaemonParts:
     streams
         Paths of the topics that this daemon publishes as streams.
     set_rate
-        Lowers the rate of a stream, or with None no longer.
-    settings_changed
-        Called when window, step or a rate have changed, with what holds now: the measurement, and rates by topic.
+        Lowers the rate of a stream, or with None no longer; is handed what holds then of all topics, too.
+    measurement
+        Returns the window that holds now.
+    order
+        Has an order obeyed after the frames that have arrived; returns why it was not, or "".
     """
 
     report_health: Callable[[], Health]
@@ -72,8 +71,9 @@ class DaemonParts:
     force_chain: Callable[[], ForceChain | None]
     locate: Callable[[Located], None]
     streams: Collection[str]
-    set_rate: Callable[[str, float | None], None]
-    settings_changed: Callable[[Measurement, Mapping[str, float]], None]
+    set_rate: Callable[[str, float | None, Mapping[str, float]], None]
+    measurement: Callable[[], Measurement]
+    order: Callable[[steering.Order], Awaitable[str]]
 
 
 class CommandHandlers:
@@ -82,7 +82,6 @@ class CommandHandlers:
     Parameters
     ----------
     config
-        Its measurement is what holds until a command changes it.
     daemon_boot_id
         Of this run.
     parts
@@ -93,7 +92,6 @@ class CommandHandlers:
 
     def __init__(self, config: Config, daemon_boot_id: str, parts: DaemonParts, recording: RecordingCommands) -> None:
         self._plate = config.plate
-        self._measurement = config.measurement
         self._daemon_boot_id = daemon_boot_id
         self._parts = parts
         self._limits_hz: dict[str, float] = {}
@@ -135,26 +133,24 @@ class CommandHandlers:
                 left_out.append(path)
         return SnapshotAnswer(messages=messages, left_out=tuple(left_out))
 
-    def _tare(self, _request: Tare) -> TareAnswer:
+    async def _tare(self, _request: Tare) -> TareAnswer:
         chain = self._force_chain()
-        if reason := chain.tare():
+        if reason := await self._parts.order(steering.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
         return TareAnswer(
             did="the present readings count as untouched", common_mode=tuple(chain.compensation.common_mode)
         )
 
-    def _set_window(self, request: SetWindow) -> SetWindowAnswer:
-        chain = self._force_chain()
-        step_ms = self._measurement.step_ms if request.step_ms is None else request.step_ms
+    async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
+        self._force_chain()
+        step_ms = self._parts.measurement().step_ms if request.step_ms is None else request.step_ms
         measurement = Measurement(window_ms=request.window_ms, step_ms=step_ms)
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
         if problems := timing_problems(spans_ms, self._plate):
             said = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
             raise CommandRefusedError("window", said, "send window_ms and step_ms that fit each other and the frames")
-        frame_rate_hz = self._plate.counter.frame_rate_hz
-        chain.set_window(round(measurement.window_s * frame_rate_hz), round(measurement.step_s * frame_rate_hz))
-        self._measurement = measurement
-        self._parts.settings_changed(measurement, self._limits_hz)
+        if reason := await self._parts.order(steering.MeasureOver(measurement=measurement)):
+            raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
 
     def _set_rate(self, request: SetRate) -> SetRateAnswer:
@@ -166,8 +162,7 @@ class CommandHandlers:
             self._limits_hz.pop(topic, None)
         else:
             self._limits_hz[topic] = rate_hz
-        self._parts.set_rate(topic, rate_hz)
-        self._parts.settings_changed(self._measurement, self._limits_hz)
+        self._parts.set_rate(topic, rate_hz, self._limits_hz)
         return SetRateAnswer(topic=topic, rate_hz=rate_hz)
 
     async def _identify(self, _request: Identify) -> IdentifyAnswer:

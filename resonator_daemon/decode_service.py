@@ -13,12 +13,12 @@ import time
 from pathlib import Path
 from urllib.parse import quote
 
-import psutil
-
 from resonator_daemon.config import DECODER
 from resonator_daemon.decoder_config import DecoderConfig
 from resonator_daemon.decoding.stage import SWITCH_S
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.flow_watch import FlowWatch
+from resonator_daemon.health import OwnProcess
 from resonator_daemon.places import state_directory
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -36,6 +36,7 @@ from resonator_daemon.publishing.topics import (
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.mode import Mode, wanted_of
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
+from resonator_daemon.systemd import ServiceManager
 
 log = logging.getLogger(__name__)
 
@@ -101,13 +102,14 @@ class DecoderProcess:
             on_connected=self._connected,
             on_denied=self._denied,
         )
+        self._manager = ServiceManager()
+        self._flow = FlowWatch()
         self._fatal: OperatorError | None = None
         self._ending = asyncio.Event()
         self._state = (Condition.STARTING, "started")
         self._since_utc_ns = time.time_ns()
         self._started_s = self._said_s = time.monotonic()
-        self._process = psutil.Process()
-        self._process.cpu_percent()  # the first call begins the interval
+        self._process = OwnProcess()
 
     async def run(self) -> None:
         """Run until `stop`; raises what only the operator can mend."""
@@ -122,6 +124,7 @@ class DecoderProcess:
             )
             tasks.create_task(self._publisher.run(), name="publishing")
             await self._ending.wait()
+            self._manager.stopping()
             for helper in helpers:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
@@ -142,13 +145,14 @@ class DecoderProcess:
 
     def health(self) -> DecoderHealth:
         """How this process fares."""
+        held = self._process.held()
         return DecoderHealth(
             decoder_id=self.decoder_id,
             t_ns=time.time_ns(),
             uptime_s=time.monotonic() - self._started_s,
             plates=self._mode.health(),
-            cpu_percent=self._process.cpu_percent(),
-            rss_mb=self._process.memory_info().rss / 2**20,
+            cpu_percent=held.cpu_percent,
+            rss_mb=held.rss_mb,
             latency={DECODED.path: self._mode.latency.info()},
             messages=self._publisher.account,
         )
@@ -195,9 +199,16 @@ class DecoderProcess:
         self._ending.set()
 
     async def _watch(self) -> None:
+        self._manager.ready(self._sentence())  # whatever it waits for may come later
+        turns = 0
         while True:
             await asyncio.sleep(_LOOK_S)
+            turns += 1
             state = self._mode.condition()
+            decoded = sum(plate.decoded for plate in self._mode.health().values())
+            if self._flow.healthy(decoded, "online" if state[0] is Condition.ONLINE else "waiting", turns):
+                self._manager.alive()
+            self._manager.status(self._sentence())
             if state != self._state:
                 if state[0] != self._state[0]:
                     self._since_utc_ns = time.time_ns()
@@ -206,6 +217,11 @@ class DecoderProcess:
                 self._say(*state)
             elif time.monotonic() - self._said_s > _STATE_AGAIN_S:
                 self._say(*state)
+
+    def _sentence(self) -> str:
+        """Say in a line how it goes."""
+        condition, reason = self._state
+        return f"{condition}: {reason}" + ("" if self._publisher.connected else "; no broker")
 
     def _say(self, condition: Condition, reason: str) -> None:
         self._said_s = time.monotonic()

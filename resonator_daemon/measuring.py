@@ -1,7 +1,10 @@
 """Frames of one board to messages: its measurement chain, and under a skin the decoding of what that gives."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.fit import oscillator_hz
@@ -11,7 +14,6 @@ from resonator_daemon.config import Config, Measurement, ReplayLink
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
-from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.latency import Latencies
 from resonator_daemon.measurement.comb_chain import CombChain
@@ -34,6 +36,34 @@ from resonator_daemon.sensor_state import SensorState
 
 _ANEW = "the board started anew"
 
+Floats = NDArray[np.float64]
+Origin = tuple[SkinReading, Instant]
+
+
+class Stage(Protocol):
+    """What decodes the frames of a skin: the newest ones as they come, or each in its turn."""
+
+    @property
+    def frames_skipped(self) -> int: ...
+
+    def offer(self, origin: Origin, signals: Floats, noise_std: Floats) -> None: ...
+
+    def interrupt(self, reason: str) -> None: ...
+
+    async def run(self) -> None: ...
+
+
+MakeStage = Callable[
+    [
+        Skin,
+        Wanted,
+        Callable[[Origin, Decoded], None],
+        Callable[[Origin, SurfaceReading], None],
+        Callable[[str], None],
+    ],
+    Stage,
+]
+
 
 class Measuring:
     """Takes the frames of a board in order; to be used from the event loop's thread only.
@@ -47,6 +77,8 @@ class Measuring:
         Is told what each reading is worth.
     publish
         Takes topic and message.
+    make_stage
+        What decodes under a skin.
 
     Attributes
     ----------
@@ -55,7 +87,12 @@ class Measuring:
     """
 
     def __init__(
-        self, config: Config, reporter: Reporter, sensor: SensorState, publish: Callable[[Topic[Any], Any], None]
+        self,
+        config: Config,
+        reporter: Reporter,
+        sensor: SensorState,
+        publish: Callable[[Topic[Any], Any], None],
+        make_stage: MakeStage,
     ) -> None:
         self._config = config
         self._reporter = reporter
@@ -63,7 +100,7 @@ class Measuring:
         self._publish = publish
         self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._chain: Chain | None = None
-        self._stage = self._make_stage()
+        self._stage = self._decoding(make_stage)
         self._last_forces: tuple[ForceReading, Instant] | None = None
         self._told: tuple[SkinReading, Instant] | None = None  # whose summary was published last
 
@@ -85,6 +122,13 @@ class Measuring:
     def records_unusable(self) -> dict[str, int]:
         """Readings that gave no frequency, by cause."""
         return dict(self._chain.unusable) if isinstance(self._chain, SingleToneChain) else {}
+
+    def set_measurement(self, measurement: Measurement) -> None:
+        """Have forces measured over other windows from now on."""
+        self._config = self._config.model_copy(update={"measurement": measurement})
+        if (chain := self.force_chain) is not None:
+            rate_hz = self._config.plate.counter.frame_rate_hz
+            chain.set_window(round(measurement.window_s * rate_hz), round(measurement.step_s * rate_hz))
 
     def begin(self, board: BoardOnline) -> None:
         """Begin with a board, or anew with one that has nothing in common with the past."""
@@ -157,7 +201,7 @@ class Measuring:
         if self._stage is not None and reading.status == "ok":
             self._stage.offer((reading, frame.gate_middle), reading.signals, reading.noise_std)
 
-    def _make_stage(self) -> DecodingStage[tuple[SkinReading, Instant]] | None:
+    def _decoding(self, make_stage: MakeStage) -> Stage | None:
         skin, wanted = self._config.plate.skin, self._config.decoding
         if skin is None:
             return None
@@ -168,7 +212,7 @@ class Measuring:
             self._sensor.explain("decoded by another process: resonatord decode")
             return None
         half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
-        return DecodingStage(
+        return make_stage(
             Skin(
                 half_space,
                 self._config.plate.site_positions_m,

@@ -1,6 +1,6 @@
 """Where the daemon's messages leave it: below one name at one broker, as soon as the name is known."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -51,6 +51,7 @@ class Outlet:
     def __init__(self, config: Config, daemon_boot_id: str, make_offline: MakeOffline) -> None:
         self._config = config
         self._daemon_boot_id = daemon_boot_id
+        self._allowed: Collection[str] = config.commands.allow
         self._make_offline = make_offline
         self._publisher: Publisher | None = None
         self._commands: Commands | None = None
@@ -61,6 +62,10 @@ class Outlet:
     @property
     def open(self) -> bool:
         return self._publisher is not None
+
+    @property
+    def connected(self) -> bool:
+        return self._publisher is not None and self._publisher.connected
 
     @property
     def account(self) -> MessageAccount:
@@ -89,7 +94,7 @@ class Outlet:
         """Take a name; `run` connects, and what waits is published first."""
         broker = self._config.mqtt
         self._base = f"{broker.prefix}/{name}"
-        self._commands = Commands(self._base, handlers, self._config.commands.allow, self._answer)
+        self._commands = Commands(self._base, handlers, self._allowed, self._answer)
         self._publisher = Publisher(
             broker,
             identifier=f"resonatord-{broker.prefix}-{name}-{self._daemon_boot_id}",
@@ -110,6 +115,12 @@ class Outlet:
         """Keep connected until `close`."""
         if self._publisher is not None:
             await self._publisher.run()
+
+    def allow(self, verbs: Collection[str]) -> None:
+        """Obey these commands from now on, beside those that change nothing."""
+        self._allowed = verbs
+        if self._commands is not None:
+            self._commands.allowed = verbs
 
     def restore(self) -> None:
         """Publish again what is retained."""

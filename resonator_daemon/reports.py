@@ -1,10 +1,9 @@
 """Readings to payloads: who measured what when, in the words and units of the MQTT contract."""
 
-import time
+import math
 from collections import Counter
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
-from datetime import UTC, datetime
+from collections.abc import Callable, Collection, Mapping
+from datetime import date
 from importlib.metadata import version
 from typing import Any
 
@@ -20,6 +19,7 @@ from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement import contacts as measured
 from resonator_daemon.measurement.matching import SiteForce as MeasuredForce
+from resonator_daemon.measurement.readings import Compensation as MeasuredCompensation
 from resonator_daemon.measurement.readings import ForceReading, SkinReading
 from resonator_daemon.publishing.payloads import (
     CalibrationInfo,
@@ -62,6 +62,8 @@ from resonator_daemon.publishing.verbs import obeyed
 from resonator_daemon.surface_reports import ContactFields, HeaderFields, MeasuredFields, SurfaceReporter
 
 _NS = 1_000_000_000
+_DAY_NS = 86_400 * _NS
+_EPOCH_DAY = date(1970, 1, 1).toordinal()
 
 
 class Reporter:
@@ -82,6 +84,7 @@ class Reporter:
         self._plate = config.plate
         self._daemon_boot_id = daemon_boot_id
         self.measurement = config.measurement
+        self.allowed: Collection[str] = config.commands.allow
         self._lost = lost
         self._seq: Counter[str] = Counter()
         self._surface = SurfaceReporter(
@@ -93,13 +96,13 @@ class Reporter:
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts on force sites, by id
         self.board_boot_id: str | None = None
 
-    def header(self, topic: Topic[Any]) -> HeaderFields:
-        """Return the header of a message made now."""
-        return self._header(topic, Instant(time.time_ns(), 0))
+    def header(self, topic: Topic[Any], utc_ns: int) -> HeaderFields:
+        """Return the header of a message that tells of a moment on the host's clock."""
+        return self._header(topic, Instant(utc_ns, 0))
 
-    def daemon_state(self, standing: DaemonStanding) -> State:
+    def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
         return State(
-            **self.header(STATE_DAEMON),
+            **self.header(STATE_DAEMON, utc_ns),
             state=standing.condition,
             reason=standing.reason,
             since_t_ns=standing.since_utc_ns,
@@ -118,7 +121,7 @@ class Reporter:
                 reason=outage.reason,
             )
         return State(
-            **self.header(STATE_LINK),
+            **self.header(STATE_LINK, link.utc_ns),
             state=Condition(link.state),
             reason=link.reason,
             since_t_ns=link.since_utc_ns,
@@ -126,16 +129,16 @@ class Reporter:
             boots=boots,
         )
 
-    def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int) -> State:
-        return State(**self.header(STATE_SENSOR), state=condition, reason=reason, since_t_ns=since_utc_ns)
+    def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int, utc_ns: int) -> State:
+        return State(**self.header(STATE_SENSOR, utc_ns), state=condition, reason=reason, since_t_ns=since_utc_ns)
 
-    def info(self, board: BoardOnline, limits_hz: Mapping[str, float]) -> Info:
+    def info(self, board: BoardOnline, limits_hz: Mapping[str, float], utc_ns: int) -> Info:
         """Return what the plate is; `limits_hz` are rates of topics that were lowered by a command."""
         plate = self._plate
         gate_s = 1 / plate.counter.frame_rate_hz
         windowed = plate.skin is None
         return Info(
-            **self.header(INFO),
+            **self.header(INFO, utc_ns),
             schema_version=SCHEMA_VERSION,
             daemon_version=version("resonatord"),
             plate=plate.name,
@@ -149,7 +152,7 @@ class Reporter:
             step_s=self.measurement.step_s if windowed else gate_s,
             rates_hz=self._rates_hz(limits_hz),
             units=UNITS,
-            commands=obeyed(self._config.commands.allow),
+            commands=obeyed(self.allowed),
             force_max_newton=plate.force_max_newton,
             outline_m=_pairs(plate.outline_m),
             transducers_m=_pairs(plate.transducers_m),
@@ -209,9 +212,9 @@ class Reporter:
             window_s=reading.window_s,
             status=Status(reading.status),
             reason=reading.reason,
-            sites=tuple(self._site_force(force) for force in reading.sites),
+            sites=tuple(self._site_force(force, gate_middle) for force in reading.sites),
             beats=reading.beats,
-            compensation=Compensation(**asdict(reading.compensation)),
+            compensation=_compensation(reading.compensation),
         )
 
     def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
@@ -286,20 +289,20 @@ class Reporter:
         gate_s = 1 / self._plate.counter.frame_rate_hz
         return gate_middle.utc_ns - round((reading.window_s - gate_s) * _NS / 2)
 
-    def _site_force(self, force: MeasuredForce) -> SiteForce:
+    def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> SiteForce:
         return SiteForce(
             site=int(self._plate.site_ids[force.site]),
             force_newton=force.force_newton,
             noise_newton=force.noise_newton,
             systematic_newton=force.systematic_newton,
             hidden_newton=force.hidden_newton,
-            status=self._worth(force.status),
+            status=self._worth(force.status, gate_middle),
             at_least_newton=force.at_least_newton,
         )
 
-    def _worth(self, status: str) -> Status:
+    def _worth(self, status: str, gate_middle: Instant) -> Status:
         """Return what a force is worth: less once its calibration has expired."""
-        expired = self._plate.calibration.expired(datetime.now(UTC).date())
+        expired = self._plate.calibration.expired(utc_day(gate_middle.utc_ns))
         return Status.UNCALIBRATED if expired and status in ("ok", "possibly_more") else Status(status)
 
     def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> ContactFields:
@@ -308,8 +311,9 @@ class Reporter:
             age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
             self._since_utc_ns[contact.id] = self._window_middle_ns(reading, gate_middle) - round(age_s * _NS)
         touch = contact.touch
-        x_std, y_std = np.sqrt(np.diag(touch.position_covariance_m2)).tolist()
-        correlation = float(touch.position_covariance_m2[0, 1]) / (x_std * y_std) if x_std * y_std > 0 else 0.0
+        (x_variance, covariance), (_, y_variance) = touch.position_covariance_m2.tolist()
+        x_std, y_std = math.sqrt(x_variance), math.sqrt(y_variance)
+        correlation = covariance / (x_std * y_std) if x_std * y_std > 0 else 0.0
         return ContactFields(
             id=contact.id,
             site=int(self._plate.site_ids[touch.site]),
@@ -323,10 +327,26 @@ class Reporter:
             peak_newton=contact.peak_newton,
             since_t_ns=self._since_utc_ns[contact.id],
             duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
-            status=self._worth(touch.status),
+            status=self._worth(touch.status, gate_middle),
             reason=touch.reason,
             at_least_newton=touch.at_least_newton,
         )
+
+
+def _compensation(made: MeasuredCompensation) -> Compensation:
+    return Compensation(
+        baseline=made.baseline,
+        common_mode=made.common_mode,
+        common_mode_std=made.common_mode_std,
+        plate_kelvin=made.plate_kelvin,
+        plate_kelvin_std=made.plate_kelvin_std,
+        response=made.response,
+    )
+
+
+def utc_day(utc_ns: int) -> date:
+    """Return the day of a moment, in UTC."""
+    return date.fromordinal(_EPOCH_DAY + utc_ns // _DAY_NS)
 
 
 def _pairs(positions_m: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:

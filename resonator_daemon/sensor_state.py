@@ -1,7 +1,6 @@
 """The sensor's state from the readings' status: what lasts is said, what passes within a touch is not."""
 
 import math
-import time
 from collections.abc import Callable, Sequence
 
 from resonator_daemon.measurement.drift_watch import DriftWatch
@@ -43,22 +42,22 @@ class SensorState:
         if self._current == before:
             self._become(self._best, self._since_utc_ns)
 
-    def calibration(self, expiry: str) -> None:
+    def calibration(self, expiry: str, utc_ns: int) -> None:
         """Say why the calibration no longer holds; "" while it does. To be repeated: it comes with time."""
         if expiry != self._expiry:
             before, self._expiry = self._best, expiry
             if self._current == before:
-                self._become(self._best, time.time_ns())
+                self._become(self._best, utc_ns)
 
     @property
     def _best(self) -> tuple[Condition, str]:
         """The state of a sensor whose frames tell of nothing wrong."""
         return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
 
-    def no_frames(self, reason: str) -> None:
+    def no_frames(self, reason: str, utc_ns: int) -> None:
         """Say that nothing comes which could be judged."""
         waiting = self._current is not None and self._current[0] is Condition.WAITING
-        self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else time.time_ns())
+        self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
 
     def update(
         self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int, plate_kelvin: float = math.nan

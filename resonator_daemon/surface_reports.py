@@ -25,6 +25,7 @@ from resonator_daemon.publishing.payloads import (
 Floats = NDArray[np.float64]
 
 _NS = 1_000_000_000
+_ON_GRID = 3  # dimensions of a map: component, y, x
 _FRICTION_KNOWN = 0.25  # relative standard deviation
 
 
@@ -132,7 +133,7 @@ class SurfaceReporter:
             traction_pascal=frame.traction_pascal,
             traction_std_pascal=frame.traction_std_pascal if self._uncertainty else None,
             displacement_m=frame.displacement_m,
-            grid=self._grid,
+            grid=self._grid if frame.traction_pascal.ndim == _ON_GRID else None,
             decoder_id=self._decoder_id,
         )
 

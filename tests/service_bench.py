@@ -10,7 +10,7 @@ from typing import Any
 
 from observer import Observer
 
-from resonator_daemon.config import load_config
+from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.service import Service
 from simulators.emulator import Emulator, EmulatorOptions
 
@@ -56,7 +56,7 @@ class Bench:
         lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
         lines += ["[commands]", f"allow = {json.dumps(allow)}"]
         config.write_text("\n".join(lines) + "\n")
-        return Service(load_config(config))
+        return Service(ConfigStore(config, self.folder / "last-good"))
 
     @asynccontextmanager
     async def running(self, service: Service) -> AsyncIterator[Service]:

@@ -10,7 +10,8 @@ from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
 
-from resonator_daemon.config import Mqtt, load_config
+from resonator_daemon.config import Mqtt
+from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.service import Service
 
@@ -115,7 +116,8 @@ async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquit
     replayed.write_text(
         f'name = "again"\nplate = "quartz16"\nlink = "replay:{path}"\n[mqtt]\nurl = "{bench.broker_url}"\n'
     )
-    async with observe(mosquitto.url) as heard, bench.running(Service(load_config(replayed))) as service:
+    again = Service(ConfigStore(replayed, bench.folder / "last-good"))
+    async with observe(mosquitto.url) as heard, bench.running(again) as service:
         await heard.until(lambda: service.link_account.frames >= 400)
         await heard.until_count("resonator/again/forces", 60)
         again = heard.payloads("resonator/again/forces")

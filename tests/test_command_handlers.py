@@ -99,10 +99,8 @@ async def test_a_window_is_set_in_frames_and_told(bench: Bench) -> None:
     assert await bench.ask("set_window", window_ms=20, step_ms=10) == {"window_s": 0.02, "step_s": 0.01}
     assert await bench.ask("set_window", window_ms=16) == {"window_s": 0.016, "step_s": 0.01}  # the step as it was
     assert bench.daemon.acts == [
-        ("set_window", 20, 10),
-        ("settings", 20.0, 10.0, {}),
-        ("set_window", 16, 10),
-        ("settings", 16.0, 10.0, {}),
+        ("measure_over", 20.0, 10.0),
+        ("measure_over", 16.0, 10.0),
     ]
 
 
@@ -134,19 +132,10 @@ async def test_rates_are_set_told_and_taken_back(bench: Bench) -> None:
     assert await bench.ask("set_rate", topic="contacts", rate_hz=5) == {"topic": "contacts", "rate_hz": 5.0}
     assert await bench.ask("set_rate", topic="forces", rate_hz=None) == {"topic": "forces", "rate_hz": None}
     assert bench.daemon.acts == [
-        ("set_rate", "forces", 20.0),
-        ("settings", 10.0, 5.0, {"forces": 20.0}),
-        ("set_rate", "contacts", 5.0),
-        ("settings", 10.0, 5.0, {"forces": 20.0, "contacts": 5.0}),
-        ("set_rate", "forces", None),
-        ("settings", 10.0, 5.0, {"contacts": 5.0}),
+        ("set_rate", "forces", 20.0, {"forces": 20.0}),
+        ("set_rate", "contacts", 5.0, {"forces": 20.0, "contacts": 5.0}),
+        ("set_rate", "forces", None, {"contacts": 5.0}),
     ]
-
-
-async def test_a_rate_keeps_a_window_that_was_set(bench: Bench) -> None:
-    await bench.ask("set_window", window_ms=20)
-    await bench.ask("set_rate", topic="forces", rate_hz=20)
-    assert bench.daemon.acts[-1] == ("settings", 20.0, 5.0, {"forces": 20.0})
 
 
 async def test_a_stream_that_is_not_published_has_no_rate(bench: Bench) -> None:

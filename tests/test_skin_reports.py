@@ -97,6 +97,12 @@ def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displace
     assert message.grid.pitch_m == pytest.approx(4e-4)
 
 
+def test_a_grid_too_small_to_be_decoded_as_one_has_a_list_of_places(skin_reporter: Reporter) -> None:
+    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
+    message = skin_reporter.decoded(measured, GATE_MIDDLE, decoded((3, 1024), displacement=False))
+    assert message.grid is None
+
+
 def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
     reporter = reporter_of(configured(tmp_path, SCATTERED_SKIN))
     message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_MIDDLE, decoded((3, 1), displacement=False))

@@ -3,13 +3,14 @@
 import random
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
 from resonator_daemon.acquisition.fit import BoardRefusedError
-from resonator_daemon.acquisition.frames import Arrival, BoardLocated, LinkChange, Outage, ReaderFailed
+from resonator_daemon.acquisition.frames import Arrival, BoardLocated, LinkChange, Outage, ReaderFailed, Steering
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.acquisition.link_course import LinkCourse
@@ -31,6 +32,7 @@ from resonator_daemon.acquisition.wire_events import (
     Refused,
     Said,
     Sent,
+    Steered,
     Tended,
     WireEvent,
 )
@@ -69,6 +71,11 @@ class BoardReader:
         Bound of the memory of frames that nobody takes.
     tap
         Is handed everything that happens on the link, as a recorder wants it; must not wait.
+
+    Attributes
+    ----------
+    turns
+        How often the reader looked whether there is something to do: who stands still does not count on.
     """
 
     def __init__(
@@ -87,6 +94,8 @@ class BoardReader:
         self._course = LinkCourse(plate, self._ring, tap)
         self._log = LinkLog()
         self._stopping = False
+        self._orders: deque[tuple[str, str]] = deque()
+        self.turns = 0
         self._watch = PortWatch(target)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
         self._port: PortIdentity | None = None
@@ -100,10 +109,11 @@ class BoardReader:
         self._thread.start()
 
     def stop(self) -> None:
-        """End the thread and give the port back; returns when both are done."""
+        """End the thread, if it was started, and give the port back; returns when both are done."""
         self._stopping = True
         self._watch.wake()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         self._watch.close()
 
     def take(self) -> list[Arrival]:
@@ -132,6 +142,14 @@ class BoardReader:
                 return
         replayed = isinstance(self._target, ReplayLink)
         self._ring.put(BoardLocated("a recording has no board" if replayed else "no board is connected"))
+
+    def steer(self, key: str, order: str) -> None:
+        """Have `take` give this order after all frames that have arrived, and a recording hold it there."""
+        if isinstance(self._target, ReplayLink):  # what is recorded there was recorded before
+            self._ring.put(Steering(key, order))
+        else:
+            self._orders.append((key, order))
+            self._watch.wake()
 
     def account(self) -> LinkAccount:
         """Return where every byte and frame went, as of now."""
@@ -166,6 +184,8 @@ class BoardReader:
         backoff_s = _BACKOFF_FIRST_S
         fruitless = 0
         while not self._stopping:
+            self.turns += 1
+            self._pass_orders_on(read_host_time())
             wait_s = 0.0
             try:
                 link = self._open()
@@ -208,6 +228,8 @@ class BoardReader:
         self._link_open = True
         try:
             while not self._stopping:
+                self.turns += 1
+                self._pass_orders_on(now)
                 self._send(link, now)
                 if self._to_locate:
                     self._to_locate = False
@@ -242,6 +264,10 @@ class BoardReader:
             if unasked:
                 self._ring.put(BoardLocated("the link was closed before the board was asked"))
         return was_online
+
+    def _pass_orders_on(self, now: HostTime) -> None:
+        while self._orders:
+            self._course.apply(Steered(now, *self._orders.popleft()))
 
     def _read(self, link: Link, timeout_s: float) -> list[Received]:
         """Read what comes within the time; while an answer is awaited all that is there, each piece with its time."""

@@ -83,11 +83,12 @@ class BoardRefused:
 
 @dataclass(frozen=True, slots=True)
 class LinkChange:
-    """The link's state changed: waiting, starting, online, stalled, lost or refused."""
+    """The link's state changed, or its reason: waiting, starting, online, stalled, lost or refused."""
 
     state: str
     reason: str
-    since_utc_ns: int
+    since_utc_ns: int  # of the state
+    utc_ns: int  # when it was said
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +117,14 @@ class BoardLocated:
 
 
 @dataclass(frozen=True, slots=True)
+class Steering:
+    """All frames from here on are to be measured otherwise; `key` and `order` as whoever wanted it gave them."""
+
+    key: str
+    order: str
+
+
+@dataclass(frozen=True, slots=True)
 class ReaderFailed:
     """The reader ended by a mistake of ours; nothing will arrive any more."""
 
@@ -132,5 +141,6 @@ Arrival = (
     | Outage
     | BoardSays
     | BoardLocated
+    | Steering
     | ReaderFailed
 )

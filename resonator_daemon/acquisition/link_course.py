@@ -7,7 +7,7 @@ from firmware_protocol.host import Described
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
 from resonator_daemon.acquisition.connection import Connection
 from resonator_daemon.acquisition.fit import gate_ticks
-from resonator_daemon.acquisition.frames import BoardRefused
+from resonator_daemon.acquisition.frames import BoardRefused, Steering
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_state import LinkState
 from resonator_daemon.acquisition.numbering import FrameNumbering
@@ -26,6 +26,7 @@ from resonator_daemon.acquisition.wire_events import (
     Sent,
     Skipped,
     Standing,
+    Steered,
     Tended,
     WireEvent,
 )
@@ -106,6 +107,8 @@ class LinkCourse:
                 self._opened().locate(event.now)
             case Standing():
                 self._join(event)
+            case Steered():
+                self._ring.put(Steering(event.key, event.order))
             case Skipped():
                 pass
 
@@ -178,7 +181,7 @@ class LinkCourse:
             raise ValueError("the link is open already")
         state, numbers, self._known, running = standing.course
         self._numbering.join(numbers)
-        self._state.join(state)
+        self._state.join(state, standing.now.utc_ns)
         if running is not None:
             self._open(standing.now)
             self._opened().join(running)

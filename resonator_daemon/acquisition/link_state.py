@@ -40,14 +40,14 @@ class LinkState:
     @property
     def standing(self) -> StateStanding:
         """What is said now, for `join`."""
-        present = self._present or LinkChange("", "", 0)
+        present = self._present or LinkChange("", "", 0, 0)
         return StateStanding(present.state, present.reason, present.since_utc_ns, tuple(self._outage_reasons))
 
-    def join(self, standing: StateStanding) -> None:
+    def join(self, standing: StateStanding, utc_ns: int) -> None:
         """Go on from what was said of the link by another."""
         self._outage_reasons = list(standing.outage_reasons)
         if standing.state:
-            self._present = LinkChange(standing.state, standing.reason, standing.since_utc_ns)
+            self._present = LinkChange(standing.state, standing.reason, standing.since_utc_ns, utc_ns)
             self._announce(self._present)
 
     def say(self, state: str, reason: str, utc_ns: int) -> None:
@@ -62,7 +62,8 @@ class LinkState:
             if reason.startswith(self._outage_reasons[-1]):  # the same, told with its cause
                 self._outage_reasons.pop()
             self._outage_reasons.append(reason)
-        self._present = LinkChange(state, reason, utc_ns if changed or before is None else before.since_utc_ns)
+        since_utc_ns = utc_ns if changed or before is None else before.since_utc_ns
+        self._present = LinkChange(state, reason, since_utc_ns, utc_ns)
         self._announce(self._present)
 
     def frame_came(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
@@ -87,5 +88,6 @@ class LinkLog:
         doubt = news.state == self._state == "online" and len(news.reason) > len(self._reason)
         if news.state != self._state or doubt:
             well = news.state in ("starting", "online") and not doubt
-            log.log(logging.INFO if well else logging.WARNING, "link %s: %s", news.state, news.reason)
+            level = logging.INFO if well else logging.WARNING
+            log.log(level, "link %s: %s", news.state, news.reason, extra={"resonatord_link_state": news.state})
         self._state, self._reason = news.state, news.reason

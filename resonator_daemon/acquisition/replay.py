@@ -1,6 +1,7 @@
 """Has a recorded link happen again, event by event, and says where what follows is not what followed then."""
 
 import logging
+import os
 import time
 from collections.abc import Callable
 
@@ -22,6 +23,7 @@ from resonator_daemon.acquisition.wire_events import (
     Sent,
     Skipped,
     Standing,
+    Steered,
     Tended,
     WireEvent,
 )
@@ -74,43 +76,48 @@ def replay(recording: Recording, course: LinkCourse, pace: Callable[[HostTime], 
     int
         How often what followed was not what is recorded; 0 where nothing of the recording is missing.
     """
-    comparison = _Comparison(recording.path, course)
-    now = None
+    again = Replay(recording, course)
     for event in recording.events():
-        now = event.now
-        if not pace(now):
-            comparison.close(now)
-            return comparison.differences
-        comparison.apply(event)
-    if now is None:
-        now = HostTime(time.monotonic_ns(), 0, 0)
-    comparison.close(now)
-    sentences = [f"the recording {recording.path} is over"]
-    if recording.damage is not None:
-        sentences.append(f"its file is {recording.damage}; all before that was replayed")
-    if comparison.differences:
-        sentences.append(f"replay differs from it in {comparison.differences} places, first {comparison.first}")
-    course.apply(Said(now, "lost", "; ".join(sentences)))
-    return comparison.differences
+        if not pace(event.now):
+            again.close(event.now)
+            return again.differences
+        again.apply(event)
+    again.end()
+    return again.differences
 
 
-class _Comparison:
-    """Applies events, and compares what the connection does with what it did."""
+class Replay:
+    """Applies the events of a recording, and compares what the connection does with what it did.
 
-    def __init__(self, path: str, course: LinkCourse) -> None:
-        self._path = path
+    Parameters
+    ----------
+    recording
+        Whose events are handed to `apply`, in order.
+    course
+        Has no link open.
+
+    Attributes
+    ----------
+    differences
+        How often what followed was not what is recorded; 0 where nothing of the recording is missing.
+    """
+
+    def __init__(self, recording: Recording, course: LinkCourse) -> None:
+        self._recording = recording
         self._course = course
         self._raised: BoardRefusedError | LinkLostError | None = None
         self._begun: HostTime | None = None
+        self._now = HostTime(0, 0, 0)
         self._reading = False
+        self._first = ""
         self.differences = 0
-        self.first = ""
 
     def apply(self, event: WireEvent) -> None:
         if self._begun is None:
             self._begun = event.now
+        self._now = event.now
         match event:
-            case Said() | Skipped():
+            case Said() | Skipped() | Steered():
                 self._course.apply(event)
                 if isinstance(event, Skipped):
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
@@ -146,6 +153,19 @@ class _Comparison:
                 except (BoardRefusedError, LinkLostError) as error:
                     self._raised = error
 
+    def end(self) -> WireEvent:
+        """Have the link be lost, for the reason that the recording is over; returns that event."""
+        self.close(self._now)
+        name, damage = os.path.basename(self._recording.path), self._recording.damage
+        sentences = [f"the recording {name} is over"]
+        if damage is not None:
+            sentences.append(f"its file is {damage}; all before that was replayed")
+        if self.differences:
+            sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
+        over = Said(self._now, "lost", "; ".join(sentences))
+        self._course.apply(over)
+        return over
+
     def close(self, now: HostTime) -> None:
         """Close what is open."""
         self._raised = None
@@ -178,8 +198,8 @@ class _Comparison:
         self.differences += 1
         if self.differences == 1 and self._begun is not None:
             at_s = (event.now.monotonic_ns - self._begun.monotonic_ns) * 1e-9
-            self.first = f"{at_s:.3f} s after its beginning: {what}"
-            log.warning("replay differs from the recording %s, %s", self._path, self.first)
+            self._first = f"{at_s:.3f} s after its beginning: {what}"
+            log.warning("replay differs from the recording %s, %s", self._recording.path, self._first)
 
 
 def _reasons(event: Lost | Refused) -> tuple[str, ...]:

@@ -213,8 +213,8 @@ def _not_permitted(board: UsbBoard) -> str:
     return (
         f"{board.node} ({board.vendor_id:04x}:{board.product_id:04x}) may not be opened by this user; put "
         f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{board.vendor_id:04x}", ATTR{{idProduct}}=="{board.product_id:04x}", '
-        'GROUP="plugdev", MODE="0660" into /etc/udev/rules.d/70-resonatord.rules, join the group plugdev '
-        "and plug it in again"
+        'GROUP="resonatord", MODE="0660" into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` '
+        "does for boards of its ids), join the group resonatord and plug it in again"
     )
 
 

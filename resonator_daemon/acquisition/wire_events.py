@@ -101,8 +101,29 @@ class Locate(NamedTuple):
     now: HostTime
 
 
+class Steered(NamedTuple):
+    """Somebody had the measurement of all later frames changed; `key` tells who waits for an answer which it was."""
+
+    now: HostTime
+    key: str
+    order: str
+
+
 WireEvent = (
-    Said | Opened | Received | Tended | Sent | Overrun | Goodbye | Lost | Refused | Closed | Skipped | Standing | Locate
+    Said
+    | Opened
+    | Received
+    | Tended
+    | Sent
+    | Overrun
+    | Goodbye
+    | Lost
+    | Refused
+    | Closed
+    | Skipped
+    | Standing
+    | Locate
+    | Steered
 )
 
 # A kind's place is its number in files: new ones are appended.
@@ -120,6 +141,7 @@ _KINDS: tuple[type[WireEvent], ...] = (
     Skipped,
     Standing,
     Locate,
+    Steered,
 )
 _STANDING = TypeAdapter(CourseStanding)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
@@ -138,7 +160,7 @@ def encode(event: WireEvent) -> bytes:
         case Standing():
             text = json.dumps(_STANDING.dump_python(event.course, mode="json"), ensure_ascii=False)
             return head + text.encode(errors="replace")  # reasons may name paths that are no text
-        case Said() | Lost() | Refused() | Skipped():
+        case Said() | Lost() | Refused() | Skipped() | Steered():
             return head + json.dumps(event[1:]).encode()
 
 
@@ -173,6 +195,8 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
             return Lost(now, reason)
         case (_, [list() as problems, bool() as other_protocol]) if kind is Refused:
             return Refused(now, tuple(str(problem) for problem in problems), other_protocol)
+        case (_, [str() as key, str() as order]) if kind is Steered:
+            return Steered(now, key, order)
         case (_, [int() as events, int() as size_bytes]) if kind is Skipped:
             return Skipped(now, events, size_bytes)
     raise ValueError(f"{kind.__name__} cannot be read from {body!r}")

@@ -46,7 +46,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _arrivals(reader: BoardReader, arrived: threading.Event, timeout_s: float) -> Iterator[FromBoard]:
-    state = LinkChange("starting", "the link is being opened", 0)
+    state = LinkChange("starting", "the link is being opened", 0, 0)
     online = False
     last_s = time.monotonic()
     while True:

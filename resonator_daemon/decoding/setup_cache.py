@@ -39,12 +39,14 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
         with contextlib.suppress(OSError):  # where it may only be read
             path.touch()
         return built
-    built = build()
+    content = pickle.dumps(build(), protocol=5)
     try:
-        _keep(path, built)
+        _keep(path, content)
     except OSError as error:
         log.info("set-up is not cached: %s", error)
-    return built
+    # As from the cache: matrices that lie in memory otherwise give results that differ in their last digits.
+    rebuilt: Built = pickle.loads(content)
+    return rebuilt
 
 
 def _directory() -> Path:
@@ -62,11 +64,11 @@ def _hash(depends_on: Any) -> str:
     return digest.hexdigest()[:32]
 
 
-def _keep(path: Path, built: object) -> None:
+def _keep(path: Path, content: bytes) -> None:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
         try:
-            pickle.dump(built, part, protocol=5)
+            part.write(content)
             part.flush()
             os.replace(part.name, path)
         except BaseException:

@@ -26,6 +26,9 @@ Origin = TypeVar("Origin")
 
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
 SWITCH_S = 5e-4  # of a thread that computes, before the event loop has its turn; Python's 5 ms are half a frame
+_TOLD_MAX = 20
+_told: set[str] = set()  # failures that the log knows of
+
 _REBUILD_REST = 2.4  # times as long as a rebuild took: together at most 30 % of a core
 
 
@@ -157,14 +160,14 @@ class DecodingStage(Generic[Origin]):
                 if (before := self.latest) is not None:
                     ended += decoder.succeed(before)
                 self._decoder, self._before = decoder, None
-            surface = await loop.run_in_executor(pool, _decode, self._decoder, signals, noise_std)
+            surface = await loop.run_in_executor(pool, decode_map, self._decoder, signals, noise_std)
             decoded = surface.decoded if isinstance(surface, SurfaceReading) else surface
             self._busy = False
             self._last_origin = origin
             self._deliver_map(origin, decoded)
             await asyncio.sleep(0)  # the map is on its way before the other thread wants the interpreter again
             if isinstance(surface, Decoded):
-                surface = await loop.run_in_executor(pool, _read_contacts, self._decoder, surface)
+                surface = await loop.run_in_executor(pool, read_contacts, self._decoder, surface)
             if self._decoder.rebuild_wanted:
                 self._rebuild_due.set()
             self._deliver(origin, replace(surface, events=ended + surface.events))
@@ -179,7 +182,7 @@ class DecodingStage(Generic[Origin]):
         events = tuple(replace(event, reason=reason) for event in events)
         if not events or self._newest is not None:
             return events
-        self._deliver(self._last_origin, _unknown(self._decoder, "no_signal", reason, events))
+        self._deliver(self._last_origin, nothing_decoded(self._decoder, "no_signal", reason, events))
         return ()
 
     async def _rebuild(self, pool: ThreadPoolExecutor) -> None:
@@ -218,17 +221,20 @@ def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[st
 
 def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
     """Return what is to be said of a frame whose decoding failed."""
-    log.error("frame could not be decoded", exc_info=error)
-    return _unknown(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
+    if repr(error) not in _told and len(_told) < _TOLD_MAX:  # what one frame does, all that follow may do
+        _told.add(repr(error))
+        log.error("frames cannot be decoded", exc_info=error)
+    return nothing_decoded(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
 
 
-def _unknown(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
+def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
+    """Return a reading without a surface, but with how contacts end."""
     unknown = np.full((3, *decoder.shape), np.nan)
     decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, status, reason)
     return SurfaceReading(decoder.name, decoded, events=events)
 
 
-def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> Decoded | SurfaceReading:
+def decode_map(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> Decoded | SurfaceReading:
     """Return the map; where that fails, all that is to be said of the frame."""
     try:
         return decoder.decode_map(signals, noise_std)
@@ -236,7 +242,8 @@ def _decode(decoder: SkinDecoder, signals: Floats, noise_std: Floats) -> Decoded
         return failed(decoder, error)
 
 
-def _read_contacts(decoder: SkinDecoder, decoded: Decoded) -> SurfaceReading:
+def read_contacts(decoder: SkinDecoder, decoded: Decoded) -> SurfaceReading:
+    """Return map and contacts; where that fails, all that is to be said of the frame."""
     try:
         return decoder.read_contacts(decoded)
     except Exception as error:  # noqa: BLE001

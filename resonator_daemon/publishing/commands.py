@@ -90,7 +90,7 @@ class Commands:
     ) -> None:
         self._base = base
         self._handlers = handlers
-        self._allowed = allowed
+        self.allowed = allowed
         self._send = send
         self._loop = asyncio.get_running_loop()
         self._deferred_s = deferred_s
@@ -196,9 +196,9 @@ class Commands:
         verb, handler = VERBS.get(asked.verb), self._handlers.get(asked.verb)
         if verb is None or handler is None:
             raise CommandRefusedError(
-                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, obeyed(self._allowed))
+                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, obeyed(self.allowed))
             )
-        if verb.changes and asked.verb not in self._allowed:
+        if verb.changes and asked.verb not in self.allowed:
             raise CommandRefusedError(
                 "not_permitted",
                 f"{asked.verb} is not permitted",

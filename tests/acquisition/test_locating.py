@@ -11,6 +11,7 @@ from recording_bench import PLATE, replayed
 
 from firmware_protocol.layouts import Capability
 from resonator_daemon.acquisition.frames import Arrival, BoardLocated
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.config import ReplayLink, SerialLink
 from simulators.emulator import EmulatorOptions
@@ -139,7 +140,7 @@ def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway:
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, tap=switch.tap) as it:
         if midway:
             it.wait_for_frames(300)
-        switch.start(path, PLATE, str(link))
+        switch.start(path, Origin(PLATE, str(link)))
         it.wait_for_frames(400)
         assert answers_of(it, 1) == [None]
         it.wait_for_frames(len(frames(it.arrivals)) + 100)

@@ -21,6 +21,7 @@ from resonator_daemon.acquisition.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.replay import Pace
 from resonator_daemon.acquisition.wire_events import (
     Closed,
@@ -49,7 +50,7 @@ class Sitting:
 
     def __init__(self, link: LinkTarget, plate: Plate, path: Path) -> None:
         self._woken = threading.Event()
-        self.recorder = Recorder(path, plate, str(link))
+        self.recorder = Recorder(path, Origin(plate, str(link)))
         self.reader = BoardReader(link, plate, self._woken.set, tap=self.recorder.put)
         self.arrivals: list[Arrival] = []
         self.account = LinkAccount()
@@ -76,7 +77,9 @@ class Sitting:
 def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
     arrivals, account, differences = replayed(path, plate)
     assert differences == 0
-    assert arrivals[-1] == LinkChange("lost", f"the recording {path} is over", arrivals[-1].since_utc_ns)  # type: ignore[union-attr]
+    end = arrivals[-1]
+    assert isinstance(end, LinkChange)
+    assert (end.state, end.reason) == ("lost", f"the recording {path.name} is over")
     assert len(arrivals) == len(sitting.arrivals) + 1
     for live, again in zip(sitting.arrivals, arrivals, strict=False):
         assert same(live, again), (live, again)
@@ -129,9 +132,9 @@ def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
         arrivals += reader.take()
     reader.stop()
     assert arrivals == [
-        LinkChange("starting", "first", at(0).utc_ns),
-        LinkChange("waiting", "second", at(300).utc_ns),
-        LinkChange("lost", f"the recording {path} is over", at(300).utc_ns),
+        LinkChange("starting", "first", at(0).utc_ns, at(0).utc_ns),
+        LinkChange("waiting", "second", at(300).utc_ns, at(300).utc_ns),
+        LinkChange("lost", f"the recording {path.name} is over", at(300).utc_ns, at(300).utc_ns),
     ]
 
 
@@ -154,7 +157,7 @@ def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
-    assert reader.take() == [LinkChange("stalled", "first", at(0).utc_ns)]
+    assert reader.take() == [LinkChange("stalled", "first", at(0).utc_ns, at(0).utc_ns)]
 
 
 def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
@@ -203,7 +206,7 @@ def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent
     record(path, events)
     arrivals, _, differences = replayed(path)
     assert differences == 1
-    assert f"the recording {path} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
+    assert f"the recording {path.name} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
     assert said in last_reason(arrivals)
 
 
@@ -229,8 +232,8 @@ def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
     arrivals, account, differences = replayed(path)
     assert differences == 0
     assert (account.connections, account.host_overruns) == (2, 1)
-    assert LinkChange("waiting", "unplugged", at(2).utc_ns) in arrivals
-    assert last_reason(arrivals) == f"the recording {path} is over"
+    assert LinkChange("waiting", "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
+    assert last_reason(arrivals) == f"the recording {path.name} is over"
 
 
 def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
@@ -255,4 +258,4 @@ def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:
     arrivals, _, differences = replayed(path)
     assert differences == 0
     reasons = [arrival.reason for arrival in arrivals if isinstance(arrival, LinkChange)]
-    assert reasons == ["first", f"the recording {path} is over; its file is cut off; all before that was replayed"]
+    assert reasons == ["first", f"the recording {path.name} is over; its file is cut off; all before that was replayed"]

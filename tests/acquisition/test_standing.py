@@ -13,6 +13,7 @@ from resonator_daemon.acquisition.connection import Connection
 from resonator_daemon.acquisition.link_course import LinkCourse
 from resonator_daemon.acquisition.link_state import LinkState
 from resonator_daemon.acquisition.numbering import FrameNumbering
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.acquisition.wire_events import Received, Standing, WireEvent
@@ -33,7 +34,7 @@ def test_pings_on_their_way_teach_the_clock_of_whoever_joins() -> None:
     numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
     numbering.join(bench.numbering.standing)
     state = LinkState(ring.put)
-    state.join(bench.state.standing)
+    state.join(bench.state.standing, bench.host_time().utc_ns)
     other = Connection(PLATE, None, numbering, ring, LinkAccount(), state, bench.host_time())
     other.join(running)
     before = running.clock
@@ -64,7 +65,7 @@ def test_no_link_is_told_to_stand_in_the_middle_of_a_frame(tmp_path: Path) -> No
     for event in in_packets([event for event in whole if not isinstance(event, Standing)], decoder):
         course.apply(event)
         if not started and (course.account().frames == 40 and course.account().bytes_waiting == 0):
-            switch.start(path, SKIN, str(link))
+            switch.start(path, Origin(SKIN, str(link)))
             started = True
         course._standing_due_ns = 0  # at every packet, where it may be
     switch.close()

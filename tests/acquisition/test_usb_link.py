@@ -380,8 +380,9 @@ def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_
     error = USBError("Access denied", -3, errno.EACCES)
     assert refused(monkeypatch, error, UsbLink(0x1209, 1, serial_number), a_board(None, 2)) == (
         "/dev/bus/usb/999/002 (1209:0001) may not be opened by this user; put "
-        'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", GROUP="plugdev", MODE="0660" '
-        "into /etc/udev/rules.d/70-resonatord.rules, join the group plugdev and plug it in again"
+        'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", GROUP="resonatord", MODE="0660" '
+        "into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` does for boards of its ids), "
+        "join the group resonatord and plug it in again"
     )
 
 

@@ -1,0 +1,100 @@
+"""A running daemon whose configuration file changes, and one that finds its file broken."""
+
+import asyncio
+import os
+import signal
+import sys
+from pathlib import Path
+
+from brokers import Mosquitto
+from observer import observe
+from service_bench import Bench
+
+from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.config_store import ConfigStore
+from resonator_daemon.service import Service
+
+RESONATORD = Path(sys.executable).with_name("resonatord")
+
+
+async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = bench.service()
+        async with bench.running(service):
+            await heard.until_last("resonator/hand/info", step_s=0.005)
+            path = bench.folder / "board.toml"
+            good = path.read_text().replace("allow = []", 'allow = ["tare"]')
+            path.write_text(good + "[measurement]\nwindow_ms = 20\nstep_ms = 10\n")
+            service.reload()
+            await heard.until_last("resonator/hand/info", step_s=0.01)
+            await heard.until_last("resonator/hand/forces", window_s=0.02)
+            await heard.until(lambda: "tare" in heard.payloads("resonator/hand/info")[-1]["commands"])
+            path.write_text("name = \n")
+            service.reload()
+            await heard.until(lambda: "cannot be used" in heard.payloads("resonator/hand/state/daemon")[-1]["reason"])
+            assert heard.payloads("resonator/hand/state/daemon")[-1]["state"] == "online"
+            path.write_text(good)
+            service.reload()
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+            await heard.until_last("resonator/hand/info", step_s=0.005)
+
+
+async def test_a_broken_file_at_the_start_is_told_on_mqtt_and_the_last_good_one_is_used(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service()  # which keeps a copy
+    path = bench.folder / "board.toml"
+    path.write_text(path.read_text().replace("plate", "plaet"))
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = Service(ConfigStore(path, bench.folder / "last-good"))
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 10)
+            reason = heard.payloads("resonator/hand/state/daemon")[-1]["reason"]
+    assert reason.startswith("measuring; on the last good configuration: ")
+    assert "plate: missing" in reason
+    assert reason.endswith(", and 1 more")
+
+
+async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_by_a_reload(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        bench.service()
+        path = bench.folder / "board.toml"
+        bare = path.read_text()
+        path.write_text(f'{bare}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+        service = Service(ConfigStore(path, bench.folder / "last-good"))
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 20)
+            path.write_text(bare)
+            service.reload()
+            await heard.until(
+                lambda: (heard.payloads("resonator/hand/health") or [{"recording": 1}])[-1]["recording"] is None
+            )
+        (file,) = (tmp_path / "runs").glob("*.mcap")
+    with open_recording(str(file)) as recording:
+        kinds = [type(event).__name__ for event in recording.events()]
+    assert kinds.index("Opened") < kinds.index("Received")
+    assert recording.damage is None
+
+
+async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service(link="tcp://127.0.0.1:9")
+    path = bench.folder / "board.toml"
+    async with observe(mosquitto.url) as heard:
+        command = (RESONATORD, "run", "--config", path)
+        process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason="measuring")
+        path.write_text(path.read_text().replace("tcp://127.0.0.1:9", "tcp://127.0.0.1:10"))
+        process.send_signal(signal.SIGHUP)
+        await heard.until_last(
+            "resonator/hand/state/daemon", state="online", reason="measuring; restart for changed link"
+        )
+        process.send_signal(signal.SIGTERM)
+        _, said = await process.communicate()
+    assert process.returncode == 0
+    assert b"configuration read again: restart for link" in said
