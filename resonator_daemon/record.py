@@ -1,15 +1,17 @@
-"""`resonatord record`: writes what happens on a board's link to a file, without measuring or publishing anything."""
+"""`resonatord record`: writes what happens on a board's link to files, without publishing anything."""
 
+import hashlib
 import json
+import secrets
 import signal
 import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
@@ -22,8 +24,13 @@ from resonator_daemon.acquisition.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Config, ReplayLink, load_config
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError, OperatorError
+from resonator_daemon.recording_commands import origin
+
+if TYPE_CHECKING:
+    from resonator_daemon.board_course import BoardCourse
 
 _OPEN_S: Final = 10.0  # in which a board must count
 _TURN_S: Final = 0.2
@@ -49,7 +56,41 @@ _CODES: Final[dict[type[OperatorError], str]] = {
 }
 
 
-def record(config_path: Path, output: Path, seconds: float | None, *, as_json: bool) -> None:
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is asked of `resonatord record`; what is None has no bound.
+
+    Parameters
+    ----------
+    output
+        The file; with a bound of each file's size or time the first part of their names, which end with the time.
+    seconds
+        From the first frame on.
+    max_mb, max_minutes
+        After which the next file begins.
+    derived
+        Also record what is measured.
+    """
+
+    output: Path
+    seconds: float | None = None
+    max_mb: float | None = None
+    max_minutes: float | None = None
+    derived: bool = False
+
+    @property
+    def place(self) -> Path | Series:
+        if self.max_mb is None and self.max_minutes is None:
+            return self.output
+        return Series(
+            self.output.parent,
+            self.output.stem,
+            file_max_bytes=None if self.max_mb is None else round(self.max_mb * 1e6),
+            file_max_ns=None if self.max_minutes is None else round(self.max_minutes * 60e9),
+        )
+
+
+def record(config_path: Path, options: RecordOptions, *, as_json: bool) -> None:
     """Record until the time is over or SIGINT, SIGTERM or SIGHUP comes.
 
     Raises
@@ -61,9 +102,9 @@ def record(config_path: Path, output: Path, seconds: float | None, *, as_json: b
         config = load_config(config_path)
         if isinstance(config.link, ReplayLink):
             raise ConfigError(f"link: {config.link} is a recording already; copy the file")
-        sitting = _Sitting(config, output)
+        sitting = _Sitting(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
         with sitting.open() as arrived:
-            sitting.wait(arrived, seconds)
+            sitting.wait(arrived, options.seconds)
         sitting.check()
     except OperatorError as error:
         if as_json:
@@ -77,9 +118,9 @@ def record(config_path: Path, output: Path, seconds: float | None, *, as_json: b
 class _Sitting:
     """One recording, from its beginning to its end."""
 
-    def __init__(self, config: Config, output: Path) -> None:
-        self._output = output
-        self._recorder = Recorder(output, config.plate, str(config.link))
+    def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
+        self._recorder = Recorder(options.place, origin(config, None, None, config_sha256))
+        self._course = _course(config, self._recorder) if options.derived else None
         self._arrived = threading.Event()
         self._reader = BoardReader(
             config.link, config.plate, self._arrived.set, step_frames=(64,), tap=self._recorder.put
@@ -103,7 +144,7 @@ class _Sitting:
             self._reader.stop()
             self._recorder.close()
             if self._reader.account().frames == 0:
-                self._output.unlink(missing_ok=True)  # it would only be in the way of the next attempt
+                self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             self._say_progress(end="\n")
@@ -133,16 +174,20 @@ class _Sitting:
 
     def result(self) -> dict[str, Any]:
         account = self._reader.account()
+        counts = self._recorder.counts
         return {
-            "file": str(self._output),
-            "file_bytes": self._output.stat().st_size,
+            "file": str(self._recorder.path),
+            "file_bytes": counts.file_bytes,
+            "files": counts.files,
             "board": self._board.identity.serial_number if self._board is not None else None,
             "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
             "bytes_received": account.bytes_received,
             "frames": account.frames,
             "frames_lost": asdict(account.lost),
             "connections": account.connections,
-            "events_missing": self._recorder.skipped_events,
+            "events_missing": counts.events_missing,
+            "messages": counts.messages,
+            "messages_missing": counts.messages_missing,
         }
 
     def _stop(self, *_: object) -> None:
@@ -150,6 +195,8 @@ class _Sitting:
 
     def _take(self) -> None:
         for arrival in self._reader.take():
+            if self._course is not None:
+                self._course.take(arrival)
             match arrival:
                 case BoardOnline():
                     self._recorder.name_board(arrival)
@@ -164,7 +211,7 @@ class _Sitting:
                     raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
 
     def _say_progress(self, end: str = "") -> None:
-        line = _progress(self._reader.account(), self._output, self._recorder.skipped_events)
+        line = _progress(self._reader.account(), self._recorder)
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:
@@ -172,7 +219,19 @@ class _Sitting:
         sys.stderr.flush()
 
 
-def _progress(account: LinkAccount, output: Path, skipped_events: int) -> str:
-    size = output.stat().st_size if output.exists() else 0
-    line = f"{output}: {account.frames} frames, {account.lost.total} lost, {size / 1e6:.1f} MB"
-    return line + (f", {skipped_events} events too many for the disk" if skipped_events else "")
+def _course(config: Config, recorder: Recorder) -> "BoardCourse":
+    """Return what measures, and has it recorded; what that imports takes half a second."""
+    from resonator_daemon.board_course import BoardCourse
+    from resonator_daemon.decoding.in_order import DecodingInOrder
+    from resonator_daemon.recorded_messages import RecordedMessages
+
+    messages = RecordedMessages(recorder, derived=True)
+    return BoardCourse(config, secrets.token_hex(8), messages.take, make_stage=DecodingInOrder)
+
+
+def _progress(account: LinkAccount, recorder: Recorder) -> str:
+    counts = recorder.counts
+    line = f"{recorder.path}: {account.frames} frames, {account.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
+    if counts.files > 1:
+        line += f", file {counts.files}"
+    return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")

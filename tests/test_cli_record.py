@@ -1,6 +1,7 @@
 """`resonatord record` as a user meets it: a file of what happened, what went wrong in one line, and the exit code."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -9,11 +10,15 @@ from pathlib import Path
 
 import pytest
 from emulation import emulated
+from jsonschema import validate
+from mcap.reader import make_reader
 
+from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.acquisition.recording_file import open_recording
 from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
+from resonator_daemon.config_text import load_plate_text
 from resonator_daemon.plate import load_plate
-from resonator_daemon.record import NoBoardError, record
+from resonator_daemon.record import NoBoardError, RecordOptions, record
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -57,11 +62,43 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     assert json.loads(again.stdout)["error"]["code"] == "config"
 
 
+def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    path = config(tmp_path, f"serial:{port}?baud=4000000")
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        record(path, RecordOptions(output, 1.6, max_minutes=0.01, derived=True), as_json=True)
+    told = json.loads(capsys.readouterr().out)
+    files = Series(tmp_path, "run").files()
+    assert (told["files"], told["file"]) == (len(files), str(files[-1]))
+    assert len(files) == 3
+    assert not output.exists()
+    received = 0
+    topics: dict[str, int] = {}
+    for file in files:
+        with open_recording(str(file)) as recording:
+            received += sum(len(event.data) for event in recording.events() if isinstance(event, Received))
+            assert recording.damage is None
+            assert recording.plate_text is not None
+            assert load_plate_text(recording.plate_text, file).name == "quartz16"
+        with file.open("rb") as opened:
+            for schema, channel, message in make_reader(opened).iter_messages():
+                if schema is not None:
+                    if channel.topic not in topics:
+                        validate(json.loads(message.data), json.loads(schema.data))
+                    topics[channel.topic] = topics.get(channel.topic, 0) + 1
+    assert received == told["bytes_received"]
+    assert topics["forces"] > 200
+    assert {"info", "state/link", "state/sensor"} <= topics.keys()
+    assert topics["info"] == len(files)
+    assert told["messages"] == sum(topics.values()) - (len(files) - 1) * 3  # states, again in each file
+    assert told["messages_missing"] == 0
+
+
 def test_seconds_count_from_the_first_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     faults = parse_faults("silence_at_s=0,silence_for_s=0.7")  # it counts and says nothing
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)):
-        record(config(tmp_path, f"serial:{port}?baud=4000000"), output, 1.0, as_json=True)
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(output, 1.0), as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] > 700
     assert told["seconds"] >= 1.0
@@ -77,7 +114,7 @@ def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
         pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
     ):
-        record(config(tmp_path, f"serial:{port}?baud=4000000"), tmp_path / "run.mcap", None, as_json=False)
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap"), as_json=False)
 
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
@@ -114,7 +151,7 @@ def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.2)
     path = config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000")
     with pytest.raises(NoBoardError, match=r"no board counts after 0\.2 s: no port ") as raised:
-        record(path, tmp_path / "run.mcap", None, as_json=False)
+        record(path, RecordOptions(tmp_path / "run.mcap"), as_json=False)
     assert raised.value.exit_code == 69
 
 
@@ -123,6 +160,12 @@ def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: p
     [
         ("replay:old.mcap", "run.mcap", "link: replay:old.mcap is a recording already; copy the file"),
         ("tcp://127.0.0.1:9", "no/run.mcap", "no/run.mcap cannot be written: No such file or directory"),
+        ("tcp://127.0.0.1:9", ".", "is a directory, name a file in it"),
+        (
+            "tcp://127.0.0.1:9",
+            "../../../../../../../dev/full",
+            "is there already, and nothing is overwritten; name another file",
+        ),
     ],
 )
 def test_what_cannot_be_recorded_is_said_at_once(tmp_path: Path, link: str, output: str, said: str) -> None:
@@ -130,3 +173,27 @@ def test_what_cannot_be_recorded_is_said_at_once(tmp_path: Path, link: str, outp
     assert refused.returncode == 78
     assert refused.stderr.endswith(f"{said}\n")
     assert len(refused.stderr.splitlines()) == 1
+
+
+def test_a_pipe_is_left_alone(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    refused = run("--config", config(tmp_path, "tcp://127.0.0.1:9"), "--output", pipe)
+    assert (refused.returncode, len(refused.stderr.splitlines())) == (78, 1)
+    assert "is there already, and nothing is overwritten" in refused.stderr
+
+
+def test_a_disk_that_fills_ends_a_recording_and_leaves_what_is_written(tmp_path: Path) -> None:
+    port, output = tmp_path / "board", tmp_path / "run.mcap"
+    path = config(tmp_path, f"serial:{port}?baud=4000000")
+    small = ["prlimit", "--fsize=150000", *COMMAND, "--config", str(path), "--output", str(output), "--json"]
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        made = subprocess.run(small, capture_output=True, text=True, timeout=60, check=False)
+    assert made.returncode == 1
+    assert made.stderr.splitlines()[-1] == (
+        f"resonatord: {output}: File too large: nothing more is recorded; what was written stays"
+    )
+    assert json.loads(made.stdout)["error"]["code"] == "ended"
+    with open_recording(str(output), load_plate("quartz16")) as recording:
+        assert list(recording.events())
+        assert recording.damage == "cut off"

@@ -31,7 +31,17 @@ MESSAGES = MessageAccount(
     spooled=4,
 )
 LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
-RECORDING = RecordingInfo(file="run.mcap", since_t_ns=17, failure=None)
+RECORDING = RecordingInfo(
+    file="run.mcap",
+    since_t_ns=17,
+    failure=None,
+    file_bytes=5,
+    files=4,
+    files_removed=3,
+    events_missing=2,
+    messages=1,
+    messages_missing=0,
+)
 COMMANDS = {"done": 2, "denied": 1}
 
 
@@ -145,7 +155,17 @@ async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None
         "threads": 5,
         "file_descriptors": 23,
         "latency": {"forces": {"bounds_ms": [1.0, 2.0], "counts": [7, 3, 1]}},
-        "recording": {"file": "run.mcap", "since_t_ns": "17", "failure": None},
+        "recording": {
+            "file": "run.mcap",
+            "since_t_ns": "17",
+            "failure": None,
+            "file_bytes": 5,
+            "files": 4,
+            "files_removed": 3,
+            "events_missing": 2,
+            "messages": 1,
+            "messages_missing": 0,
+        },
         "commands": COMMANDS,
         "messages": MESSAGES.model_dump(),
     }

@@ -1,88 +1,99 @@
-"""Writes what happens on a link to a file, in a thread of its own; whoever reads the link never waits for the disk."""
+"""Writes what happens on a link to files, in a thread of its own; whoever reads the link never waits for the disk."""
 
-import json
+import logging
 import threading
 import time
 from collections import deque
-from importlib.metadata import version
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Self
-
-from mcap.writer import CompressionType, Writer
+from typing import Any, Final, NamedTuple, Self
 
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
-from resonator_daemon.acquisition.recording_file import (
-    BOARD,
-    ENCODING,
-    FORMAT,
-    MARK_ENCODING,
-    MARK_SCHEMA,
-    MARK_SCHEMA_DATA,
-    MARK_SCHEMA_ENCODING,
-    MARKS,
-    PROFILE,
-    RECORDING,
-    TOPIC,
-    Mark,
-    encode_mark,
-    plate_fingerprints,
-)
-from resonator_daemon.acquisition.wire_events import Received, Sent, Skipped, Standing, WireEvent, encode
+from resonator_daemon.acquisition.recording_budget import Room, Say, Series, say_nothing
+from resonator_daemon.acquisition.recording_file import Mark, Origin
+from resonator_daemon.acquisition.recording_writer import Published, RecordingWriter
+from resonator_daemon.acquisition.wire_events import Received, Sent, Skipped, Standing, WireEvent
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.plate import Plate
 
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
 _EVENT_BYTES = 300  # of memory, beside its data
 _STANDING_BYTES = 10_000  # most of it vertices of the clock's hulls
-_CHUNK_BYTES = 256 << 10  # compressed at once: about a millisecond
+_PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
 _BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
-_FLUSH_S = 1.0
+FLUSH_S = 0.8  # with a batch, and what writing takes, less than the second that is promised
+_RETRY_S = 10.0
+
+_Item = WireEvent | Mark | BoardOnline | Published
+
+
+class RecordingCounts(NamedTuple):
+    """What a recording has come to; `file_bytes` is that of the present or last file, `messages` were published."""
+
+    file_bytes: int = 0
+    files: int = 0
+    files_removed: int = 0
+    events_missing: int = 0
+    messages: int = 0
+    messages_missing: int = 0
 
 
 class Recorder:
     """A recording that is being written; a file that is there already is left alone.
 
     After an error, as of the disk, nothing more is written: `failure` says so, and what was written stays readable.
+    Where the series resumes, it goes on in a new file once it can, and `failure` is None again. A series goes from file
+    to file where a `Standing` is put: the next begins with it.
 
     Parameters
     ----------
-    path
-        The file to be made.
-    plate, link
-        Written into it.
+    place
+        The file to be made, or where a series of them goes.
+    origin
+        Written into the beginning of each.
     queue_bytes
         Bound of the memory of events that wait to be written; what does not fit is counted, here and in the file.
+    say
+        Is told level and text of what a log should have, from the thread that writes.
 
     Raises
     ------
     OperatorError
-        The file cannot be made.
+        The file cannot be made, or there is no room for it, and the series does not resume.
     """
 
-    def __init__(self, path: Path, plate: Plate, link: str, *, queue_bytes: int = QUEUE_BYTES) -> None:
-        try:
-            self._file: IO[bytes] = path.open("xb")
-        except FileExistsError as error:
-            raise OperatorError(f"{path} is there already, and nothing is overwritten; name another file") from error
-        except OSError as error:
-            raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
-        self._path = path
+    def __init__(
+        self, place: Path | Series, origin: Origin, *, queue_bytes: int = QUEUE_BYTES, say: Say = say_nothing
+    ) -> None:
+        self._place = place
+        self._origin = origin
+        self._room = Room(place, say) if isinstance(place, Series) else None
+        self._resumes = isinstance(place, Series) and place.resumes
+        self._say = say
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
-        self._items: deque[WireEvent | Mark | BoardOnline] = deque()
+        self._items: deque[_Item] = deque()
         self._waiting_bytes = 0
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
-        self._events = self._skipped_events = 0
-        self._begun = False
-        self._mark_channel: int | None = None
+        self._events = 0
+        self._counts = RecordingCounts()
         self._failure: str | None = None
+        self._path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
-        self._writer = Writer(self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.LZ4)
-        begun = {"format": FORMAT, "link": link, "version": version("resonatord"), **plate_fingerprints(plate)}
-        self._thread = threading.Thread(target=self._run, args=(begun,), name="recorder", daemon=True)
+        self._board: BoardOnline | None = None  # those of the thread: what each file begins with
+        self._states: dict[str, Published] = {}
+        self._retry_s = 0.0
+        self._syncing: list[threading.Thread] = []
+        self._file: RecordingWriter | None = None
+        try:
+            self._begin_file(read_host_time().utc_ns)
+        except OperatorError as error:
+            if not self._resumes:
+                raise
+            self._fail(str(error))
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
     def __enter__(self) -> Self:
@@ -94,36 +105,42 @@ class Recorder:
         self.close()
 
     @property
+    def path(self) -> Path:
+        """The file that is being written, or was last; the directory where none could be made yet."""
+        return self._path
+
+    @property
     def failure(self) -> str | None:
         """Why nothing is written any more; None while all is well."""
         return self._failure
 
     @property
     def skipped_events(self) -> int:
-        """Events that are not in the file, because the disk was too slow or failed."""
-        with self._lock:
-            return self._skipped_events
+        """Events that are in no file, because the disk was too slow or failed."""
+        return self.counts.events_missing
 
     @property
     def events(self) -> int:
-        """Events that are in the file or wait to be written."""
+        """Events that are written."""
         with self._lock:
             return self._events
 
+    @property
+    def counts(self) -> RecordingCounts:
+        with self._lock:
+            return self._counts
+
     def put(self, event: WireEvent) -> None:
-        """Have an event written; never waits. A `Standing` is of use, and written, at the beginning only."""
+        """Have an event written; never waits. A `Standing` is written at the beginning of a file only."""
         size_bytes = _size_bytes(event)
         with self._lock:
-            if isinstance(event, Standing) and self._begun:
-                return
             if self._missing_events:
                 size_bytes += _EVENT_BYTES  # the word of them comes first
-            if self._failure is None and self._waiting_bytes + size_bytes <= self._queue_bytes:
+            fits = self._waiting_bytes + size_bytes <= self._queue_bytes
+            if fits and (self._failure is None or self._resumes):
                 self._tell_missing(event.now)
                 self._append(event)
-                self._events += 1
-                self._begun = True
-            else:
+            elif not isinstance(event, Standing):
                 self._skip(event)
 
     def skip(self, event: WireEvent) -> None:
@@ -139,20 +156,45 @@ class Recorder:
                 self._append(mark)
             return fits
 
+    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Have a published message written to a channel of its topic; never waits. What does not fit is counted.
+
+        Parameters
+        ----------
+        topic_path
+            Below the plate's name, as `forces`.
+        t_ns
+            UTC.
+        payload
+            JSON.
+        json_schema
+            Of the topic's payload.
+        """
+        message = Published(topic_path, t_ns, payload, json_schema)
+        with self._lock:
+            if self._waiting_bytes + _size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE:
+                self._append(message)
+            else:
+                self._count(messages_missing=1)
+
+    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Like `put_message`, of a topic whose last message counts: the files that follow begin with it, too."""
+        with self._lock:
+            self._append(_State(topic_path, t_ns, payload, json_schema))
+
     def name_board(self, board: BoardOnline) -> None:
         """Have written which board it is, for whoever looks at the file."""
         with self._lock:
-            if self._failure is None:
-                self._items.append(board)
+            self._append(board)
 
     def close(self) -> None:
         """Write what waits, and the end of the file; call it once the reader has stopped."""
         self._closing.set()
         self._thread.join()
 
-    def _append(self, event: WireEvent | Mark) -> None:
-        self._items.append(event)
-        self._waiting_bytes += _size_bytes(event)
+    def _append(self, item: _Item) -> None:
+        self._items.append(item)
+        self._waiting_bytes += _size_bytes(item)
 
     def _tell_missing(self, now: HostTime) -> None:
         if self._missing_events:
@@ -160,30 +202,20 @@ class Recorder:
             self._missing_events = self._missing_bytes = 0
 
     def _skip(self, event: WireEvent) -> None:
-        self._skipped_events += 1
+        self._count(events_missing=1)
         self._missing_events += 1
         self._missing_bytes += len(event.data) if isinstance(event, Received | Sent) else 0
 
-    def _run(self, begun: dict[str, str]) -> None:
-        try:
-            with self._file:
-                self._write(begun)
-        except Exception as error:  # noqa: BLE001 - whoever records must hear of it, or would take the file for whole
-            reason = (isinstance(error, OSError) and error.strerror) or repr(error)
-            with self._lock:
-                self._failure = f"{self._path}: {reason}: nothing more is recorded; what was written stays"
-                for item in self._items:
-                    if not isinstance(item, BoardOnline | Mark | Skipped):  # which was counted when it was made
-                        self._skip(item)
-                        self._events -= 1
-                self._items.clear()
+    def _count(self, *, events_missing: int = 0, messages: int = 0, messages_missing: int = 0) -> None:
+        counts = self._counts
+        self._counts = counts._replace(
+            events_missing=counts.events_missing + events_missing,
+            messages=counts.messages + messages,
+            messages_missing=counts.messages_missing + messages_missing,
+        )
 
-    def _write(self, begun: dict[str, str]) -> None:
-        writer = self._writer
-        writer.start(PROFILE, f"resonatord {begun['version']}")
-        writer.add_metadata(RECORDING, begun)
-        channel = writer.register_channel(TOPIC, ENCODING, schema_id=0)
-        flush_s = 0.0
+    def _run(self) -> None:
+        look_s = 0.0
         closing = False
         while not closing:
             closing = self._closing.wait(_BATCH_S)
@@ -191,48 +223,176 @@ class Recorder:
                 if closing:  # nothing comes after them
                     self._tell_missing(read_host_time())
                 items, self._items = self._items, deque()
-            for item in items:
-                if isinstance(item, BoardOnline):
-                    writer.add_metadata(BOARD, _named(item))
-                    continue
-                now = item.now
-                if isinstance(item, Mark):
-                    writer.add_message(self._marks(), now.utc_ns, encode_mark(item), now.monotonic_ns)
-                    continue
-                writer.add_message(channel, now.utc_ns, encode(item), now.monotonic_ns)
-            with self._lock:
-                self._waiting_bytes -= sum(_size_bytes(item) for item in items if not isinstance(item, BoardOnline))
-            if time.monotonic() >= flush_s:
-                writer.flush()
-                flush_s = time.monotonic() + _FLUSH_S
-        writer.finish()
+            self._write(items)
+            if time.monotonic() >= look_s:
+                self._flush()
+                look_s = time.monotonic() + FLUSH_S
+        self._end_file(wait=True)
+        for thread in self._syncing:
+            thread.join()
 
-    def _marks(self) -> int:
-        if self._mark_channel is None:
-            schema = self._writer.register_schema(
-                MARK_SCHEMA, MARK_SCHEMA_ENCODING, json.dumps(MARK_SCHEMA_DATA).encode()
-            )
-            self._mark_channel = self._writer.register_channel(MARKS, MARK_ENCODING, schema)
-        return self._mark_channel
+    def _write(self, items: deque[_Item]) -> None:
+        events = missing = messages = messages_missing = 0
+        for item in items:
+            written = self._write_one(item)
+            match item:
+                case Published():
+                    messages += written
+                    messages_missing += not written
+                case Mark() | BoardOnline() | Skipped():
+                    pass
+                case Standing():
+                    events += written
+                case _:
+                    events += written
+                    missing += not written
+        with self._lock:
+            self._events += events
+            self._count(events_missing=missing, messages=messages, messages_missing=messages_missing)
+            self._waiting_bytes -= sum(map(_size_bytes, items))
+
+    def _write_one(self, item: _Item) -> bool:
+        """Write one item; return whether it is in a file."""
+        try:
+            match item:
+                case BoardOnline():
+                    self._board = item
+                case _State():
+                    self._states[item.topic] = item
+                case Standing():
+                    self._turn_over(item)
+            file = self._file
+            if file is None or (isinstance(item, Standing) and file.begun):
+                return False
+            match item:
+                case BoardOnline():
+                    file.name_board(item)
+                case Mark():
+                    file.mark(item)
+                case Published():
+                    file.publish(item)
+                case _:
+                    file.write(item)
+        except Exception as error:  # noqa: BLE001 - whoever records must hear of it, or would take the file for whole
+            self._break_off(error)
+            return False
+        return True
+
+    def _turn_over(self, standing: Standing) -> None:
+        """Begin the next file, where it is its turn."""
+        if not isinstance(self._place, Series):
+            return
+        if self._file is not None:
+            if not self._place.is_over(self._file, standing.now.monotonic_ns):
+                return
+            self._end_file(wait=False)
+        elif not self._resumes or time.monotonic() < self._retry_s:
+            return
+        try:
+            self._begin_file(standing.now.utc_ns)
+        except OperatorError as error:
+            self._fail(str(error))
+            return
+        if self._board is not None and standing.course.running is not None and self._file is not None:
+            self._file.name_board(self._board)
+
+    def _begin_file(self, utc_ns: int) -> None:
+        if isinstance(self._place, Path):
+            file = RecordingWriter(self._place, self._origin, utc_ns)
+        else:
+            if self._room is not None:
+                self._room.check(again=self._failure is not None)
+                self._room.begin()
+            file = self._place.make(self._origin, utc_ns)
+        for state in self._states.values():
+            file.publish(state)
+        with self._lock:
+            failed, self._failure = self._failure, None
+            self._path, self._file = file.path, file
+            self._counts = self._counts._replace(files=self._counts.files + 1)
+        if failed is not None:
+            self._say(logging.INFO, f"recording goes on in {file.path}")
+
+    def _flush(self) -> None:
+        """Hand what was written to the kernel, and look after the room on the disk."""
+        if self._file is None:
+            return
+        try:
+            self._file.flush()
+            if self._room is not None:
+                self._room.keep_budget(self._file)
+                self._room.check(again=False)
+        except OperatorError as error:
+            self._end_file(wait=False)
+            self._fail(str(error))
+        except Exception as error:  # noqa: BLE001 - as above
+            self._break_off(error)
+        self._take_stock()
+
+    def _take_stock(self) -> None:
+        with self._lock:
+            if self._file is not None:
+                self._counts = self._counts._replace(file_bytes=self._file.size_bytes)
+            if self._room is not None:
+                self._counts = self._counts._replace(files_removed=self._room.files_removed)
+
+    def _end_file(self, *, wait: bool) -> None:
+        """Write the end of the file; the medium may take seconds for it, which nothing else waits for."""
+        if self._file is None:
+            return
+        try:
+            self._file.finish()
+            self._take_stock()
+        except Exception as error:  # noqa: BLE001 - as above
+            self._break_off(error)
+            return
+        file, self._file = self._file, None
+        if wait:
+            self._sync(file)
+        else:
+            self._syncing = [thread for thread in self._syncing if thread.is_alive()]
+            self._syncing.append(threading.Thread(target=self._sync, args=(file,), name="recorder-sync", daemon=True))
+            self._syncing[-1].start()
+
+    def _sync(self, file: RecordingWriter) -> None:
+        try:
+            file.sync()
+        except OSError as error:
+            self._say(logging.WARNING, f"{file.path} may not be on the disk: {error.strerror}")
+
+    def _break_off(self, error: Exception) -> None:
+        """Leave a file as it is that takes nothing more."""
+        if self._file is not None:
+            self._file.abandon()
+            self._file = None
+        reason = (isinstance(error, OSError) and error.strerror) or repr(error)
+        self._fail(f"{self._path}: {reason}")
+
+    def _fail(self, reason: str) -> None:
+        first = self._failure is None
+        with self._lock:
+            self._failure = f"{reason}: nothing more is recorded; what was written stays"
+        self._retry_s = time.monotonic() + _RETRY_S
+        if first:
+            again = "; it is tried again" if self._resumes else ""
+            self._say(logging.WARNING, self._failure + again)
 
 
-def _size_bytes(event: WireEvent | Mark) -> int:
-    match event:
+class _State(Published):
+    """A message of a topic whose last one counts."""
+
+
+def _size_bytes(item: _Item) -> int:
+    match item:
         case Received() | Sent():
-            return _EVENT_BYTES + len(event.data)
+            return _EVENT_BYTES + len(item.data)
         case Mark():
-            return _EVENT_BYTES + len(event.text)
+            return _EVENT_BYTES + len(item.text)
+        case Published():
+            return _EVENT_BYTES + len(item.payload)
         case Standing():
             return _STANDING_BYTES
+        case BoardOnline():
+            return 0
         case _:
             return _EVENT_BYTES
-
-
-def _named(board: BoardOnline) -> dict[str, str]:
-    identity = board.identity
-    return {
-        "product": identity.product,
-        "serial_number": identity.serial_number,
-        "firmware": identity.firmware,
-        "boot_id": f"{board.boot_id:08x}",
-    }

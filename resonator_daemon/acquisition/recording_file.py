@@ -7,30 +7,34 @@ import os
 import stat
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import chain
 from types import TracebackType
 from typing import IO, Final, NamedTuple, Self
 
 from mcap.exceptions import McapError
-from mcap.records import Channel, Header, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Attachment, Header, McapRecord, Message, Metadata
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.mcap_messages import ChunkReader, messages
 from resonator_daemon.acquisition.wire_events import WireEvent, decode
 from resonator_daemon.plate import Plate
 
 log = logging.getLogger(__name__)
 
 PROFILE = "resonatord"
-FORMAT = "1"
+FORMAT = "2"
 TOPIC = "wire"
 ENCODING = "application/octet-stream"
 RECORDING, BOARD = "recording", "board"  # metadata of the file
+PLATE_FILE, SETTINGS_FILE = "plate.toml", "settings.toml"  # attachments
 
 MARKS = "marks"
-MARK_ENCODING = "json"
+JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
 # One of the schemas that viewers of such files show as lines of text, in their place in time.
-MARK_SCHEMA, MARK_SCHEMA_ENCODING = "foxglove.Log", "jsonschema"
+MARK_SCHEMA = "foxglove.Log"
 MARK_SCHEMA_DATA: Final = {
     "title": MARK_SCHEMA,
     "type": "object",
@@ -45,9 +49,9 @@ MARK_SCHEMA_DATA: Final = {
 }
 _INFO_LEVEL = 2
 
-_MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
+MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
 # What mcap, lz4 and `decode` raise about bytes that they cannot read.
-_DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
+DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
 
 
 class Mark(NamedTuple):
@@ -71,6 +75,12 @@ def encode_mark(mark: Mark) -> bytes:
     return json.dumps(line).encode()
 
 
+def decode_mark(message: Message) -> Mark:
+    """Return the mark that a message of its channel holds; the host's time since boot is not in it."""
+    now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
+    return Mark(now, str(json.loads(message.data)["message"]))
+
+
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
     """Return what tells plates apart: name, all of the file, and what of it decides what is on the wire."""
     wire = hashlib.sha256(plate.counter.model_dump_json().encode())
@@ -82,6 +92,52 @@ def plate_fingerprints(plate: Plate) -> dict[str, str]:
     }
 
 
+@dataclass(frozen=True)
+class Origin:
+    """What is recorded, as the beginning of each file says it.
+
+    Parameters
+    ----------
+    plate, link
+        Those of the board.
+    name, daemon_boot_id
+        Of the daemon whose link it is; None where no daemon runs.
+    config_sha256
+        Tells configurations apart.
+    plate_text, settings_text
+        TOML of the plate file, and of the tables [measurement] and [decoding].
+    """
+
+    plate: Plate
+    link: str
+    name: str | None = None
+    daemon_boot_id: str | None = None
+    config_sha256: str | None = None
+    plate_text: str | None = None
+    settings_text: str | None = None
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Everything but the texts; what is None is left out."""
+        known = {
+            "format": FORMAT,
+            "link": self.link,
+            "version": version("resonatord"),
+            **plate_fingerprints(self.plate),
+            "name": self.name,
+            "daemon_boot_id": self.daemon_boot_id,
+            "calibration_id": self.plate.calibration.id,
+            "config_sha256": self.config_sha256,
+        }
+        return {key: value for key, value in known.items() if value is not None}
+
+    @property
+    def attachments(self) -> dict[str, str]:
+        """The texts by the names of the attachments that carry them."""
+        texts = {PLATE_FILE: self.plate_text, SETTINGS_FILE: self.settings_text}
+        return {name: text for name, text in texts.items() if text is not None}
+
+
 class Recording:
     """An open recording.
 
@@ -91,6 +147,8 @@ class Recording:
         Names it in messages.
     header
         What was known when it was begun.
+    attachments
+        Texts that came with it, by name.
 
     Attributes
     ----------
@@ -98,9 +156,17 @@ class Recording:
         Why the events ended before the end, once they have; None where the file is whole.
     """
 
-    def __init__(self, path: str, file: IO[bytes], header: dict[str, str], records: Iterator[McapRecord]) -> None:
+    def __init__(
+        self,
+        path: str,
+        file: IO[bytes],
+        header: dict[str, str],
+        attachments: dict[str, str],
+        records: Iterator[McapRecord],
+    ) -> None:
         self.path = path
         self.header = header
+        self._attachments = attachments
         self._file = file
         self._records = records
         self.damage: str | None = None
@@ -113,32 +179,50 @@ class Recording:
     ) -> None:
         self._file.close()
 
+    @property
+    def plate_text(self) -> str | None:
+        """The plate file as it was, in TOML; None where the file does not have it."""
+        return self._attachments.get(PLATE_FILE)
+
+    @property
+    def settings_text(self) -> str | None:
+        """The tables [measurement] and [decoding] as they were, in TOML; None where the file does not have them."""
+        return self._attachments.get(SETTINGS_FILE)
+
+    @property
+    def read_bytes(self) -> int:
+        """How much of the file was read."""
+        return self._file.tell()
+
     def events(self) -> Iterator[WireEvent]:
         """Give the events in order, up to the end or to the first damage; marks among them go to the log."""
-        channel = marks = None
+        for entry in self.entries():
+            if isinstance(entry, Mark):
+                log.info("%s: mark: %s", self.path, entry.text)
+            else:
+                yield entry
+
+    def entries(self) -> Iterator[WireEvent | Mark]:
+        """Give events and marks in order, up to the end or to the first damage."""
         try:
-            for record in self._records:
-                if isinstance(record, Channel) and record.topic == TOPIC:
-                    channel = record.id
-                elif isinstance(record, Channel) and record.topic == MARKS:
-                    marks = record.id
-                elif isinstance(record, Message) and record.channel_id == marks:
-                    log.info("%s: mark: %s", self.path, json.loads(record.data)["message"])
-                elif isinstance(record, Message) and record.channel_id == channel:
-                    yield decode(record.data, record.publish_time, record.log_time)
-        except _DAMAGE as error:
+            for topic, message in messages(self._records, (TOPIC, MARKS)):
+                if topic == TOPIC:
+                    yield decode(message.data, message.publish_time, message.log_time)
+                else:
+                    yield decode_mark(message)
+        except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)
             self.damage = "cut off" if at >= whole else f"damaged before byte {at} of {whole} ({error})"
 
 
-def open_recording(path: str, plate: Plate) -> Recording:
-    """Open a recording of a link to such a plate.
+def open_recording(path: str, plate: Plate | None = None) -> Recording:
+    """Open a recording of a link, where a plate is given to such a plate.
 
     Raises
     ------
     LinkUnavailableError
-        No such file, no recording, of a newer version, or of a plate whose frames are others.
+        No such file, no recording, of another format, or of a plate whose frames are others.
     """
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
@@ -147,29 +231,62 @@ def open_recording(path: str, plate: Plate) -> Recording:
     except OSError as error:
         raise LinkUnavailableError(f"recording {path}: {error.strerror}") from error
     try:
-        records = StreamReader(file, validate_crcs=True, record_size_limit=_MAX_RECORD_BYTES).records
-        header = _header(path, records)
-        _check_plate(path, header, plate)
+        records = ChunkReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records
+        header = read_header(path, records)
+        check_format(path, header)
+        attachments, records = _attachments(records)
+        if plate is not None:
+            _check_plate(path, header, plate)
     except BaseException:
         file.close()
         raise
-    return Recording(path, file, header, records)
+    return Recording(path, file, header, attachments, records)
 
 
-def _header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
+def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
+    """Take the first two records of a file and return what it says of itself.
+
+    Raises
+    ------
+    LinkUnavailableError
+        It is no recording.
+    """
     try:
         first, second = next(records), next(records)
-    except (*_DAMAGE, StopIteration) as error:
+    except (*DAMAGE, StopIteration) as error:
         raise LinkUnavailableError(f"{path} is no recording, or nothing of it was written: {error}") from error
     if not isinstance(first, Header) or first.profile != PROFILE:
         raise LinkUnavailableError(f"{path} is an MCAP file, but not of this program")
     if not isinstance(second, Metadata) or second.name != RECORDING:
         raise LinkUnavailableError(f"{path} does not say what it is a recording of")
-    if (version := second.metadata.get("format")) != FORMAT:
-        raise LinkUnavailableError(
-            f"{path} has format {version}, this version reads format {FORMAT}; replay it with the version that wrote it"
-        )
     return dict(second.metadata)
+
+
+def check_format(path: str, header: dict[str, str]) -> None:
+    """Check that a file is of the format that this version reads; LinkUnavailableError says where it is not."""
+    if (number := header.get("format")) != FORMAT:
+        raise LinkUnavailableError(
+            f"{path} has format {number}, this version reads format {FORMAT}; replay it with the version that wrote it"
+        )
+
+
+def _attachments(records: Iterator[McapRecord]) -> tuple[dict[str, str], Iterator[McapRecord]]:
+    """Take the attachments that come next; return them, and the records from the first other one on."""
+    texts: dict[str, str] = {}
+    try:
+        for record in records:
+            if not isinstance(record, Attachment):
+                return texts, chain([record], records)
+            texts[record.name] = record.data.decode()
+    except DAMAGE as error:
+        return texts, _raising(error)
+    return texts, iter(())
+
+
+def _raising(error: Exception) -> Iterator[McapRecord]:
+    """Have what was found early be found in its place."""
+    raise error
+    yield
 
 
 def _check_plate(path: str, header: dict[str, str], plate: Plate) -> None:

@@ -1,16 +1,20 @@
 """Recording switched on and off while a link is read, also in the middle of a connection."""
 
+import logging
 import threading
+from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
-from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import Mark
+from resonator_daemon.acquisition.recording import Recorder, RecordingCounts
+from resonator_daemon.acquisition.recording_budget import Series
+from resonator_daemon.acquisition.recording_file import Mark, Origin
 from resonator_daemon.acquisition.wire_events import Received, Sent, Standing, WireEvent
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.plate import Plate
+
+log = logging.getLogger(__name__)
 
 KEPT_BYTES = 8 << 20  # half a second of a plate with 3072 tones and 100 frames/s
 
@@ -31,10 +35,11 @@ class RecordingNow(NamedTuple):
     path: Path
     since_utc_ns: int
     failure: str | None
+    counts: RecordingCounts = RecordingCounts()
 
 
 class RecordingSummary(NamedTuple):
-    """A recording that has ended; `events_missing` are not in the file."""
+    """A recording that has ended; `file` is its last one, `events_missing` are in none."""
 
     file: Path
     file_bytes: int
@@ -64,8 +69,8 @@ class RecordingSwitch:
         self._size_bytes = 0
         self._board: BoardOnline | None = None
         self._recorder: Recorder | None = None
+        self._states: dict[str, tuple[str, int, bytes, Mapping[str, Any]]] = {}
         self._awaits_standing = False
-        self._path = Path()
         self._since: HostTime | None = None
 
     def tap(self, event: WireEvent) -> None:
@@ -92,7 +97,20 @@ class RecordingSwitch:
             if self._recorder is not None:
                 self._recorder.name_board(board)
 
-    def start(self, path: Path, plate: Plate, link: str) -> None:
+    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Hand a published message, as JSON, to the recording that runs; never waits. See `Recorder.put_message`."""
+        with self._lock:
+            if self._recorder is not None:
+                self._recorder.put_message(topic_path, t_ns, payload, json_schema)
+
+    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Hand a published state to the recording that runs, and to those that follow; never waits."""
+        with self._lock:
+            self._states[topic_path] = (topic_path, t_ns, payload, json_schema)
+            if self._recorder is not None:
+                self._recorder.put_state(topic_path, t_ns, payload, json_schema)
+
+    def start(self, place: Path | Series, origin: Origin) -> None:
         """Begin a recording.
 
         Raises
@@ -100,14 +118,16 @@ class RecordingSwitch:
         RecordingRunningError
             One runs.
         OperatorError
-            The file cannot be made, or is there already.
+            The file cannot be made, is there already, or there is no room for it, and the series does not resume.
         """
         with self._switching:
             if self._recorder is not None:
-                raise RecordingRunningError(f"{self._path} is being recorded; stop that first")
-            recorder = Recorder(path, plate, link)
+                raise RecordingRunningError(f"{self._recorder.path} is being recorded; stop that first")
+            recorder = Recorder(place, origin, say=log.log)
             with self._lock:
-                self._path, self._since = path, read_host_time()
+                self._since = read_host_time()
+                for state in self._states.values():
+                    recorder.put_state(*state)
                 kept = self._kept or []
                 counts = bool(kept) and isinstance(kept[0], Standing) and kept[0].course.running is not None
                 if self._board is not None and counts:
@@ -122,14 +142,19 @@ class RecordingSwitch:
         with self._switching:
             with self._lock:
                 recorder, self._recorder = self._recorder, None
-                path, since = self._path, self._since
+                since = self._since
             if recorder is None or since is None:
                 return None
             seconds = (read_host_time().monotonic_ns - since.monotonic_ns) * 1e-9
             recorder.close()
-        file_bytes = path.stat().st_size if path.exists() else 0
+        counts = recorder.counts
         return RecordingSummary(
-            path, file_bytes, recorder.events, recorder.skipped_events, round(seconds, 3), recorder.failure
+            recorder.path,
+            counts.file_bytes,
+            recorder.events,
+            counts.events_missing,
+            round(seconds, 3),
+            recorder.failure,
         )
 
     def mark(self, text: str) -> int:
@@ -147,7 +172,7 @@ class RecordingSwitch:
             if self._recorder.failure is not None:
                 raise NothingRecordedError(self._recorder.failure)
             if not self._recorder.mark(Mark(now, text)):
-                raise NothingRecordedError(f"the disk of {self._path} is too slow to take the mark; try again")
+                raise NothingRecordedError(f"the disk of {self._recorder.path} is too slow to take the mark; try again")
         return now.utc_ns
 
     @property
@@ -156,7 +181,8 @@ class RecordingSwitch:
         with self._lock:
             if self._recorder is None or self._since is None:
                 return None
-            return RecordingNow(self._path, self._since.utc_ns, self._recorder.failure)
+            recorder = self._recorder
+            return RecordingNow(recorder.path, self._since.utc_ns, recorder.failure, recorder.counts)
 
     def close(self) -> None:
         """End the recording, if one runs; call it once the reader has stopped."""

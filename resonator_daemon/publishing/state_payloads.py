@@ -148,11 +148,17 @@ class LatencyInfo(Message):
 
 
 class RecordingInfo(Message):
-    """A recording of the link that a command has started."""
+    """A recording of the link, which may have gone through many files."""
 
-    file: str = Field(description="on the daemon's machine")
-    since_t_ns: Int64 = Field(description="UTC, when it began")
+    file: str = Field(description="the present one, on the daemon's machine")
+    since_t_ns: Int64 = Field(description="UTC, when the recording began")
     failure: str | None = Field(description="why nothing more is written; null while it is")
+    file_bytes: int = Field(description="what is written of the present file")
+    files: int = Field(description="files since the recording began")
+    files_removed: int = Field(description="old recordings that went because of `budget_mb`, since it began")
+    events_missing: int = Field(description="pieces of the link's traffic that are in no file: the disk was too slow")
+    messages: int = Field(description="published messages that are in the files")
+    messages_missing: int = Field(description="those that are not, because the disk was too slow or failed")
 
 
 class Health(Header):

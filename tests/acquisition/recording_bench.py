@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
@@ -14,10 +15,10 @@ from resonator_daemon.acquisition.frames import Arrival
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_course import LinkCourse
 from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.acquisition.recording_file import Origin, open_recording
 from resonator_daemon.acquisition.replay import replay
 from resonator_daemon.acquisition.ring import Ring
-from resonator_daemon.acquisition.wire_events import WireEvent
+from resonator_daemon.acquisition.wire_events import Said, Standing, WireEvent
 from resonator_daemon.plate import Plate, load_plate
 
 PLATE = load_plate("quartz16")
@@ -27,8 +28,8 @@ def at(monotonic_ms: int) -> HostTime:
     return HostTime(10**9 + monotonic_ms * 10**6, 1_700_000_000 * 10**9 + monotonic_ms, 7)
 
 
-def record(path: Path, events: list[WireEvent], plate: Plate = PLATE, **options: int) -> Recorder:
-    with Recorder(path, plate, "tcp://board:1", **options) as recorder:
+def record(path: Path, events: list[WireEvent], plate: Plate = PLATE, **options: Any) -> Recorder:
+    with Recorder(path, Origin(plate, "tcp://board:1"), **options) as recorder:
         for event in events:
             recorder.put(event)
     return recorder
@@ -70,3 +71,11 @@ def marks(path: Path) -> list[tuple[int, str]]:
             for schema, channel, message in reader.iter_messages(topics=["marks"])
             if schema is not None and (schema.name, channel.message_encoding) == ("foxglove.Log", "json")
         ]
+
+
+def standing(now: HostTime) -> Standing:
+    """How a link stands that was never open."""
+    told: list[WireEvent] = []
+    LinkCourse(PLATE, Ring(RING_BYTES, lambda: None), told.append).apply(Said(now, "waiting", "no port"))
+    assert isinstance(told[-1], Standing)
+    return told[-1]

@@ -20,12 +20,12 @@ from mcap.writer import Writer
 from recording_bench import PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
-from resonator_daemon.acquisition import recording
+from resonator_daemon.acquisition import recording, recording_writer
 from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.acquisition.recording_file import Origin, open_recording
 from resonator_daemon.acquisition.wire_events import (
     Closed,
     Goodbye,
@@ -117,7 +117,7 @@ def test_no_bytes_do_more_than_raise_value_error(data: bytes) -> None:
 
 def test_the_file_says_what_it_is_of_and_which_board_it_was(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    with Recorder(path, PLATE, "tcp://board:1") as recorder:
+    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
         recorder.put(Opened(at(0)))
         recorder.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
     with open_recording(str(path), PLATE) as recording:
@@ -141,10 +141,10 @@ def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"precious")
     with pytest.raises(OperatorError, match=r"run\.mcap is there already, and nothing is overwritten"):
-        Recorder(path, PLATE, "tcp://board:1")
+        Recorder(path, Origin(PLATE, "tcp://board:1"))
     assert path.read_bytes() == b"precious"
     with pytest.raises(OperatorError, match="cannot be written: No such file or directory"):
-        Recorder(tmp_path / "no" / "run.mcap", PLATE, "tcp://board:1")
+        Recorder(tmp_path / "no" / "run.mcap", Origin(PLATE, "tcp://board:1"))
 
 
 def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path, monkeypa
 def test_room_comes_back_once_events_are_written(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     deadline = time.monotonic() + DEADLINE_S
-    with Recorder(path, PLATE, "tcp://board:1", queue_bytes=5_000) as recorder:
+    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=5_000) as recorder:
         recorder.put(Received(at(0), bytes(4_000)))
         skipped = -1
         while recorder.skipped_events != skipped:
@@ -200,7 +200,7 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Pat
     put = 0
     resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
     try:
-        with Recorder(path, PLATE, "tcp://board:1") as recorder:
+        with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
             while recorder.failure is None:
                 assert time.monotonic() < deadline
                 recorder.put(Received(at(put), random.randbytes(100_000)))
@@ -225,13 +225,14 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
             raise RuntimeError("LZ4 has no memory")
         return encode(event)
 
-    monkeypatch.setattr(recording, "encode", broken)
+    monkeypatch.setattr(recording_writer, "encode", broken)
     path = tmp_path / "run.mcap"
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
     assert recorder.failure == f"{path}: {said}"
-    recorder.put(Closed(at(2)))
     assert recorder.skipped_events == 1
+    recorder.put(Closed(at(2)))
+    assert recorder.skipped_events == 2
 
 
 def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,9 +243,9 @@ def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monke
         go_on.wait(DEADLINE_S)
         raise OSError("no number, no text")
 
-    monkeypatch.setattr(recording, "encode", fail)
+    monkeypatch.setattr(recording_writer, "encode", fail)
     path = tmp_path / "run.mcap"
-    with Recorder(path, PLATE, "tcp://board:1", queue_bytes=2_000) as recorder:
+    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=2_000) as recorder:
         recorder.put(Opened(at(0)))
         assert stuck.wait(DEADLINE_S)
         recorder.put(Received(at(1), bytes(10_000)))
@@ -252,7 +253,7 @@ def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monke
         go_on.set()
     assert recorder.failure is not None
     assert "no number, no text" in recorder.failure
-    assert recorder.skipped_events == 2  # the large one and the one that waited behind it
+    assert recorder.skipped_events == 3  # the one that failed, the large one, and the one that waited behind it
 
 
 KILLED = """
@@ -260,8 +261,9 @@ import sys
 from recording_bench import PLATE, at
 from pathlib import Path
 from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.wire_events import Received
-recorder = Recorder(Path(sys.argv[1]), PLATE, "tcp://board:1")
+recorder = Recorder(Path(sys.argv[1]), Origin(PLATE, "tcp://board:1"))
 for number in range(5):
     recorder.put(Received(at(number), bytes([number])))
 print("put", flush=True)
@@ -319,7 +321,8 @@ def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) 
     assert len(lengths) > 3
 
 
-def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
+def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # so that the same is in each chunk
     path = tmp_path / "run.mcap"
     random = Random(3)
     written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
@@ -364,7 +367,8 @@ def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     for profile, name, metadata, said in (
         ("ros2", "recording", {"format": "1"}, "is an MCAP file, but not of this program"),
         ("resonatord", "other", {"format": "1"}, "does not say what it is a recording of"),
-        ("resonatord", "recording", {"format": "9"}, "has format 9, this version reads format 1"),
+        ("resonatord", "recording", {"format": "9"}, "has format 9, this version reads format 2"),
+        ("resonatord", "recording", {"format": "1"}, "has format 1, this version reads format 2"),
     ):
         with path.open("wb") as file:
             writer = Writer(file)

@@ -1,5 +1,6 @@
 """Recordings switched on and off while a board is read: what a replay of each gives, and what is said of it."""
 
+import json
 import resource
 import threading
 import time
@@ -13,12 +14,14 @@ from connection_bench import DESCRIPTION, IDENTITY
 from emulation import emulated
 from listener import DEADLINE_S, Listener, frames, gaps
 from mcap.reader import make_reader
-from recording_bench import PLATE, at, marks, read, replayed, same
+from recording_bench import PLATE, at, marks, read, replayed, same, standing
 
 from firmware_protocol.messages import Configuration
-from resonator_daemon.acquisition import recording_switch
+from resonator_daemon.acquisition import recording, recording_switch
 from resonator_daemon.acquisition.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
 from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_budget import Series
+from resonator_daemon.acquisition.recording_file import Origin
 from resonator_daemon.acquisition.recording_switch import (
     NothingRecordedError,
     RecordingRunningError,
@@ -32,7 +35,8 @@ from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
 SKIN = load_plate("skin32")
-LINK = "tcp://board:1"
+SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
+ORIGIN = Origin(PLATE, "tcp://board:1")
 
 
 @contextmanager
@@ -94,7 +98,7 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     path = tmp_path / "run.mcap"
     with emulated(options), listening(link) as (it, switch):
         it.wait_for_frames(700)
-        switch.start(path, PLATE, str(link))
+        switch.start(path, Origin(PLATE, str(link)))
         began_with = frames(it.arrivals)[-1].index
         wait_for_frames(it, 1500)
         summary = switch.stop()
@@ -125,7 +129,7 @@ def test_a_channelised_frame_under_way_is_not_recorded_in_half(tmp_path: Path) -
         link = parse_link(emulator.link.address)
         with listening(link, SKIN) as (it, switch):
             it.wait_for_frames(20)
-            switch.start(path, SKIN, str(link))
+            switch.start(path, Origin(SKIN, str(link)))
             wait_for_frames(it, 50)
             switch.stop()
             it.take_the_rest()
@@ -139,11 +143,11 @@ def test_recordings_follow_each_other_and_each_stands_by_itself(tmp_path: Path) 
     options, link = pseudo_terminal(tmp_path / "board")
     paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
     with emulated(options), listening(link) as (it, switch):
-        switch.start(paths[0], PLATE, str(link))
+        switch.start(paths[0], Origin(PLATE, str(link)))
         it.wait_for_frames(300)
         switch.stop()
         wait_for_frames(it, 500)
-        switch.start(paths[1], PLATE, str(link))
+        switch.start(paths[1], Origin(PLATE, str(link)))
         wait_for_frames(it, 300)
         switch.stop()
         it.take_the_rest()
@@ -160,7 +164,7 @@ def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> No
     path = tmp_path / "run.mcap"
     with emulated(options), listening(link) as (it, switch):
         it.wait_for_frames(500)
-        switch.start(path, PLATE, str(link))
+        switch.start(path, Origin(PLATE, str(link)))
         began_with = frames(it.arrivals)[-1].index
         it.wait_for(lambda arrivals: any(gap.first_index > began_with for gap in gaps(arrivals)))
         wait_for_frames(it, 300)
@@ -180,7 +184,7 @@ def test_a_recording_begun_during_an_outage_goes_on_with_the_numbers(tmp_path: P
     path = tmp_path / "run.mcap"
     with emulated(options), listening(link) as (it, switch):
         it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "lost" for a in arrivals))
-        switch.start(path, PLATE, str(link))
+        switch.start(path, Origin(PLATE, str(link)))
         it.wait_for(lambda arrivals: bool(gaps(arrivals)))
         wait_for_frames(it, 200)
         switch.stop()
@@ -202,9 +206,9 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
         switch.mark("before")
     assert switch.current is None
     before_ns = time.time_ns()
-    switch.start(tmp_path / "one.mcap", PLATE, LINK)
+    switch.start(tmp_path / "one.mcap", ORIGIN)
     with pytest.raises(RecordingRunningError, match=r"one\.mcap is being recorded; stop that first"):
-        switch.start(tmp_path / "two.mcap", PLATE, LINK)
+        switch.start(tmp_path / "two.mcap", ORIGIN)
     assert not (tmp_path / "two.mcap").exists()
     now = switch.current
     assert now is not None
@@ -213,7 +217,7 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     switch.close()
     assert switch.current is None
     with pytest.raises(OperatorError, match=r"one\.mcap is there already, and nothing is overwritten"):
-        switch.start(tmp_path / "one.mcap", PLATE, LINK)
+        switch.start(tmp_path / "one.mcap", ORIGIN)
     assert switch.current is None
 
 
@@ -222,7 +226,7 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
     switch.tap(Said(at(0), "starting", "first"))
-    switch.start(path, PLATE, LINK)
+    switch.start(path, ORIGIN)
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
     switch.tap(Said(at(1), "waiting", "second"))
     summary = switch.stop()
@@ -245,7 +249,7 @@ def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> N
     put = 0
     resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
     try:
-        switch.start(path, PLATE, LINK)
+        switch.start(path, ORIGIN)
         while (now := switch.current) is not None and now.failure is None:
             assert time.monotonic() < deadline
             switch.tap(Received(at(put), random.randbytes(100_000)))
@@ -264,7 +268,7 @@ def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> N
     assert summary.failure == said
     assert summary.events + summary.events_missing == put + 1
     assert summary.events_missing >= 1
-    switch.start(tmp_path / "next.mcap", PLATE, LINK)
+    switch.start(tmp_path / "next.mcap", ORIGIN)
     assert switch.current is not None
     assert switch.current.failure is None
     switch.close()
@@ -275,14 +279,14 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 ) -> None:
     making, made = threading.Event(), threading.Event()
 
-    def slowly(path: Path, plate: Plate, link: str) -> Recorder:
+    def slowly(path: Path, origin: Origin, *, say: object) -> Recorder:
         making.set()
         assert made.wait(DEADLINE_S)
-        return Recorder(path, plate, link)
+        return Recorder(path, origin)
 
     monkeypatch.setattr(recording_switch, "Recorder", slowly)
     switch = RecordingSwitch()
-    starter = threading.Thread(target=switch.start, args=(tmp_path / "run.mcap", PLATE, LINK))
+    starter = threading.Thread(target=switch.start, args=(tmp_path / "run.mcap", ORIGIN))
     starter.start()
     try:
         assert making.wait(DEADLINE_S)
@@ -305,7 +309,7 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
     assert switch._kept is not None
     switch.tap(Received(at(4), bytes(1_000)))
     assert switch._kept is None
-    switch.start(path, PLATE, LINK)
+    switch.start(path, ORIGIN)
     switch.tap(Received(at(5), bytes(7)))
     switch.tap(standing)
     switch.tap(Tended(at(6), idle=True))
@@ -325,7 +329,7 @@ def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None
         for event in received:
             switch.tap(event)
     path = tmp_path / "run.mcap"
-    switch.start(path, PLATE, LINK)
+    switch.start(path, ORIGIN)
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (4, 0)
@@ -340,7 +344,7 @@ def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
     switch.name_board(board)
     for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", standing)):
         switch.tap(before)
-        switch.start(tmp_path / name, PLATE, LINK)
+        switch.start(tmp_path / name, ORIGIN)
         switch.stop()
     assert {name: board_of(tmp_path / name) for name in ("nothing", "away", "there")} == {
         "nothing": None,
@@ -352,8 +356,65 @@ def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
 def test_a_board_that_comes_while_it_is_recorded_is_named(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
-    switch.start(path, PLATE, LINK)
+    switch.start(path, ORIGIN)
     switch.tap(Opened(at(0)))
     switch.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
     switch.stop()
     assert board_of(path) == "T-1"
+
+
+def test_each_file_names_the_board_that_sends_and_has_the_last_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
+    board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
+    there = last_standing(tmp_path)
+    switch = RecordingSwitch()
+    switch.put_state("state/link", 5, b'{"count":1}', SCHEMA)
+    switch.put_state("state/link", 6, b'{"count":2}', SCHEMA)
+    switch.put_message("forces", 6, b'{"count":0}', SCHEMA)  # nothing is recorded yet
+    switch.start(Series(tmp_path, "left", file_max_ns=1), ORIGIN)
+    switch.put_message("forces", 7, b'{"count":3}', SCHEMA)
+    switch.name_board(board)
+    for ms in range(2):
+        switch.tap(there._replace(now=at(ms)))
+    switch.tap(standing(at(2)))
+    switch.stop()
+    seen = []
+    for path in Series(tmp_path, "left").files():
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            named = [item.metadata["serial_number"] for item in reader.iter_metadata() if item.name == "board"]
+            told = [
+                (channel.topic, schema.name, json.loads(schema.data), channel.message_encoding, message.log_time,
+                 json.loads(message.data)["count"])
+                for schema, channel, message in reader.iter_messages(topics=["state/link", "forces"])
+                if schema is not None
+            ]  # fmt: skip
+        seen.append((named, sorted(told, key=str)))
+    state = ("state/link", "Count", SCHEMA, "json", 6, 2)
+    forces = ("forces", "Count", SCHEMA, "json", 7, 3)
+    assert seen == [(["T-1"], [forces, state]), (["T-1"], [state]), ([], [state])]
+
+
+def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp_path: Path) -> None:
+    options, link = pseudo_terminal(tmp_path / "board", "unplug_at_s=1.2,unplug_for_s=0.3")
+    series = Series(tmp_path / "recordings", "left", file_max_ns=400_000_000)
+    with emulated(options), listening(link) as (it, switch):
+        it.wait_for_frames(100)
+        switch.start(series, Origin(PLATE, str(link)))
+        it.wait_for(lambda arrivals: bool(gaps(arrivals)))
+        wait_for_frames(it, 700)
+        switch.stop()
+        it.take_the_rest()
+    by_index = {frame.index: frame for frame in frames(it.arrivals)}
+    seen = []
+    for path in series.files():
+        arrivals, _, differences = replayed(path)
+        assert differences == 0
+        assert isinstance(read(path)[0][0], Standing)
+        seen += frames(arrivals)
+    assert len(series.files()) >= 4
+    assert all(same(frame, by_index[frame.index]) for frame in seen)
+    assert [frame.index for frame in seen] == [index for index in by_index if seen[0].index <= index <= seen[-1].index]
+    assert len(seen) > 1200

@@ -1,0 +1,156 @@
+"""One file of a recording while it is being written."""
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from resonator_daemon.acquisition.frames import BoardOnline
+from resonator_daemon.acquisition.recording_file import (
+    BOARD,
+    ENCODING,
+    JSON_ENCODING,
+    JSON_SCHEMA_ENCODING,
+    MARK_SCHEMA,
+    MARK_SCHEMA_DATA,
+    MARKS,
+    PROFILE,
+    RECORDING,
+    TOPIC,
+    Mark,
+    Origin,
+    encode_mark,
+)
+from resonator_daemon.acquisition.wire_events import Skipped, WireEvent, encode
+from resonator_daemon.errors import OperatorError
+
+CHUNK_BYTES: Final = 256 << 10  # compressed at once: about a millisecond
+
+_TOML: Final = "application/toml"
+
+
+class Published(NamedTuple):
+    """A message that was published, as JSON; `topic` is its path below the plate's name."""
+
+    topic: str
+    utc_ns: int
+    payload: bytes
+    schema: Mapping[str, Any]
+
+
+class RecordingWriter:
+    """A file that is being written; what it says of itself is in the kernel's hands once it is made.
+
+    For one thread. A lock (flock) on the file tells other programs that it is being written.
+
+    Parameters
+    ----------
+    path
+        The file to be made.
+    origin
+        Written into its beginning.
+    utc_ns
+        Now.
+
+    Raises
+    ------
+    OperatorError
+        It cannot be made, or is there already.
+    """
+
+    def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:
+        self.path = path
+        self.begun = False  # it has an event that a replay can begin with
+        self.begun_ns = 0  # monotonic, of its first event
+        self._channels: dict[str, int] = {}
+        self._file = _made(path)
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        try:
+            self._begin(origin, utc_ns)
+        except OSError as error:
+            self.abandon()
+            path.unlink(missing_ok=True)  # nothing is in it
+            raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
+
+    @property
+    def size_bytes(self) -> int:
+        """What is written, without the chunk that is being filled."""
+        return self._file.tell()
+
+    def write(self, event: WireEvent) -> None:
+        now = event.now
+        self._writer.add_message(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
+        if not self.begun and not isinstance(event, Skipped):
+            self.begun, self.begun_ns = True, now.monotonic_ns
+
+    def mark(self, mark: Mark) -> None:
+        channel = self._json_channel(MARKS, MARK_SCHEMA, MARK_SCHEMA_DATA)
+        self._writer.add_message(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns)
+
+    def publish(self, message: Published) -> None:
+        title = str(message.schema.get("title", message.topic))
+        channel = self._json_channel(message.topic, title, message.schema)
+        self._writer.add_message(channel, message.utc_ns, message.payload, message.utc_ns)
+
+    def name_board(self, board: BoardOnline) -> None:
+        identity = board.identity
+        self._writer.add_metadata(
+            BOARD,
+            {
+                "product": identity.product,
+                "serial_number": identity.serial_number,
+                "firmware": identity.firmware,
+                "boot_id": f"{board.boot_id:08x}",
+            },
+        )
+
+    def flush(self) -> None:
+        """Hand what was written to the kernel."""
+        self._writer.flush()
+
+    def finish(self) -> None:
+        """Write the end of the file; `sync` is to follow."""
+        self._writer.finish()
+        self._file.flush()
+
+    def sync(self) -> None:
+        """Wait until the medium has the file, and close it."""
+        with self._file:
+            os.fsync(self._file.fileno())
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        with suppress(OSError):  # it tries once more to write what it could not
+            self._file.close()
+
+    def _begin(self, origin: Origin, utc_ns: int) -> None:
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        metadata = origin.metadata
+        self._writer.start(PROFILE, f"resonatord {metadata['version']}")
+        self._writer.add_metadata(RECORDING, metadata)
+        for name, text in origin.attachments.items():  # outside of chunks, so that a file that was cut has them
+            self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
+        self._wire = self._writer.register_channel(TOPIC, ENCODING, schema_id=0)
+        self._writer.flush()
+
+    def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
+        if topic not in self._channels:
+            schema_id = self._writer.register_schema(name, JSON_SCHEMA_ENCODING, json.dumps(schema).encode())
+            self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
+        return self._channels[topic]
+
+
+def _made(path: Path) -> IO[bytes]:
+    try:
+        return path.open("xb")
+    except FileExistsError as error:
+        remedy = "name a file in it" if path.is_dir() else "and nothing is overwritten; name another file"
+        raise OperatorError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
+    except OSError as error:
+        raise OperatorError(f"{path} cannot be written: {error.strerror}") from error

@@ -1,0 +1,218 @@
+"""`resonatord repair`: what is whole of a recording is copied, what is not is said, and the original stays."""
+
+import fcntl
+import json
+from pathlib import Path
+from random import Random
+
+import pytest
+from mcap.reader import make_reader
+
+from resonator_daemon import cli
+from resonator_daemon.acquisition import recording
+from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_file import Mark, Origin, open_recording
+from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent
+from resonator_daemon.plate import load_plate
+from resonator_daemon.repair import RepairError, repaired
+
+ORIGIN = Origin(load_plate("quartz16"), "tcp://board:1", name="left", plate_text="a = 1\n", settings_text="b = 2\n")
+SCHEMA = {"title": "Count", "type": "object"}
+
+
+def at(ms: int) -> HostTime:
+    return HostTime(10**9 + ms * 10**6, 1_789_000_000 * 10**9, 0)
+
+
+@pytest.fixture
+def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[WireEvent]]:
+    """A whole recording of some chunks, and its events."""
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # so that the same is in each chunk
+    random = Random(1)
+    path = tmp_path / "run.mcap"
+    events: list[WireEvent] = [Received(at(ms), random.randbytes(60_000)) for ms in range(30)]
+    with Recorder(path, ORIGIN) as recorder:
+        recorder.mark(Mark(at(0), "begun"))
+        recorder.put_message("forces", 5, b'{"count":1}', SCHEMA)
+        for event in [*events, Closed(at(30))]:
+            recorder.put(event)
+    return path, [*events, Closed(at(30))]
+
+
+def read(path: Path) -> tuple[list[WireEvent], str | None]:
+    with open_recording(str(path), ORIGIN.plate) as it:
+        return list(it.events()), it.damage
+
+
+def chunks(path: Path) -> list[tuple[int, int]]:
+    """Where chunks begin, and their sizes."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    return [(chunk.chunk_start_offset, chunk.chunk_length) for chunk in summary.chunk_indexes]
+
+
+def test_what_was_cut_off_is_copied_and_whole(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    whole = path.read_bytes()
+    begin, size = chunks(path)[3]
+    cut = whole[: begin + size // 2]
+    path.write_bytes(cut)
+    copy = tmp_path / "copy.mcap"
+    done = repaired(path, copy)
+    assert path.read_bytes() == cut
+    assert read(copy) == (written[: done.events], None)
+    assert (done.holes, done.events_missing) == (0, 0)
+    assert size // 2 <= done.cut_bytes < size // 2 + 60
+    assert 10 < done.events < 20
+    assert done.last_event_utc_ns == at(done.events - 1).utc_ns
+    with open_recording(str(copy)) as it:
+        assert (it.header["name"], it.plate_text, it.settings_text) == ("left", "a = 1\n", "b = 2\n")
+    with copy.open("rb") as file:  # as any reader of such files, by its index
+        reader = make_reader(file)
+        topics = {channel.topic for _, channel, _ in reader.iter_messages()}
+        summary = reader.get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.attachment_count == 2
+    assert topics == {"wire", "marks", "forces"}
+    assert repaired(copy, tmp_path / "again.mcap").was_whole
+
+
+def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    whole = path.read_bytes()
+    first, _ = chunks(path)[0]
+    copy = tmp_path / "copy.mcap"
+    for cut in (first, first + 1, len(whole) - 1, *Random(2).sample(range(first, len(whole)), 30)):
+        path.write_bytes(whole[:cut])
+        before = read(path)[0]
+        done = repaired(path, copy)
+        assert read(copy) == (before, None)
+        assert before == written[: done.events]
+        assert not done.ended
+        assert done.cut_bytes <= cut - first
+        copy.unlink()
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
+    made: tuple[Path, list[WireEvent]], tmp_path: Path, number: int
+) -> None:
+    path, written = made
+    begin, size = chunks(path)[number]
+    bent = bytearray(path.read_bytes())
+    bent[begin + size // 2] ^= 4
+    path.write_bytes(bent)
+    assert read(path)[1] is not None
+    copy = tmp_path / "copy.mcap"
+    done = repaired(path, copy)
+    events, damage = read(copy)
+    assert damage is None
+    assert (done.holes, done.cut_bytes) == (1, 0)
+    assert done.events + done.events_missing == len(written)
+    assert 4 <= done.events_missing <= 6
+    (word,) = [event for event in events if isinstance(event, Skipped)]
+    place = events.index(word)
+    assert events[:place] + events[place + 1 :] == written[:place] + written[place + word.events :]
+    assert (word.events, word.now) == (done.events_missing, events[place + 1].now)
+
+
+def test_after_a_damaged_length_nothing_can_be_told(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    begin, _ = chunks(path)[2]
+    bent = bytearray(path.read_bytes())
+    bent[begin + 8] ^= 64  # the highest byte of the length
+    path.write_bytes(bent)
+    done = repaired(path, tmp_path / "copy.mcap")
+    assert done.cut_bytes == len(bent) - begin
+    assert read(tmp_path / "copy.mcap") == (written[: done.events], None)
+
+
+def test_zeros_that_a_power_failure_left_are_cut(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    begin, _ = chunks(path)[2]
+    path.write_bytes(path.read_bytes()[:begin] + bytes(9_999))
+    done = repaired(path, tmp_path / "copy.mcap")
+    assert done.cut_bytes == 9_999
+    assert read(tmp_path / "copy.mcap") == (written[: done.events], None)
+
+
+def test_no_bit_that_flips_makes_an_event(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    whole = path.read_bytes()
+    copy = tmp_path / "copy.mcap"
+    random = Random(3)
+    for _ in range(40):
+        bent = bytearray(whole)
+        bent[random.randrange(len(bent))] ^= 1 << random.randrange(8)
+        path.write_bytes(bent)
+        try:
+            done = repaired(path, copy)
+        except RepairError:
+            continue
+        if not done.was_whole:
+            events = [event for event in read(copy)[0] if not isinstance(event, Skipped)]
+            assert [event for event in written if event in events] == events
+            copy.unlink()
+
+
+def test_a_whole_file_is_not_copied(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
+    path, written = made
+    assert cli.main(["repair", str(path), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert err == f"{path} is whole: nothing to repair\n"
+    told = json.loads(out)
+    assert (told["ok"], told["output"], told["events"], told["cut_bytes"]) == (True, None, len(written), 0)
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
+    path, _ = made
+    path.write_bytes(path.read_bytes()[:-1])
+    assert cli.main(["repair", str(path)]) == 0
+    copy = path.with_name("run-repaired.mcap")
+    out, err = capsys.readouterr()
+    assert out == ""
+    left_out = "its end is missing, and its last 7 bytes are left out"
+    assert err == f"{path}: {left_out}; {copy} has 31 events up to 2026-09-10T00:26:41.030Z\n"
+    assert cli.main(["repair", str(path), "--json"]) == 1  # the copy is there
+    out, err = capsys.readouterr()
+    assert err == f"resonatord: {copy} is there already, and nothing is overwritten; name another file with --output\n"
+    assert json.loads(out)["error"]["code"] == "not_repaired"
+    assert cli.main(["repair", str(path), "--output", str(path)]) == 1
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, _ = made
+    with pytest.raises(RepairError, match="No such file"):
+        repaired(tmp_path / "none.mcap", tmp_path / "copy.mcap")
+    with pytest.raises(RepairError, match="is no regular file"):
+        repaired(tmp_path, tmp_path / "copy.mcap")
+    (tmp_path / "text").write_text("Dear diary" * 100)
+    with pytest.raises(RepairError, match="is no recording, or nothing of it was written"):
+        repaired(tmp_path / "text", tmp_path / "copy.mcap")
+    with pytest.raises(RepairError, match="cannot be written: No such file or directory"):
+        repaired(path, tmp_path / "none" / "copy.mcap")
+    with path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with pytest.raises(RepairError, match="is being written; stop that first"):
+            repaired(path, tmp_path / "copy.mcap")
+    assert not (tmp_path / "copy.mcap").exists()
+
+
+def test_a_disk_without_room_leaves_no_half_of_a_copy(
+    made: tuple[Path, list[WireEvent]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = made
+    path.write_bytes(path.read_bytes()[:-1])
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("resonator_daemon.repair.os.fsync", full)
+    with pytest.raises(RepairError, match=r"copy\.mcap cannot be written: No space left on device"):
+        repaired(path, tmp_path / "copy.mcap")
+    assert not (tmp_path / "copy.mcap").exists()
