@@ -148,6 +148,9 @@ class PacketDecoder:
         accepted_bytes = 0
         position, end = 0, len(buffer)
         while True:
+            if position == end:
+                wanted_bytes = 0
+                break
             if end - position < _HEADER_BYTES:
                 start = self._next_start(buffer, position)
                 if start != position:

@@ -54,16 +54,16 @@ class FrameIntake:
         LinkLostError
             Its clock jumped.
         """
-        frames: list[Frame] | list[AssembledFrame]
         match event:
             case Frame() if self._single_tone:
-                frames = [event]
+                whole = self._put(event, clock, boot_id, now)
+                return [] if whole is None else [whole]
             case FramePart() if not self._single_tone:
                 frames = self._assembler.add(event)
+                return [taken for frame in frames if (taken := self._put(frame, clock, boot_id, now)) is not None]
             case _:
                 self._account.messages_malformed += 1  # of the other kind of counter
                 return []
-        return [taken for frame in frames if (taken := self._put(frame, clock, boot_id, now)) is not None]
 
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
         """Take the frame that has begun as it is: no more of it will come. Raises nothing."""

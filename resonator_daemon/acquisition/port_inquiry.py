@@ -19,7 +19,14 @@ _POLL_S = 0.01
 
 
 class NoBoardError(Exception):
-    """Nothing on the link gives a board's answers; the text says what came instead."""
+    """Nothing on the link gives a board's answers; the text says what came instead.
+
+    `is_a_board` tells whether it spoke this wire all the same: another version of it, or a refusal.
+    """
+
+    def __init__(self, text: str, *, is_a_board: bool = False) -> None:
+        super().__init__(text)
+        self.is_a_board = is_a_board
 
 
 class TickRate(NamedTuple):
@@ -97,7 +104,7 @@ class _Inquirer:
         while self._described is None or self._pings < _PINGS or not self._blink_answered:
             now = time.monotonic()
             if self._described is None and now - begun > _ANSWER_S:
-                raise NoBoardError(self._silence())
+                raise self._no_board()
             if self._described is not None and now - begun > 2 * _ANSWER_S:
                 break  # who it is is known; the rest was not answered in time
             if self._described is not None and now >= next_ping and self._pings < _PINGS:
@@ -115,7 +122,7 @@ class _Inquirer:
             for event in self._session.receive(received):
                 self._take(event, received_ns)
         if self._described is None:
-            raise NoBoardError(self._silence())
+            raise self._no_board()
         return Inquiry(
             self._described,
             tuple(_round_trip_ns(exchange) * 1e-9 for exchange in self._exchanges),
@@ -150,10 +157,15 @@ class _Inquirer:
             case ForeignVersion():
                 raise NoBoardError(
                     f"the board speaks protocol {event.major}, this program speaks {PROTOCOL_MAJOR}.{PROTOCOL_MINOR}: "
-                    "update the firmware or this program"
+                    "update the firmware or this program",
+                    is_a_board=True,
                 )
             case Refusal():
-                raise NoBoardError(f"the board refuses to say who it is: {event.text}")
+                raise NoBoardError(f"the board refuses to say who it is: {event.text}", is_a_board=True)
+
+    def _no_board(self) -> NoBoardError:
+        received = self._session.bytes
+        return NoBoardError(self._silence(), is_a_board=received.accepted > 0 and not received.own_direction)
 
     def _silence(self) -> str:
         received = self._session.bytes.received

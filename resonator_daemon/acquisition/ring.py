@@ -47,12 +47,16 @@ class Ring:
             if self._bytes > self._limit_bytes:
                 self._make_room()
         count = frame.index + 1
-        if any(count % step == 0 for step in self.step_frames):
-            self._wake()
+        for step in self.step_frames:
+            if count % step == 0:
+                self._wake()
+                break
 
     def take(self) -> list[Arrival]:
         """Return and remove all that is there."""
         with self._lock:
+            if not self._items and not self._ahead:
+                return []
             ahead, self._ahead = self._ahead, []
             items, self._items = self._items, deque()
             self._bytes = 0

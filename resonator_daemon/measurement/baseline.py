@@ -34,11 +34,15 @@ class CommonMode:
         self.expect(reading_std)
         self._floor_variance = floor_std**2
         self._walks = RandomWalks(channels)
-        self._count = [0] * channels
+        self._count_none(channels)
 
     def reset(self) -> None:
         self._walks.reset()
-        self._count = [0] * len(self._count)
+        self._count_none(len(self._count))
+
+    def _count_none(self, channels: int) -> None:
+        self._count = [0] * channels
+        self._learnt = [False] * channels
 
     def expect(self, reading_std: float) -> None:
         """Take the noise of the readings from here, as of another window; what was learnt stays."""
@@ -65,8 +69,11 @@ class CommonMode:
     def _measure(self, readings: Sequence[float], worth: int) -> None:
         reading = self._array(readings)
         heard = ~np.isnan(reading)
+        if not heard.any():
+            return
         self._walks.measure(reading, self._reading_variance, heard)
         self._count = [count + worth * int(h) for count, h in zip(self._count, heard, strict=True)]
+        self._learnt = [count >= self._needed for count in self._count]
 
     def _array(self, readings: Sequence[float]) -> FloatArray:
         if len(readings) != len(self._count):
@@ -75,18 +82,19 @@ class CommonMode:
 
     @property
     def known(self) -> bool:
-        return sum(count >= self._needed for count in self._count) >= min(KNOWN_CHANNELS, len(self._count))
+        return sum(self._learnt) >= min(KNOWN_CHANNELS, len(self._learnt))
 
     @property
     def value(self) -> tuple[float, ...]:
         """Return g per channel; NaN where and until it is not known."""
-        known = [self.known and count >= self._needed for count in self._count]
-        return tuple(float(g) if k else math.nan for g, k in zip(self._walks.mean, known, strict=True))
+        if not self.known:
+            return (math.nan,) * len(self._learnt)
+        return tuple(g if k else math.nan for g, k in zip(self._walks.mean.tolist(), self._learnt, strict=True))
 
     @property
     def std(self) -> float:
         """What `value` may be off by, relative, in common on all channels; NaN until known."""
         if not self.known:
             return math.nan
-        known = np.array(self._count) >= self._needed
-        return math.sqrt(float(self._walks.variance[known].max()) + self._floor_variance)
+        known = (v for v, k in zip(self._walks.variance.tolist(), self._learnt, strict=True) if k)
+        return math.sqrt(max(known) + self._floor_variance)

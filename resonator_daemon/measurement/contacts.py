@@ -3,9 +3,8 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Final, Literal
-
-import numpy as np
 
 from resonator_daemon.measurement.force import FloatArray
 from resonator_daemon.measurement.matching import SiteForce
@@ -124,16 +123,16 @@ class ContactTracker:
         if not touches or not self._open:
             return {}
         contacts = list(self._open.values())
-        place = np.array([touch.position_m for touch in touches])
-        before = np.array([contact.touch.position_m for contact in contacts])
-        distance_m = np.hypot(*(place[:, None] - before).transpose(2, 0, 1))
+        pairs = [
+            (distance_m, index, contact.id)
+            for index, touch in enumerate(touches)
+            for contact in contacts
+            if (distance_m := math.dist(touch.position_m, contact.touch.position_m)) <= self._reach_m
+        ]
         taken: dict[int, int] = {}
-        for flat in np.argsort(distance_m, axis=None, kind="stable"):
-            index, which = divmod(int(flat), len(contacts))
-            if distance_m[index, which] > self._reach_m:
-                break
-            if index not in taken and contacts[which].id not in taken.values():
-                taken[index] = contacts[which].id
+        for _, index, number in sorted(pairs, key=itemgetter(0)):
+            if index not in taken and number not in taken.values():
+                taken[index] = number
         return taken
 
     def _take(self, board_ticks: int, touch: Touch, number: int | None) -> list[ContactEvent]:
@@ -150,12 +149,9 @@ class ContactTracker:
         if math.isnan(at_least):
             self._open[number] = replace(before, touch=touch)
             return []
-        self._open[number] = replace(
-            before,
-            touch=touch,
-            peak_newton=max(before.peak_newton, at_least),
-            duration_ticks=board_ticks - before.since_ticks,
-        )
+        peak_newton = max(before.peak_newton, at_least)
+        duration_ticks = board_ticks - before.since_ticks
+        self._open[number] = Contact(number, touch, peak_newton, before.since_ticks, duration_ticks)
         if newton < RELEASE_NEWTON:
             return [self._release(number, board_ticks, f"below {RELEASE_NEWTON:g} N")]
         return []

@@ -18,6 +18,7 @@ give it, to compare with. Means of frequencies are none of these: they throw awa
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple, Self
 
 from firmware_protocol.layouts import SingleToneRecord
@@ -69,28 +70,30 @@ def merge(parts: Iterable[Sums]) -> Sums:
     Second differences across the seams are not in the parts and stay out of `q2_ticks2`. Counters may wrap between any
     two parts. Raises ValueError where a part does not continue the one before it.
     """
-    rest = iter(parts)
-    first = next(rest)
-    stamps, span, s1, s2 = first.stamps, first.span_ticks, first.s1_ticks, first.s2_ticks
-    q2, differences = first.q2_ticks2, first.second_differences
-    previous = first
-    for part in rest:
+    checked = list(parts)
+    for previous, part in pairwise(checked):
         if not continues(previous, part):
             raise ValueError(
                 f"part at edge {part.first_edge} does not continue the one at edge {previous.first_edge}: "
                 f"{previous.stamps} stamps, stride {previous.stride_edges}"
             )
+    return merge_adjacent(checked)
+
+
+def merge_adjacent(parts: Iterable[Sums]) -> Sums:
+    """Add up as `merge` parts of which each is known to continue the one before it."""
+    rest = iter(parts)
+    first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences = next(rest)
+    for _, part_ticks, count, _, part_span, part_s1, part_s2, part_q2, part_differences in rest:
         # Distance of the two first stamps: the gap after the last one is below a wrap, the whole need not be.
-        offset = span + ((part.first_ticks - first.first_ticks - span) & WRAP_MASK)
-        count = part.stamps
-        s2 += part.s2_ticks + stamps * part.s1_ticks + offset * (count * (count - 1) // 2) + stamps * count * offset
-        s1 += part.s1_ticks + count * offset
-        span = offset + part.span_ticks
+        offset = span + ((part_ticks - first_ticks - span) & WRAP_MASK)
+        s2 += part_s2 + stamps * part_s1 + offset * (count * (count - 1) // 2) + stamps * count * offset
+        s1 += part_s1 + count * offset
+        span = offset + part_span
         stamps += count
-        q2 += part.q2_ticks2
-        differences += part.second_differences
-        previous = part
-    return Sums(first.first_edge, first.first_ticks, stamps, first.stride_edges, span, s1, s2, q2, differences)
+        q2 += part_q2
+        differences += part_differences
+    return Sums(first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences)
 
 
 def pi_frequency_hz(sums: Sums, reference_hz: float) -> float:

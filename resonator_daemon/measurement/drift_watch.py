@@ -40,15 +40,18 @@ class DriftWatch:
 
         Returns how the baseline drifts, "" while it does not.
         """
-        now = np.array((*common_mode, _SHIFT_PER_KELVIN * plate_kelvin), np.float64)
-        if np.isnan(now).all():
+        told = (*common_mode, _SHIFT_PER_KELVIN * plate_kelvin)
+        if all(map(math.isnan, told)):
             self.reset()
             return ""
+        if self._seen and 0 <= time_s - self._seen[-1][0] < _EVERY_S:
+            return self._told
+        now = np.array(told, np.float64)
         if self._seen:
             last_s, last = self._seen[-1]
             if time_s < last_s:
                 self.reset()
-            elif time_s - last_s < _EVERY_S or np.array_equal(now, last, equal_nan=True):
+            elif np.array_equal(now, last, equal_nan=True):
                 return self._told
         self._seen.append((time_s, now))
         while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:

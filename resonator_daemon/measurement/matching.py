@@ -216,7 +216,7 @@ class Matcher:
 
     def _best(self, readings: Channels) -> _Best:
         """Fit one site on all channels."""
-        used = np.count_nonzero(readings.inverse_variance, axis=1)
+        used = readings.used.sum(axis=1)
         best = _Best(
             np.full(len(used), REJECTED, dtype=np.int8),
             np.full(len(used), -1),

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.measurement.counting import Sums
 from resonator_daemon.measurement.force import FloatArray
 
 RESIDUAL_LIMIT: Final = 8.0  # times what noise and pilot explain: beyond all of 22 000 windows of single touches
@@ -23,12 +22,10 @@ ORDER: Final = 3
 WHITE_GAIN: Final = 20.0  # of variance by third differences of white noise: 1 + 9 + 9 + 1
 
 
-def end_residual_ticks2(sums: Sums) -> float:
-    """Mean square of what the regression line leaves of the first and the last stamp."""
-    stamps = sums.stamps
-    slope = 6 * (2 * sums.s2_ticks - (stamps - 1) * sums.s1_ticks) / (stamps * (stamps * stamps - 1))
-    middle, half = sums.s1_ticks / stamps, slope * (stamps - 1) / 2
-    return ((middle - half) ** 2 + (sums.span_ticks - middle - half) ** 2) / 2
+def end_residual_ticks2(stamps: int, span_ticks: int, s1_ticks: int, slope_ticks: float) -> float:
+    """Mean square of what the regression line, of `slope_ticks` per stamp, leaves of the first and the last stamp."""
+    middle, half = s1_ticks / stamps, slope_ticks * (stamps - 1) / 2
+    return ((middle - half) ** 2 + (span_ticks - middle - half) ** 2) / 2
 
 
 def pilot_residual_ticks2(ratio: FloatArray, frequency_hz: FloatArray, reference_hz: float) -> FloatArray:
@@ -70,7 +67,9 @@ def beat_std_hz(gate_hz: FloatArray, gate_std_hz: FloatArray) -> FloatArray:
     gates = gate_hz.shape[1]
     if gates < GATES_MIN:
         return np.zeros(len(gate_hz))
-    differences = np.diff(gate_hz, ORDER, axis=1)
+    differences = gate_hz
+    for _ in range(ORDER):
+        differences = differences[:, 1:] - differences[:, :-1]
     scatter_hz2 = np.einsum("ck,ck->c", differences, differences) / (WHITE_GAIN * differences.shape[1])
     std: FloatArray = np.sqrt(np.maximum(scatter_hz2 - gate_std_hz**2, 0.0)) / gates**2
     return std

@@ -80,7 +80,9 @@ def stamp_jitter_ticks(sums: Sums) -> float:
     jitter_ticks2 = 0.0
     for _ in range(JITTER_STEPS):
         rounding_ticks2 = QUANTISATION_TICKS2 + surplus_ticks2 * math.exp(-4.0 * math.pi**2 * jitter_ticks2)
-        jitter_ticks2 = max(least_ticks2 - rounding_ticks2, 0.0)
+        before_ticks2, jitter_ticks2 = jitter_ticks2, max(least_ticks2 - rounding_ticks2, 0.0)
+        if jitter_ticks2 == before_ticks2:
+            break
     return math.sqrt(jitter_ticks2)
 
 

@@ -1,10 +1,11 @@
-"""Records of a counter that give no frequency, and why: what the board says of them, and sums that no tone has."""
+"""A counter's record to what one gate tells; or why it tells nothing: the board says so, or no tone has such sums."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
-from resonator_daemon.measurement.counting import FREQUENCY_JUMP, Sums, stamp_std_ticks
+from resonator_daemon.measurement.counting import FREQUENCY_JUMP, QUANTISATION_TICKS2, Sums
+from resonator_daemon.measurement.other_tones import end_residual_ticks2
 
 STAMPS_MIN: Final = 3  # two give a slope but say nothing about their noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
@@ -20,29 +21,43 @@ _FLAG_FAULTS: Final = (
 _UNUSABLE: Final = sum(int(flag) for flag, _ in _FLAG_FAULTS)
 
 
-def fault(record: SingleToneRecord) -> str | None:
-    """Why a record gives no frequency: the board says so, or no steady tone has such sums; None where it does."""
-    if record.flags & _UNUSABLE:
-        return next(name for flag, name in _FLAG_FAULTS if record.flags & flag)
-    stamps, span = record.stamps, record.span_ticks
-    if stamps < STAMPS_MIN or record.stride_edges == 0 or span < stamps - 1:
+class Gate(NamedTuple):
+    """One gate of one channel: its sums, frequency by regression, and what the line leaves of its ends, mean square."""
+
+    sums: Sums
+    frequency_hz: float
+    residual_ticks2: float
+
+
+def read_gate(record: SingleToneRecord, reference_hz: float) -> Gate | str:
+    """Return what a record tells, or why it gives no frequency: the board says so, or no steady tone has such sums."""
+    # Four times a frame: one slope serves the checks, the frequency as `counting.frequency_hz` has it and the residual;
+    # tuples are made without the detour of their classes.
+    new_tuple = tuple.__new__
+    first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, _, flags = record
+    if flags & _UNUSABLE:
+        return next(name for flag, name in _FLAG_FAULTS if flags & flag)
+    if stamps < STAMPS_MIN or stride_edges == 0 or span < stamps - 1:
         return "impossible_counts"
     # On the line through the end points S1 = N u / 2 and S2 = N (2N - 1) u / 6.
     slack = span // LINE_TOLERANCE + 1
-    if abs(2 * record.s1_ticks - stamps * span) > 2 * stamps * slack:
+    if abs(2 * s1 - stamps * span) > 2 * stamps * slack:
         return "impossible_counts"
-    if abs(6 * record.s2_ticks - stamps * (2 * stamps - 1) * span) > 3 * stamps * (stamps - 1) * slack:
+    if abs(6 * s2 - stamps * (2 * stamps - 1) * span) > 3 * stamps * (stamps - 1) * slack:
         return "impossible_counts"
     # Regression and end points give one frequency but for noise and the chirp of a press.
-    slope_numerator = 6 * (2 * record.s2_ticks - (stamps - 1) * record.s1_ticks)
+    slope_numerator = 6 * (2 * s2 - (stamps - 1) * s1)
     if slope_numerator <= 0:
         return "impossible_counts"
-    slope = slope_numerator / (stamps * (stamps * stamps - 1))
+    slope_denominator = stamps * (stamps * stamps - 1)
+    slope = slope_numerator / slope_denominator
     end_points = span / (stamps - 1)
-    sums = Sums.of(record)
-    noise_ticks = math.sqrt(2.0) * stamp_std_ticks(sums)
+    differences = stamps - 2
+    noise_ticks = math.sqrt(2.0) * math.sqrt(max(q2 / (6 * differences), QUANTISATION_TICKS2))
     if noise_ticks > end_points:
         return "impossible_counts"  # stamps that scatter by more than their distance are not in order
     if abs(slope / end_points - 1.0) > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
         return "impossible_counts"
-    return None
+    sums = new_tuple(Sums, (first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences))
+    gate_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
+    return new_tuple(Gate, (sums, gate_hz, end_residual_ticks2(stamps, span, s1, slope)))

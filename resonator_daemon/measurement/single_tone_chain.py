@@ -3,8 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from resonator_daemon.measurement.other_tones import (
 from resonator_daemon.measurement.overload_latch import OverloadLatch
 from resonator_daemon.measurement.quantisation import EXCESS_LIMIT, STAMPS_MIN, excess_bound, stamp_jitter_ticks
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.measurement.record_faults import Gate
 from resonator_daemon.measurement.site_errors import SiteErrors
 from resonator_daemon.measurement.sliding_window import SlidingWindow
 
@@ -35,6 +35,9 @@ UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
 CROWDED_FRAMES: Final = 3
 EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
+
+
+_NO_GATE: Final = Gate(Sums(0, 0, 0, 0, 0, 0, 0, 0, 0), math.nan, math.nan)
 
 
 class _Counted(NamedTuple):
@@ -168,10 +171,12 @@ class SingleToneChain:
                 window.restart()
         self._last = sequence, board_ticks
         for channel, (window, record) in enumerate(zip(self._windows, records, strict=True)):
-            fault = window.push(record)
             self._attenuation_db[channel] = record.attenuation_db256 / 256.0
-            self._crowded[channel] = self._crowded[channel] + 1 if fault == "capture_switch" else 0
-            if fault is not None:
+            fault = window.push(record)
+            if fault is None:
+                self._crowded[channel] = 0
+            else:
+                self._crowded[channel] = self._crowded[channel] + 1 if fault == "capture_switch" else 0
                 self.unusable[fault] += 1
         at_step = (sequence + 1) % self._step_frames == 0
         reading = None
@@ -182,7 +187,7 @@ class SingleToneChain:
 
     def _tone_has_changed(self) -> bool:
         """Tell whether a channel has heard another tone, or its own anew, for just as long as tells of a touch."""
-        return any(0 <= len(window.gate_hz) - self._onset_frames <= 1 for window in self._windows)
+        return any(0 <= window.held - self._onset_frames <= 1 for window in self._windows)
 
     def _something_new(self) -> bool:
         """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""
@@ -190,23 +195,22 @@ class SingleToneChain:
             return False
         others = 0
         for window in self._windows:
-            gates = window.gate_hz
-            others += len(gates) >= self._onset_frames and abs(gates[-1] / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
+            if window.held >= self._onset_frames:
+                others += abs(window.last_hz / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
         return others >= 2
 
     def _read(self, sequence: int, board_ticks: int, *, at_step: bool) -> ForceReading:
         # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
-        held = [len(window.gate_hz) for window in self._windows]
+        held = [window.held for window in self._windows]
         frames = min((count for count in held if count >= self._onset_frames), default=self._window_frames)
         sums = [
             window.sums(frames) if count >= frames else None for window, count in zip(self._windows, held, strict=True)
         ]
         heard_hz = [math.nan if s is None else frequency_hz(s, self._reference_hz) for s in sums]
-        pilot = tuple(
-            f / self._pilot_hz - 1 if abs(f / self._pilot_hz - 1) < PILOT_TOLERANCE else math.nan for f in heard_hz
-        )
-        pilots = sum(not math.isnan(g) for g in pilot)
-        tones = sum(not math.isnan(f) for f in heard_hz) - pilots
+        off = [f / self._pilot_hz - 1 for f in heard_hz]
+        pilot = tuple([g if abs(g) < PILOT_TOLERANCE else math.nan for g in off])
+        silent, others = sum(map(math.isnan, heard_hz)), sum(map(math.isnan, pilot))
+        pilots, tones = len(pilot) - others, others - silent
         untouched = tones == 0 and pilots >= 2
         self._follow(board_ticks, pilot, untouched=untouched and frames == self._window_frames)
 
@@ -229,7 +233,8 @@ class SingleToneChain:
         else:
             status, reason = self._silent(tones, pilots)
 
-        forces = tuple(self._complete(force, board_ticks / self._reference_hz, status) for force in forces)
+        time_s = board_ticks / self._reference_hz
+        forces = tuple([self._complete(force, time_s, status) for force in forces])
         positions_m, covariance_m2 = self._sites.positions_m, self._covariance_m2
         touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
@@ -272,23 +277,23 @@ class SingleToneChain:
         frequency = np.where(used, heard_hz, np.nan)
         parts = np.array([_parts(s, f, self._reference_hz) for s, f in zip(sums, heard_hz, strict=True)])
         window_std, interval, jitter, stamps, noise_ticks2 = parts.T
-        excess = np.clip(excess_bound(interval, jitter, stamps), 0.0, EXCESS_CAP)
+        excess = np.minimum(np.maximum(excess_bound(interval, jitter, stamps), 0.0), EXCESS_CAP)
 
-        blank = (math.nan,) * frames
-        rows = [(w, u) for w, u in zip(self._windows, used, strict=True)]
-        gates = np.array([w.gate_hz[-frames:] if u else blank for w, u in rows])
-        residual_ticks2 = np.array([np.mean(w.residual_ticks2[-frames:]) if u else math.nan for w, u in rows])
+        blank = (_NO_GATE,) * frames
+        gates = [w.gates[-frames:] if u else blank for w, u in zip(self._windows, used, strict=True)]
+        gate_hz = np.array([[gate.frequency_hz for gate in held] for held in gates])
+        residual_ticks2 = np.array([[gate.residual_ticks2 for gate in held] for held in gates]).mean(axis=1)
         ratio_db = np.subtract(self._attenuation_db, self._pilot_attenuation_db)
         ratio = np.fmin(10.0 ** (ratio_db / 20.0), 1.0)
         pilot_ticks2 = pilot_residual_ticks2(ratio, frequency, self._reference_hz)
         others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_ticks2)
-        beat_std = beat_std_hz(gates, frequency * window_std * frames**1.5) / frequency
+        beat_std = beat_std_hz(gate_hz, frequency * window_std * frames**1.5) / frequency
         bound_hz = beat_bound_hz(
             residual_ticks2, noise_ticks2, frequency, self._reference_hz, self._distance_hz, frames * self._gate_s
         )
         beat_std = np.fmax(beat_std, np.where(others, bound_hz / frequency, 0.0))
-        std = np.sqrt(window_std**2 * (1.0 + excess) + np.nan_to_num(beat_std) ** 2)
-        rational = tuple(int(channel) for channel in np.flatnonzero(used & (excess > EXCESS_LIMIT)))
+        std = np.sqrt(window_std**2 * (1.0 + excess) + np.where(np.isnan(beat_std), 0.0, beat_std) ** 2)
+        rational = tuple(np.flatnonzero(used & (excess > EXCESS_LIMIT)).tolist())
         return _Counted(frequency / (1.0 + np.array(self._common_mode.value)), std, others, rational)
 
     def _match(self, counted: _Counted, frames: int) -> Match:
@@ -308,14 +313,16 @@ class SingleToneChain:
             np.array([per_shift]),
             time_s,
         )
-        return replace(
-            force,
-            force_newton=float(pressed.force_newton[0]),
-            noise_newton=float(pressed.noise_newton[0]),
-            systematic_newton=float(np.hypot(pressed.systematic_newton, pressed.untold_newton)[0]),
-            status=("possibly_more" if status == "possibly_more" else "ok")
-            if pressed.calibrated[0]
-            else "uncalibrated",
+        worth: Literal["ok", "possibly_more"] = "possibly_more" if status == "possibly_more" else "ok"
+        return SiteForce(
+            force.site,
+            float(pressed.force_newton[0]),
+            float(pressed.noise_newton[0]),
+            float(np.hypot(pressed.systematic_newton, pressed.untold_newton)[0]),
+            worth if pressed.calibrated[0] else "uncalibrated",
+            force.at_least_newton,
+            force.hidden_newton,
+            force.channels,
         )
 
     def _confirmed(self, touches: list[Touch], frames: int) -> list[Touch]:

@@ -141,6 +141,14 @@ def test_a_contact_that_moves_keeps_its_identity_within_the_reach():
     assert tell(contacts, 2, at(2.4, 0), at(2.0, 0), complete=True) == [("release", 1, 0), ("onset", 3, 0)]
 
 
+def test_of_two_touches_within_the_reach_the_nearer_one_is_the_contact():
+    contacts = ContactTracker(TIMEOUT, reach_m=1e-3)
+    tell(contacts, 0, at(0, 0), complete=True)
+    assert tell(contacts, 1, at(0.9, 0), at(-0.2, 0), complete=True) == [("onset", 2, 0)]
+    places_m = {contact.id: contact.touch.position_m for contact in contacts.contacts}
+    assert places_m == {1: at(-0.2, 0).position_m, 2: at(0.9, 0).position_m}
+
+
 def test_closing_releases_every_contact_with_the_reason_given():
     contacts = tracker()
     tell(contacts, 0, force(1.0, 0), force(1.0, 1))

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
+from resonator_daemon.measurement import other_tones
 from resonator_daemon.measurement.counting import Sums
 from resonator_daemon.measurement.other_tones import (
     RESIDUAL_LIMIT,
     beat_std_hz,
-    end_residual_ticks2,
     hears_another_tone,
     pilot_residual_ticks2,
 )
@@ -44,6 +44,12 @@ def sums_of(ticks):
         q2_ticks2=int(curvature @ curvature),
         second_differences=len(offsets) - 2,
     )
+
+
+def end_residual_ticks2(sums):
+    stamps = sums.stamps
+    slope = 6 * (2 * sums.s2_ticks - (stamps - 1) * sums.s1_ticks) / (stamps * (stamps * stamps - 1))
+    return other_tones.end_residual_ticks2(stamps, sums.span_ticks, sums.s1_ticks, slope)
 
 
 def test_end_residuals_are_those_of_a_fitted_line():

@@ -1,10 +1,32 @@
 import pytest
-from brute_force_board import record_of
+from brute_force_board import REFERENCE_HZ, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
-from resonator_daemon.measurement.record_faults import fault
+from resonator_daemon.measurement.counting import Sums, frequency_hz
+from resonator_daemon.measurement.record_faults import Gate, read_gate
 
 GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
+
+
+def fault(record):
+    gate = read_gate(record, REFERENCE_HZ)
+    return None if isinstance(gate, Gate) else gate
+
+
+def test_a_gate_has_the_record_s_sums_and_their_frequency():
+    for step in range(900, 1000):
+        stamps = [step * k + (k % 3 == 0) for k in range(77)]
+        record = record_of(stamps, 4_294_967_000, 10)
+        gate = read_gate(record, REFERENCE_HZ)
+        assert gate.sums == Sums.of(record)
+        assert gate.frequency_hz == frequency_hz(Sums.of(record), REFERENCE_HZ)
+
+
+def test_a_gate_has_what_the_line_leaves_of_its_ends():
+    # The line through 0, 1000, 2000, 3004 at 0, 1, 2, 3 is -0.8 + 1001.2 k.
+    residual_ticks2 = read_gate(record_of([0, 1000, 2000, 3004], 0, 10), REFERENCE_HZ).residual_ticks2
+    assert residual_ticks2 == pytest.approx((0.8**2 + 1.2**2) / 2)
+    assert read_gate(GOOD, REFERENCE_HZ).residual_ticks2 == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_steady_tone_has_no_fault():

@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import pytest
 from brute_force_board import REFERENCE_HZ, Channel
@@ -34,8 +36,9 @@ def test_the_last_gates_of_a_window_are_there_before_it_is_full_and_alone():
     for count, frame in enumerate(frames, 1):
         slide.push(frame)
         held = [Sums.of(f) for f in frames[max(0, count - 4) : count]]
-        assert slide.parts == tuple(held)
-        assert slide.gate_hz == tuple(frequency_hz(part, REFERENCE_HZ) for part in held)
+        assert [gate.sums for gate in slide.gates] == held
+        assert [gate.frequency_hz for gate in slide.gates] == [frequency_hz(part, REFERENCE_HZ) for part in held]
+        assert (slide.held, slide.last_hz) == (len(held), frequency_hz(held[-1], REFERENCE_HZ))
         for last in (1, 2, 3, 4):
             assert slide.sums(last) == (merge(held[-last:]) if last <= len(held) else None)
 
@@ -50,10 +53,11 @@ def test_a_window_that_starts_anew_forgets_the_gates_before():
     slide, frames = window(), frames_of([10e6] * 5)
     for frame in (frames[0], frames[1], frames[4]):
         slide.push(frame)
-    assert slide.parts == (Sums.of(frames[4]),)
-    assert len(slide.gate_hz) == 1
+    assert [gate.sums for gate in slide.gates] == [Sums.of(frames[4])]
     slide.push(SingleToneRecord(*[0] * 10))
-    assert slide.parts == slide.gate_hz == ()
+    assert slide.gates == ()
+    assert slide.held == 0
+    assert math.isnan(slide.last_hz)
     assert slide.sums(1) is None
 
 
