@@ -1,0 +1,78 @@
+"""Where the messages of a replay go: lines of a file, or nowhere."""
+
+import contextlib
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Protocol, Self, TextIO
+
+from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.playback.course import Published
+from resonator_daemon.playback.lines import line
+
+
+class OutputFailedError(OperatorError):
+    """What the messages go to takes no more."""
+
+    exit_code = ExitCode.FAILED
+
+
+class Output(Protocol):
+    """Takes messages in order, between its beginning and its end."""
+
+    async def __aenter__(self) -> Self: ...
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None: ...
+
+    async def put(self, published: Published) -> None: ...
+
+
+class Lines:
+    """One line of JSON for each message, in a new file or on stdout.
+
+    Raises
+    ------
+    ConfigError
+        The file is there already, or cannot be made.
+    OutputFailedError
+        It takes no more.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._closing = contextlib.ExitStack()
+        self._file: TextIO = sys.stdout
+
+    async def __aenter__(self) -> Self:
+        if str(self._path) != "-":
+            try:
+                self._file = self._closing.enter_context(self._path.open("x", encoding="utf-8"))
+            except FileExistsError:
+                raise ConfigError(
+                    f"{self._path} is there already, and nothing is overwritten; name another file"
+                ) from None
+            except OSError as error:
+                raise ConfigError(f"{self._path} cannot be made: {error.strerror}") from error
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        try:
+            self._closing.close()
+        except OSError as failure:
+            if error is None:
+                raise self._failed(failure) from failure
+
+    async def put(self, published: Published) -> None:
+        try:
+            self._file.write(line(published) + "\n")
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: OSError) -> OutputFailedError:
+        return OutputFailedError(f"{self._path}: {error.strerror}; what was written stays")

@@ -1,0 +1,46 @@
+"""What a recording is to be played with: what it carries itself, or a configuration in place of that."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
+from resonator_daemon.config import Config, parse_link
+from resonator_daemon.config_text import config_of, load_plate_text, load_settings_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.playback.course import Playback
+
+UNKNOWN_BOOT_ID: Final = "0" * 16  # of a recording that no daemon made
+
+
+@contextmanager
+def open_playback(path: Path, config: Config | None = None, daemon_boot_id: str | None = None) -> Iterator[Playback]:
+    """Open a recording to be played with what it carries, or with another configuration of the same plate.
+
+    Messages bear the given boot id of a daemon, or else the recorded one.
+
+    Raises
+    ------
+    LinkUnavailableError
+        No such file, no recording, of another format, or of a plate whose frames are others.
+    ConfigError
+        What it carries does not suit this version, or a configuration is missing and it carries none.
+    """
+    with open_recording(str(path), config.plate if config else None) as recording:
+        boot_id = daemon_boot_id or recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
+        yield Playback(recording, config or recorded_config(recording), boot_id)
+
+
+def recorded_config(recording: Recording) -> Config:
+    """Return the configuration that a recording carries, as far as it matters to its messages."""
+    path = Path(recording.path)
+    if recording.plate_text is None or recording.settings_text is None:
+        raise ConfigError(f"{path} does not carry its plate file and settings; give --config FILE")
+    try:
+        link = parse_link(recording.header.get("link"))
+    except ValueError as error:
+        raise ConfigError(f"{path}: link: {error}") from error
+    plate = load_plate_text(recording.plate_text, path / PLATE_FILE)
+    settings = load_settings_text(recording.settings_text, path / SETTINGS_FILE)
+    return config_of(plate, settings, link, name=recording.header.get("name"))
