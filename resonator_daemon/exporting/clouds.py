@@ -1,0 +1,79 @@
+"""Messages as clouds of points in the plate's plane, which viewers show in colours of any of their fields."""
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.exporting.columns import AXES, with_axis
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signals
+from resonator_daemon.publishing.topics import DECODED, FORCES, SIGNALS
+
+Points = NDArray[np.void]
+"""Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
+
+WITH_CLOUD: Final = (FORCES.path, SIGNALS.path, DECODED.path)
+"""Paths of the topics that have clouds."""
+
+_OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
+_OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`
+
+
+class Clouds:
+    """Makes clouds of the messages of one plate.
+
+    Parameters
+    ----------
+    plate
+        Has the sites' places.
+    """
+
+    def __init__(self, plate: Plate) -> None:
+        self._positions_m = plate.site_positions_m
+        self._row_of_site = {int(site): row for row, site in enumerate(plate.site_ids)}
+
+    def points(self, message: Message) -> Points | None:
+        """Return the cloud of a message: of forces those sites on which something presses; None of kinds without."""
+        match message:
+            case Forces():
+                return self._forces(message)
+            case Signals():
+                rows = {
+                    f"{prefix}{name}{suffix}": values
+                    for prefix, suffix, array in (("", "", message.signals), ("", "_std", message.noise_std))
+                    for name, values in zip(_OF_SIGNALS, array, strict=True)
+                }
+                return _cloud(self._positions_m, rows)
+            case Decoded():
+                return self._decoded(message)
+        return None
+
+    def _forces(self, message: Forces) -> Points:
+        rows = [self._row_of_site[force.site] for force in message.sites]
+        values: dict[str, Any] = {"site": np.array([force.site for force in message.sites], "<u2")}
+        for key in _OF_FORCES:
+            values[key] = np.array([getattr(force, key) for force in message.sites], "<f8")
+        return _cloud(self._positions_m[rows], values)
+
+    def _decoded(self, message: Decoded) -> Points:
+        values: dict[str, NDArray[Any]] = {}
+        for key in ("traction_pascal", "traction_std_pascal", "displacement_m"):
+            array = getattr(message, key)
+            if array is not None:
+                values |= {with_axis(key, axis): part.ravel() for axis, part in zip(AXES, array, strict=True)}
+        if message.grid is None or message.traction_pascal.ndim == 2:  # a map of few sites has its values there
+            return _cloud(self._positions_m, values)
+        ny, nx = message.traction_pascal.shape[1:]
+        (x, y), pitch = message.grid.origin_m, message.grid.pitch_m
+        places = np.meshgrid(x + pitch * np.arange(nx), y + pitch * np.arange(ny))
+        return _cloud(np.stack([place.ravel() for place in places], 1), values)
+
+
+def _cloud(positions_m: NDArray[np.float64], values: dict[str, NDArray[Any]]) -> Points:
+    kinds: list[tuple[str, str]] = [(axis, "<f4") for axis in AXES]
+    points: Points = np.zeros(len(positions_m), [*kinds, *((name, array.dtype.str) for name, array in values.items())])
+    points["x"], points["y"] = positions_m.T
+    for name, array in values.items():
+        points[name] = array
+    return points

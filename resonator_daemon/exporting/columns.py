@@ -1,0 +1,163 @@
+"""The columns that a message's fields become: named, with units, and of one type each."""
+
+import types
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Annotated, Any, Final, Literal, Union, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import PlainSerializer
+from pydantic.fields import FieldInfo
+
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.units import UNITS, unit_of
+
+Kind = Literal["int64", "uint64", "float64", "bool", "text", "float32 array"]
+Value = int | float | bool | str | NDArray[np.float32] | None
+Get = Callable[[Any], Value]
+
+AXES: Final = "xyz"
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Parameters
+    ----------
+    name
+        With its unit at the end, as keys of messages have it.
+    kind
+        Of each value.
+    nullable
+        Whether a value may be missing; a number that is not known is NaN and not missing.
+    shape
+        Of each array.
+    description
+        What it means.
+    unit
+        Of numbers, in the notation of UCUM; empty where they count or name.
+    """
+
+    name: str
+    kind: Kind
+    nullable: bool = False
+    shape: tuple[int, ...] = ()
+    description: str = ""
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A column and where its values come from."""
+
+    column: Column
+    get: Get
+
+
+def sources(model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = ()) -> Iterator[Source]:
+    """Give the columns of a kind of message: parts within it with their key before theirs, vectors by component.
+
+    Parameters
+    ----------
+    prefix
+        Goes before each name.
+    skip
+        Keys to be left out.
+
+    Raises
+    ------
+    ValueError
+        A key is no number, word or array, nor a vector or part made of these.
+    """
+    for key, field in model.model_fields.items():
+        if key not in skip:
+            yield from _of_field(prefix + key, key, _annotation(field), field.description or "")
+
+
+def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
+    """Give columns for the arrays that a message has, of the shapes they have."""
+    for key in keys:
+        array = getattr(message, key)
+        if array is not None:
+            description = type(message).model_fields[key].description or ""
+            column = Column(key, "float32 array", True, array.shape, description, unit_of(key) or "")
+            yield Source(column, _attribute(key))
+
+
+def with_axis(name: str, axis: str) -> str:
+    """Return the name of a vector's component: its letter before the unit, as `force_x_newton`."""
+    parts = name.split("_")
+    for start in range(1, len(parts)):
+        if "_".join(parts[start:]) in UNITS:
+            return "_".join((*parts[:start], axis, *parts[start:]))
+    return f"{name}_{axis}"
+
+
+def _of_field(name: str, key: str, annotation: Any, description: str) -> Iterator[Source]:
+    bare, optional = _without_none(annotation)
+    if isinstance(bare, type) and issubclass(bare, Message):
+        for inner in sources(bare, prefix=f"{name}_"):
+            nullable = inner.column.nullable or optional
+            yield Source(replace(inner.column, nullable=nullable), _within(key, inner.get))
+    elif get_origin(bare) is tuple and Ellipsis not in get_args(bare):
+        for index, axis in enumerate(AXES[: len(get_args(bare))]):
+            column = Column(
+                with_axis(name, axis), "float64", optional, (), f"{axis}: {description}", unit_of(key) or ""
+            )
+            yield Source(column, _component(key, index))
+    else:
+        yield Source(Column(name, _kind(name, bare), optional, (), description, unit_of(key) or ""), _attribute(key))
+
+
+def _annotation(field: FieldInfo) -> Any:
+    """Return what is annotated, with what pydantic has taken off it."""
+    return Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation
+
+
+def _without_none(annotation: Any) -> tuple[Any, bool]:
+    if get_origin(annotation) in (Union, types.UnionType):
+        (present,) = (part for part in get_args(annotation) if part is not types.NoneType)
+        return present, True
+    return annotation, False
+
+
+def _kind(name: str, annotation: Any) -> Kind:
+    metadata: tuple[Any, ...] = ()
+    if get_origin(annotation) is Annotated:
+        annotation, *rest = get_args(annotation)
+        metadata = tuple(rest)
+    if get_origin(annotation) is Literal or (isinstance(annotation, type) and issubclass(annotation, StrEnum)):
+        return "text"
+    if annotation is int and any(isinstance(part, PlainSerializer) for part in metadata):
+        return "uint64"  # that of Int64, which knows no sign
+    kinds: dict[Any, Kind] = {int: "int64", float: "float64", bool: "bool", str: "text"}
+    if annotation not in kinds:
+        raise ValueError(f"{name} is {annotation}, which is no column")
+    return kinds[annotation]
+
+
+def _attribute(key: str) -> Get:
+    def get(part: Any) -> Value:
+        value: Value = getattr(part, key)
+        return value
+
+    return get
+
+
+def _component(key: str, index: int) -> Get:
+    def get(part: Any) -> Value:
+        vector = getattr(part, key)
+        return None if vector is None else float(vector[index])
+
+    return get
+
+
+def _within(key: str, get_inner: Get) -> Get:
+    def get(part: Any) -> Value:
+        inner = getattr(part, key)
+        return None if inner is None else get_inner(inner)
+
+    return get

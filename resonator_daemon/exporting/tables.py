@@ -1,0 +1,174 @@
+"""Messages as rows of tables, a table for each topic."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, cast
+
+from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.payloads import (
+    Compensation,
+    Contact,
+    ContactEvent,
+    Contacts,
+    Decoded,
+    DecodedSummary,
+    Forces,
+    Message,
+    Patch,
+    Signals,
+    SiteForce,
+    State,
+)
+from resonator_daemon.publishing.topics import (
+    CONTACT_EVENT,
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    FORCES,
+    SIGNALS,
+    STATE_LINK,
+    STATE_SENSOR,
+    Topic,
+)
+from resonator_daemon.publishing.units import NO_UNIT
+
+_NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
+
+Row = Sequence[Value]
+
+
+class Table:
+    """The columns of a topic, and the rows that each of its messages gives.
+
+    Parameters
+    ----------
+    per_message
+        Columns whose values stand in each row of a message.
+    per_item
+        Those of each part that the message has many of.
+    items
+        Takes these parts out of a message. One that has none gives one row, where the parts' columns are missing; so
+        that the rows of a topic tell of all its messages. None where each message is one row.
+    """
+
+    def __init__(
+        self,
+        per_message: Sequence[Source],
+        per_item: Sequence[Source] = (),
+        items: Callable[[Any], Sequence[Message]] | None = None,
+    ) -> None:
+        self._get = tuple(source.get for source in per_message)
+        self._get_of_item = tuple(source.get for source in per_item)
+        self._items = items
+        nullable = (replace(source.column, nullable=True) for source in per_item)
+        self.columns: tuple[Column, ...] = (*(source.column for source in per_message), *nullable)
+
+    def rows(self, message: Message) -> Iterator[Row]:
+        """Give the rows of a message, values in the order of the columns."""
+        told = [get(message) for get in self._get]
+        if self._items is None:
+            yield told
+            return
+        for item in self._items(message):
+            yield [*told, *(get(item) for get in self._get_of_item)]
+        if not self._items(message):
+            yield [*told, *(None for _ in self._get_of_item)]
+
+
+def make_table(topic: Topic[Any], plate: Plate, first: Message) -> Table:
+    """Return the table of a topic; arrays have the shapes that those of its first message have."""
+    return _MAKE[topic.path](plate, first)
+
+
+def _forces(plate: Plate, first: Message) -> Table:
+    channels = range(len(cast("Forces", first).compensation.common_mode))
+    told = [
+        *sources(Forces, skip=("sites", "beats", "compensation")),
+        *(_beats(channel) for channel in channels),
+        *(_common_mode(channel) for channel in channels),
+        *(_inside(source) for source in sources(Compensation, prefix="compensation_", skip=("common_mode",))),
+    ]
+    return Table([*told, *(source for site in plate.site_ids for source in _of_site(int(site)))])
+
+
+def _of_site(site: int) -> Iterator[Source]:
+    for source in sources(SiteForce, prefix=f"site_{site}_", skip=("site",)):
+        column, get = source.column, source.get
+
+        def of_message(message: Forces, get: Callable[[SiteForce], Value] = get) -> Value:
+            return next((get(force) for force in message.sites if force.site == site), None)
+
+        description = column.description + _NOTHING_PRESSES
+        yield Source(replace(column, nullable=True, description=description), of_message)
+
+
+def _beats(channel: int) -> Source:
+    description = "its tone beats with the board's reference clock; `noise_newton` counts for that"
+    return Source(
+        Column(f"channel_{channel}_beats", "bool", False, (), description), lambda message: channel in message.beats
+    )
+
+
+def _common_mode(channel: int) -> Source:
+    def get(message: Forces) -> Value:
+        common_mode = message.compensation.common_mode
+        return common_mode[channel] if channel < len(common_mode) else None
+
+    description = Compensation.model_fields["common_mode"].description or ""
+    name = f"compensation_channel_{channel}_common_mode"
+    return Source(Column(name, "float64", True, (), description, NO_UNIT), get)
+
+
+def _inside(source: Source) -> Source:
+    return Source(source.column, lambda message: source.get(message.compensation))
+
+
+def _contacts(_plate: Plate, _first: Message) -> Table:
+    return Table(
+        list(sources(Contacts, skip=("contacts",))),
+        list(sources(Contact, prefix="contact_")),
+        lambda message: message.contacts,
+    )
+
+
+def _summaries(_plate: Plate, _first: Message) -> Table:
+    return Table(
+        list(sources(DecodedSummary, skip=("patches",))),
+        list(sources(Patch, prefix="patch_")),
+        lambda message: message.patches,
+    )
+
+
+def _signals(_plate: Plate, first: Message) -> Table:
+    keys = ("signals", "noise_std")
+    return Table([*sources(Signals, skip=keys), *array_sources(first, keys)])
+
+
+def _decoded(_plate: Plate, first: Message) -> Table:
+    keys = ("traction_pascal", "traction_std_pascal", "displacement_m")
+    return Table([*sources(Decoded, skip=keys), *array_sources(first, keys)])
+
+
+def _events(_plate: Plate, _first: Message) -> Table:
+    return Table(list(sources(ContactEvent)))
+
+
+def _states(_plate: Plate, _first: Message) -> Table:
+    return Table(list(sources(State)))
+
+
+_MAKE: Final[Mapping[str, Callable[[Plate, Message], Table]]] = {
+    FORCES.path: _forces,
+    CONTACTS.path: _contacts,
+    CONTACT_EVENT.path: _events,
+    SIGNALS.path: _signals,
+    DECODED.path: _decoded,
+    DECODED_SUMMARY.path: _summaries,
+    STATE_LINK.path: _states,
+    STATE_SENSOR.path: _states,
+}
+WITH_TABLE: Final = tuple(_MAKE)
+"""Paths of the topics that have a table."""
+WITH_ARRAYS: Final = (SIGNALS.path, DECODED.path)
+"""Those whose tables have arrays."""

@@ -1,0 +1,44 @@
+"""Where the points of a cloud lie."""
+
+import numpy as np
+from export_bench import played
+
+from resonator_daemon.exporting.clouds import Clouds
+from resonator_daemon.publishing.payloads import Decoded, Grid, Info
+
+NAMES = [f"{what}_{axis}_{unit}" for what, unit in (("traction", "pascal"), ("displacement", "m")) for axis in "xyz"]
+
+
+def decoded(shape: tuple[int, ...], *, on_grid: bool = True) -> Decoded:
+    traction = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
+    return Decoded.model_construct(
+        traction_pascal=traction,
+        traction_std_pascal=None,
+        displacement_m=2 * traction,
+        grid=Grid(origin_m=(-0.01, 0.02), pitch_m=0.5e-3) if on_grid else None,
+    )
+
+
+def test_a_map_has_its_pixels_at_their_places() -> None:
+    message = decoded((3, 4, 5))
+    points = Clouds(played("skin").config.plate).points(message)
+    assert points is not None
+    assert points.dtype.names == ("x", "y", "z", *NAMES)
+    row, column = 2, 3
+    point = points.reshape(4, 5)[row, column]
+    np.testing.assert_allclose([point["x"], point["y"], point["z"]], [-0.0085, 0.021, 0.0], rtol=1e-6)
+    assert point["traction_y_pascal"] == message.traction_pascal[1, row, column]
+    assert point["displacement_z_m"] == 2 * message.traction_pascal[2, row, column]
+
+
+def test_values_at_the_sites_have_the_places_of_the_sites() -> None:
+    plate = played("skin").config.plate
+    for on_grid in (True, False):
+        points = Clouds(plate).points(decoded((3, len(plate.site_ids)), on_grid=on_grid))
+        assert points is not None
+        np.testing.assert_allclose(np.stack([points["x"], points["y"]], 1), plate.site_positions_m, rtol=1e-6)
+        assert points["traction_x_pascal"].tolist() == list(range(len(plate.site_ids)))
+
+
+def test_other_messages_have_none() -> None:
+    assert Clouds(played("touches").config.plate).points(Info.model_construct()) is None

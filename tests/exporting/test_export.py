@@ -1,0 +1,231 @@
+"""`resonatord export` as a user meets it: files, one line where something is wrong, and the exit code."""
+
+import json
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from export_bench import played, recording
+
+from resonator_daemon.cli import main
+from resonator_daemon.playback.course import Playback
+
+FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
+
+
+def export(*arguments: object) -> int:
+    return main(["export", *map(str, arguments)])
+
+
+def output(folder: Path, form: str) -> tuple[object, ...]:
+    return ("--ros2", "--output", folder / "out.mcap") if form == "ros2" else ("--output", folder / f"out.{form}")
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_recording_becomes_files(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(recording("touches"), *output(tmp_path, form), "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verb"], told["ok"], told["format"], told["damage"], told["differences"]) == (
+        "export",
+        True,
+        form,
+        None,
+        0,
+    )
+    assert told["files"] == {str(path): path.stat().st_size for path in tmp_path.iterdir()}
+    assert told["rows"]["contacts/event"] == len(played("touches").messages("contacts/event"))
+    names = {path.name for path in tmp_path.iterdir()}
+    if form in ("parquet", "csv"):
+        topics = ("forces", "contacts", "contacts-event", "state-link", "state-sensor")
+        assert names == {f"out-{topic}.{form}" for topic in topics}
+    else:
+        assert len(names) == 1
+
+
+def test_one_topic_is_the_file_that_was_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "events.parquet"
+    assert export(recording("touches"), "--output", path, "--topics", "contacts/event") == 0
+    assert pq.read_table(path)["event"].to_pylist() == [m.event for m in played("touches").messages("contacts/event")]
+    metadata = pq.read_schema(path).metadata
+    assert (metadata[b"source"], metadata[b"name"], metadata[b"plate"]) == (
+        b"recording.mcap",
+        b"left-index",
+        b"quartz16",
+    )
+    assert len(metadata[b"source_sha256"]) == 64
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert f"{path}: " in said.err
+
+
+def test_a_part_is_that_part(tmp_path: Path) -> None:
+    begun_ns = played("touches").moments[0].now.monotonic_ns
+    assert export(recording("touches"), "--output", tmp_path / "part.npz", "--from", 0.5, "--until", 0.9) == 0
+    expected = [
+        message.seq
+        for moment in played("touches").moments
+        if 0.5e9 <= moment.now.monotonic_ns - begun_ns < 0.9e9
+        for topic, message in moment.messages
+        if topic.path == "forces"
+    ]
+    with np.load(tmp_path / "part.npz") as archive:
+        assert archive["forces/seq"].tolist() == expected
+    assert 5 < len(expected) < 200
+
+
+def test_of_a_file_that_was_cut_off_all_that_is_whole_is_exported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "forces.csv"
+    assert export(recording("cut-off"), "--output", path, "--topics", "forces", "--json") == 1
+    said = capsys.readouterr()
+    assert json.loads(said.out)["damage"] == "cut off"
+    assert f"{recording('cut-off')}: the file is cut off; all before that was exported\n" in said.err
+    assert len(path.read_text().splitlines()) == 1 + len(played("cut-off").messages("forces"))
+
+
+def test_where_nothing_follows_no_file_is_made(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(recording("refused"), "--output", tmp_path / "forces.csv", "--topics", "forces") == 1
+    said = capsys.readouterr().err
+    assert "the board was refused: plate: the board describes another-plate" in said
+    assert "it gives no messages of forces" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_nothing_is_overwritten(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    name = {"ros2": "out.mcap", "parquet": "out-contacts.parquet", "csv": "out-state-link.csv"}.get(form, f"out.{form}")
+    (tmp_path / name).write_text("mine")
+    assert export(recording("touches"), *output(tmp_path, form)) == 78
+    assert (
+        f"{tmp_path / name} is there already, and nothing is overwritten; name another file" in capsys.readouterr().err
+    )
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
+
+
+def test_what_another_export_is_writing_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "out.npz.part").write_text("theirs")
+    assert export(recording("touches"), "--output", tmp_path / "out.npz") == 78
+    assert "out.npz.part is there: another export is writing it, or was killed" in capsys.readouterr().err
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["theirs"]
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_disk_that_is_full_keeps_nothing(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
+    try:
+        code = export(recording("touches"), *output(tmp_path, form), "--json")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = capsys.readouterr()
+    assert code == 1
+    assert "cannot be written: File too large; what was written of it is removed\n" in said.err
+    assert json.loads(said.out)["error"]["code"] == "output"
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_an_interrupt_leaves_nothing(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = Playback.moments
+
+    def interrupted(playback: Playback) -> Any:
+        for number, moment in enumerate(whole(playback)):
+            if number == 100:
+                raise KeyboardInterrupt
+            yield moment
+
+    monkeypatch.setattr(Playback, "moments", interrupted)
+    export(recording("touches"), *output(tmp_path, form))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("form", FORMATS)
+def test_a_place_that_is_not_there_is_said(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert export(recording("touches"), *output(tmp_path / "none", form)) == 78
+    assert "cannot be written: No such file or directory" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("form", "library", "remedy"),
+    [
+        ("parquet", "pyarrow", "Parquet needs pyarrow: pip install 'resonatord[export]'"),
+        ("ros2", "rosbags.typesys", "messages of ROS 2 need rosbags: pip install 'resonatord[ros2]'"),
+    ],
+)
+def test_a_missing_library_is_named(
+    form: str,
+    library: str,
+    remedy: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    for module in ("parquet_file", "ros2_file", "ros2_messages"):
+        monkeypatch.delitem(sys.modules, f"resonator_daemon.exporting.{module}", raising=False)
+    assert export(recording("touches"), *output(tmp_path, form)) == 78
+    assert capsys.readouterr().err.endswith(f"resonatord: {remedy}\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("--output", "out.xlsx"), "'out.xlsx' ends in none of .csv, .mcap, .npz, .parquet"),
+        (
+            ("--output", "out.csv", "--topics", "forces,decoded"),
+            "'decoded': csv takes forces, contacts, contacts/event",
+        ),
+        (("--output", "out.npz", "--topics", "force"), "'force': npz takes forces, "),
+        (("--output", "out.csv", "--topics", ""), "--topics '': csv takes "),
+        (("--output", "out.mcap", "--ros2", "--format", "mcap"), "not allowed with argument --ros2"),
+    ],
+)
+def test_options_that_do_not_go_together(
+    arguments: tuple[str, ...], sentence: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        export(recording("touches"), *arguments)
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+def test_no_recording_is_said_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    foreign = tmp_path / "foreign.mcap"
+    foreign.write_bytes(b"MZ" * 100)
+    for path, sentence in (
+        (foreign, "is no recording"),
+        (tmp_path / "none.mcap", "No such file"),
+        (tmp_path, "no reg"),
+    ):
+        assert export(path, "--output", tmp_path / "out.npz", "--json") == 69
+        said = capsys.readouterr()
+        assert said.err.count("\n") == 1
+        assert sentence in said.err
+        assert json.loads(said.out)["error"]["code"] == "no_recording"
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_the_other_plate_of_a_configuration_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "board.toml"
+    config.write_text('plate = "comb16"\nlink = "tcp://127.0.0.1:1"\n')
+    assert export(recording("touches"), "--config", config, "--output", tmp_path / "out.npz") == 69
+    assert "is a recording of plate 'quartz16', the configuration names plate 'comb16'" in capsys.readouterr().err
+
+
+def test_a_terminal_sees_how_far_it_is(tmp_path: Path) -> None:
+    """And a program that reads --json is not bothered."""
+    script = shutil.which("script")
+    if script is None:
+        pytest.skip("script (bsdutils) gives the terminal")
+    command = f"{sys.executable} -m resonator_daemon.cli export {recording('touches')} --output {tmp_path}/out.npz"
+    shown = subprocess.run([script, "-qec", command, "/dev/null"], capture_output=True, timeout=60, check=True)
+    assert b"recording.mcap" in shown.stdout
+    assert b"kB" in shown.stdout

@@ -1,0 +1,124 @@
+"""MCAP for ROS 2, read by a program of others that knows nothing but what the file says of its messages."""
+
+from collections import defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from export_bench import METADATA, played, write
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_typestore
+
+from resonator_daemon.exporting.ros2_file import Ros2Output
+from resonator_daemon.exporting.ros2_messages import ros_name
+from resonator_daemon.exporting.target import TOPICS
+
+NUMPY = {4: "<u2", 7: "<f4", 8: "<f8"}
+
+
+def written(case: str, path: Path) -> dict[str, list[Any]]:
+    write(Ros2Output(path, TOPICS["ros2"], played(case).config.plate, "left-index", METADATA), played(case).moments)
+    found: dict[str, list[Any]] = defaultdict(list)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        for _, channel, _, decoded in reader.iter_decoded_messages():
+            found[channel.topic].append(decoded)
+    return found
+
+
+def points(cloud: Any) -> Any:
+    fields = {field.name: (NUMPY[field.datatype], field.offset) for field in cloud.fields}
+    dtype = np.dtype(
+        {
+            "names": list(fields),
+            "formats": [form for form, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": cloud.point_step,
+        }
+    )
+    assert (cloud.width * cloud.point_step, cloud.height) == (cloud.row_step, 1)
+    return np.frombuffer(bytes(cloud.data), dtype, cloud.width)
+
+
+def stamp_ns(message: Any) -> int:
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
+@pytest.mark.parametrize("case", ["slide", "comb"])
+def test_contacts_and_their_sum(case: str, tmp_path: Path) -> None:
+    found, published = written(case, tmp_path / "ros.mcap"), played(case).messages("contacts")
+    for one, wrench, message in zip(found["/left_index/contacts"], found["/left_index/wrench"], published, strict=True):
+        assert stamp_ns(one) == stamp_ns(wrench) == message.t_ns
+        assert one.header.frame_id == wrench.header.frame_id == "left_index"
+        assert (one.status, one.reason) == (message.status, message.reason)
+        assert [contact.id for contact in one.contacts] == [contact.id for contact in message.contacts]
+        force, moment = 0.0, np.zeros(2)
+        for told, contact in zip(one.contacts, message.contacts, strict=True):
+            np.testing.assert_array_equal(told.position_m, contact.position_m)
+            for key in ("force_newton", "noise_newton", "systematic_newton", "hidden_newton", "peak_newton"):
+                np.testing.assert_array_equal(getattr(told, key), getattr(contact, key))
+            assert (told.status, told.site, told.duration_s) == (contact.status, contact.site, contact.duration_s)
+            assert told.since.sec * 10**9 + told.since.nanosec == contact.since_t_ns
+            assert np.isnan(told.at_least_newton) == (contact.at_least_newton is None)
+            force += contact.force_newton
+            moment += np.cross([*contact.position_m, 0.0], [0.0, 0.0, contact.force_newton])[:2]
+        assert wrench.wrench.force.z == pytest.approx(force, nan_ok=True)
+        assert wrench.wrench.force.x == 0.0
+        assert [wrench.wrench.torque.x, wrench.wrench.torque.y] == pytest.approx(moment.tolist(), nan_ok=True)
+    events = [(one.event, one.contact.id, one.contact.peak_newton) for one in found["/left_index/contacts/event"]]
+    expected = [(one.event, one.contact.id, one.contact.peak_newton) for one in played(case).messages("contacts/event")]
+    assert events == expected
+    for cloud, message in zip(found["/left_index/forces/cloud"], played(case).messages("forces"), strict=True):
+        np.testing.assert_array_equal(points(cloud)["force_newton"], [force.force_newton for force in message.sites])
+
+
+def test_a_skin_has_maps_and_vectors(tmp_path: Path) -> None:
+    found = written("skin", tmp_path / "ros.mcap")
+    for cloud, message in zip(found["/left_index/decoded/cloud"], played("skin").messages("decoded"), strict=True):
+        np.testing.assert_array_equal(points(cloud)["traction_y_pascal"], message.traction_pascal[1].ravel())
+        assert cloud.is_dense == bool(np.isfinite(message.traction_std_pascal).all())
+    touched = 0
+    for one, message in zip(found["/left_index/wrench"], played("skin").messages("decoded/summary"), strict=True):
+        force, torque = one.wrench.force, one.wrench.torque
+        sums = np.zeros(6) + sum(np.array((*p.force_newton, *p.moment_newton_m)) for p in message.patches)
+        assert [force.x, force.y, force.z, torque.x, torque.y, torque.z] == pytest.approx(sums.tolist())
+        touched += len(message.patches)
+    assert touched > 5
+    assert len(found["/left_index/signals/cloud"]) == len(played("skin").messages("signals"))
+
+
+def test_states_are_diagnostics(tmp_path: Path) -> None:
+    found = written("refused", tmp_path / "ros.mcap")["/left_index/diagnostics"]
+    states = [m for moment in played("refused").moments for t, m in moment.messages if t.path.startswith("state/")]
+    levels = {"online": 0, "starting": 0, "refused": 2}
+    for one, state in zip(found, states, strict=True):
+        (status,) = one.status
+        assert status.level == levels.get(state.state, 1)
+        assert (stamp_ns(one), status.message) == (state.t_ns, f"{state.state}: {state.reason}")
+        assert status.name in ("left_index: state/link", "left_index: state/sensor")
+
+
+def test_a_second_reader_finds_the_same(tmp_path: Path) -> None:
+    """With the kinds of messages that ROS itself has, from its own definitions."""
+    path = tmp_path / "ros.mcap"
+    decoded = written("slide", path)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    with path.open("rb") as file:
+        read = [
+            (channel.topic, store.deserialize_cdr(message.data, schema.name))
+            for schema, channel, message in make_reader(file).iter_messages()
+            if schema is not None and schema.name in store.fielddefs
+        ]
+    wrenches = [message.wrench.force.z for topic, message in read if topic == "/left_index/wrench"]
+    np.testing.assert_array_equal(wrenches, [one.wrench.force.z for one in decoded["/left_index/wrench"]])
+    assert {topic.rpartition("/")[2] for topic, _ in read} == {"wrench", "cloud", "diagnostics"}
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("left-index", "left_index"), ("0042", "plate_0042"), ("_x", "plate__x"), ("a b", "a_b")]
+)
+def test_names_are_such_that_ros_takes_them(name: str, expected: str) -> None:
+    assert ros_name(name) == expected

@@ -1,0 +1,189 @@
+"""CSV, NumPy and Parquet have the very values that are published, read back by programs that others wrote."""
+
+import csv
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from export_bench import METADATA, Played, played, write
+
+from resonator_daemon.exporting.csv_file import CsvFormat
+from resonator_daemon.exporting.npz_file import NpzFormat
+from resonator_daemon.exporting.parquet_file import ParquetFormat
+from resonator_daemon.exporting.table_output import TableOutput
+from resonator_daemon.exporting.tables import WITH_TABLE
+from resonator_daemon.publishing.units import NO_UNIT, unit_of
+
+OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
+CASES = ("touches", "comb", "slide", "skin")
+
+
+def place(folder: Path, suffix: str) -> Any:
+    return lambda topic: folder / f"{topic.replace('/', '-')}{suffix}"
+
+
+def same(one: Any, other: Any) -> bool:
+    """Tell equal values; NaN is equal to NaN and to nothing else."""
+    return bool(one == other or (one != one and other != other))
+
+
+def parquet(case: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Played, dict[str, Any]]:
+    monkeypatch.setattr("resonator_daemon.exporting.table_output._BATCH_BYTES", 40_000)  # many row groups
+    played_case = played(case)
+    output = TableOutput(ParquetFormat(place(folder, ".parquet"), METADATA), WITH_TABLE, played_case.config.plate)
+    write(output, played_case.moments)
+    read = {path: place(folder, ".parquet")(path) for path in WITH_TABLE}
+    return played_case, {path: pq.read_table(file) for path, file in read.items() if file.exists()}
+
+
+@pytest.mark.parametrize("case", ["touches", "comb", "slide"])
+def test_forces_in_parquet_are_those_that_are_published(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played_case, tables = parquet(case, tmp_path, monkeypatch)
+    messages, rows = played_case.messages("forces"), tables["forces"].to_pylist()
+    assert len(rows) == len(messages)
+    touched = 0
+    for message, row in zip(messages, rows, strict=True):
+        assert (row["t_ns"], row["t_unc_ns"], row["seq"]) == (message.t_ns, message.t_unc_ns, message.seq)
+        assert (row["board_ticks"], row["window_s"]) == (message.board_ticks, message.window_s)
+        assert (row["status"], row["reason"]) == (message.status, message.reason)
+        assert [n for n in range(4) if row[f"channel_{n}_beats"]] == sorted(message.beats)
+        for channel, common_mode in enumerate(message.compensation.common_mode):
+            assert same(row[f"compensation_channel_{channel}_common_mode"], common_mode)
+        assert row["compensation_baseline"] == message.compensation.baseline
+        assert same(row["compensation_plate_kelvin"], message.compensation.plate_kelvin)
+        listed = {force.site: force for force in message.sites}
+        touched += len(listed)
+        for site in map(int, played_case.config.plate.site_ids):
+            for key in (*OF_SITE, "status", "at_least_newton"):
+                value = row[f"site_{site}_{key}"]
+                assert same(value, getattr(listed[site], key)) if site in listed else value is None
+    assert touched > 20
+    assert pq.ParquetFile(tmp_path / "forces.parquet").num_row_groups > 1
+
+
+@pytest.mark.parametrize("case", ["comb", "slide", "skin"])
+def test_contacts_have_a_row_each_and_messages_without_any_have_one(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    played_case, tables = parquet(case, tmp_path, monkeypatch)
+    rows = iter(tables["contacts"].to_pylist())
+    for message in played_case.messages("contacts"):
+        for contact in message.contacts:
+            row = next(rows)
+            assert (row["seq"], row["status"], row["contact_status"]) == (message.seq, message.status, contact.status)
+            assert (row["contact_id"], row["contact_site"]) == (contact.id, contact.site)
+            assert row["contact_since_t_ns"] == contact.since_t_ns
+            assert (row["contact_position_x_m"], row["contact_position_y_m"]) == contact.position_m
+            for key in ("force_newton", "systematic_newton", "position_correlation", "at_least_newton"):
+                assert same(row[f"contact_{key}"], getattr(contact, key))
+        if not message.contacts:
+            row = next(rows)
+            assert (row["seq"], row["contact_id"], row["contact_force_newton"]) == (message.seq, None, None)
+    assert next(rows, None) is None
+    events = tables["contacts/event"].to_pylist()
+    published = played_case.messages("contacts/event")
+    assert [(row["event"], row["contact_peak_newton"]) for row in events] == [
+        (event.event, event.contact.peak_newton) for event in published
+    ]
+
+
+def test_maps_of_a_skin_in_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    played_case, tables = parquet("skin", tmp_path, monkeypatch)
+    for path, key in (("decoded", "traction_pascal"), ("signals", "noise_std"), ("decoded", "traction_std_pascal")):
+        field = tables[path].schema.field(key)
+        shape = json.loads(field.metadata[b"shape"])
+        read = np.array(tables[path][key].to_pylist(), np.float32).reshape(-1, *shape)
+        np.testing.assert_array_equal(read, np.stack([getattr(m, key) for m in played_case.messages(path)]))
+    assert tables["decoded"].schema.field("traction_pascal").metadata[b"unit"] == b"Pa"
+    assert tables["decoded"]["grid_origin_x_m"][0].as_py() == played_case.messages("decoded")[0].grid.origin_m[0]
+    rows = iter(tables["decoded/summary"].to_pylist())
+    for message in played_case.messages("decoded/summary"):
+        for patch in message.patches:
+            row = next(rows)
+            assert (row["chi2"], row["patch_id"]) == (message.chi2, patch.id)
+            assert tuple(row[f"patch_force_{axis}_newton"] for axis in "xyz") == patch.force_newton
+            assert same(row["patch_slip_margin"], patch.slip_margin)
+        if not message.patches:
+            assert next(rows)["patch_area_m2"] is None
+
+
+@pytest.mark.parametrize("case", ["touches", "skin"])
+def test_every_number_has_its_unit_in_its_name(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, tables = parquet(case, tmp_path, monkeypatch)
+    for table in tables.values():
+        assert table.schema.metadata.items() >= {b"plate": b"quartz16", b"source_sha256": b"00ff"}.items()
+        for field in table.schema:
+            unit = field.metadata.get(b"unit", b"").decode()
+            if unit not in ("", NO_UNIT):
+                assert unit_of(field.name) == unit, field.name
+            assert unit or str(field.type) not in ("double", "uint64"), field.name
+            assert str(field.type) != "string" or not unit
+            assert field.metadata[b"description"], field.name
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_numpy_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    played_case, tables = parquet(case, tmp_path, monkeypatch)
+    write(
+        TableOutput(NpzFormat(tmp_path / "all.npz", METADATA), WITH_TABLE, played_case.config.plate),
+        played_case.moments,
+    )
+    with np.load(tmp_path / "all.npz", allow_pickle=False) as archive:
+        assert archive["metadata/plate"] == "quartz16"
+        seen = {"metadata/plate", "metadata/source_sha256"}
+        for path, table in tables.items():
+            for field in table.schema:
+                name = f"{path}/{field.name}"
+                read, values = archive[name], table[field.name].to_pylist()
+                seen.add(name)
+                if read.ndim > 1:
+                    np.testing.assert_array_equal(read.reshape(len(read), -1), np.array(values, np.float32))
+                elif read.dtype.kind == "f":
+                    np.testing.assert_array_equal(read, [math.nan if value is None else value for value in values])
+                elif read.dtype.kind == "U":
+                    assert read.tolist() == [value or "" for value in values]
+                elif f"{name}_known" in archive:
+                    known = archive[f"{name}_known"]
+                    seen.add(f"{name}_known")
+                    assert known.tolist() == [value is not None for value in values]
+                    assert read[known].tolist() == [value for value in values if value is not None]
+                else:
+                    assert read.tolist() == values
+        assert seen == set(archive.files)
+    assert sorted(file.suffix for file in tmp_path.iterdir() if file.suffix != ".parquet") == [".npz"]
+
+
+@pytest.mark.parametrize("case", ["slide", "comb"])
+def test_csv_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    played_case, tables = parquet(case, tmp_path, monkeypatch)
+    write(TableOutput(CsvFormat(place(tmp_path, ".csv")), WITH_TABLE, played_case.config.plate), played_case.moments)
+    for path, table in tables.items():
+        with place(tmp_path, ".csv")(path).open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        assert len(rows) == table.num_rows
+        for row, values in zip(rows, table.to_pylist(), strict=True):
+            for name, value in values.items():
+                text = row[name]
+                if value is None:
+                    assert text == ""
+                elif isinstance(value, bool):
+                    assert text == ("true" if value else "false")
+                else:
+                    assert same(type(value)(text), value)
+    assert any("nan" in row for row in (tmp_path / "contacts.csv").read_text().splitlines())
+    at = [tables["forces"].schema.names.index(name) for name in ("t_ns", "board_ticks")]
+    read = np.loadtxt(tmp_path / "forces.csv", np.uint64, delimiter=",", quotechar='"', skiprows=1, usecols=at)
+    assert read.tolist() == [[message.t_ns, message.board_ticks] for message in played_case.messages("forces")]
+
+
+def test_topics_that_nobody_asked_for_have_no_files(tmp_path: Path) -> None:
+    output = TableOutput(CsvFormat(place(tmp_path, ".csv")), ["contacts/event"], played("touches").config.plate)
+    write(output, played("touches").moments)
+    assert [file.name for file in tmp_path.iterdir()] == ["contacts-event.csv"]
+    assert output.rows == {"contacts/event": 6}
