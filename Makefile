@@ -47,6 +47,7 @@ define debian-packages
 endef
 
 BROKER := mosquitto:mosquitto
+SYSTEMD := systemd-analyze:systemd systemd-nspawn:systemd-container
 # An emulated USB device, and the C reference beside the Python one.
 USB := umockdev-run:umockdev /usr/lib/*/girepository-1.0/UMockdev-1.0.typelib:gir1.2-umockdev-1.0 \
   /usr/lib/python3/dist-packages/gi/__init__.py:python3-gi /usr/lib/*/libusb-1.0.so.0:libusb-1.0-0
@@ -65,7 +66,7 @@ demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live v
 
 test: .venv/test-stamp  ## linter, formatter check, type checker, import contracts and all tests
 	$(debian-packages)
-	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER) $(EXAMPLES)
+	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
 	step() { printf '\n== %s\n' "$$*"; ".venv/bin/$$@"; }
 	step ruff check
 	step ruff format --check
@@ -82,7 +83,7 @@ test-firmware: .venv/test-stamp  ## the C reference as a board program under QEM
 
 coverage: .venv/test-stamp  ## all tests once more, slower, with the branches that they do not reach
 	$(debian-packages)
-	debian-packages $(BROKER) systemd-analyze:systemd $(USB) $(COMPILER) $(EXAMPLES)
+	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
 	export OMP_NUM_THREADS=1
 	.venv/bin/pytest --cov --numprocesses 2
 
@@ -94,7 +95,7 @@ bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire,
 	.venv/bin/resonatord bench latency --seconds 60
 	.venv/bin/resonatord bench latency --plate skin32 --apart --seconds 60
 	export OMP_NUM_THREADS=1  # threads that wait for each other would be timed
-	for benchmark in publish_path decoders codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
+	for benchmark in recording_cost replay_speed publish_path decoders codec wire_cost usb_throughput blocked_loop clock clock_live; do run $$benchmark; done
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in decoding contact_decoding slip template; do run $$benchmark; done

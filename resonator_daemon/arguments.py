@@ -8,8 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.calibration.options import add_options as add_calibrate_options
+from resonator_daemon.doctor.options import add_options as add_doctor_options
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.exporting.options import add_options as add_export_options
 from resonator_daemon.planning.options import add_parser as add_plan_codes
+from resonator_daemon.playback.options import add_options as add_replay_options
 
 Verb = Callable[[argparse.Namespace], ExitCode | None]
 
@@ -115,6 +118,13 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     identify.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
     identify.set_defaults(refuse=identify.error)
 
+    doctor = add(
+        "doctor",
+        "say whether it is the wiring, the sensor or the software, with evidence and what to do",
+        "resonatord doctor --config left-index.toml",
+    )
+    add_doctor_options(doctor, _link, _positive)
+
     watch = add("watch", "show live what plates publish", "resonatord watch --url mqtt://127.0.0.1:1883")
     where = watch.add_mutually_exclusive_group()
     where.add_argument("--url", default="mqtt://127.0.0.1:1883", help="the broker (default: mqtt://127.0.0.1:1883)")
@@ -124,6 +134,15 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
         "--full-rate", action="store_true", help="all messages as they come (default: at most 20 or 5 a second of each)"
     )
     watch.add_argument("--json", action="store_true", help="one JSON object a message on stdout")
+
+    install = add(
+        "install",
+        "put units, udev rules, user and directories of the services into their places",
+        "sudo /opt/resonatord/bin/resonatord install",
+    )
+    install.add_argument("--dry-run", action="store_true", help="say what would be done, and do nothing")
+    install.add_argument("--prefix", type=Path, metavar="DIR", help="write below it, and run nothing: for an image")
+    install.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
     schema = add(
         "schema",
@@ -143,6 +162,16 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     )
     add_calibrate_options(calibrate)
 
+    status = add("status", "say how the daemons on this computer are", "resonatord status left-index --watch")
+    status.add_argument(
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help="that a daemon publishes under, or its configuration's file name without .toml (default: all)",
+    )
+    status.add_argument("--watch", action="store_true", help="again each second, until interrupted")
+    status.add_argument("--json", action="store_true", help="print one JSON object; with --watch one a line")
+
     tare = add(
         "tare",
         "have the running daemon take the present readings as untouched",
@@ -161,7 +190,40 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     record.add_argument(
         "--seconds", type=_positive, metavar="N", help="from the first frame on (default: until interrupted)"
     )
+    record.add_argument(
+        "--max-mb",
+        type=_positive,
+        metavar="N",
+        help="go from file to file, each of this size, in 10^6 bytes; their names are that of --output and the time",
+    )
+    record.add_argument("--max-minutes", type=_positive, metavar="N", help="likewise, each of this time")
+    record.add_argument(
+        "--derived", action="store_true", help="measure, too, and record forces, contacts and states as JSON channels"
+    )
     record.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+    replay = add(
+        "replay",
+        "play a recording out again, from its bytes to messages, or compare cases with what they expect",
+        "resonatord replay run.mcap --speed 4",
+    )
+    add_replay_options(replay)
+
+    export = add(
+        "export",
+        "write what follows from a recording as Parquet, CSV, NumPy or MCAP, the latter also for ROS 2",
+        "resonatord export run.mcap --output run.parquet",
+    )
+    add_export_options(export)
+
+    repair = add(
+        "repair",
+        "copy what is whole of a recording that was cut off or damaged",
+        "resonatord repair run.mcap",
+    )
+    repair.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
+    repair.add_argument("--output", type=Path, metavar="FILE", help="the file to make (default: FILE-repaired.mcap)")
+    repair.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
 
     bench = sub_parsers.add_parser("bench", help="measure this machine with an emulated plate")
     bench_verbs = bench.add_subparsers(title="verbs", required=True, metavar="VERB")
@@ -229,6 +291,15 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     example = config_verbs.add_parser("example", help="print a configuration to start from")
     example.add_argument("--json", action="store_true", help="print it as a JSON string")
     example.set_defaults(verb=verbs["config example"])
+    schema = config_verbs.add_parser("schema", help="print the JSON Schema of the file, for editors")
+    schema.add_argument("--json", action="store_true", help="in one line")
+    schema.set_defaults(verb=verbs["config schema"])
+    explain = config_verbs.add_parser("explain", help="say what a key is, its type, default, range and an example")
+    explain.add_argument(
+        "key", nargs="?", default="", metavar="KEY", help="as mqtt.url, or mqtt for all of that table (default: a list)"
+    )
+    explain.add_argument("--json", action="store_true", help="print one JSON object")
+    explain.set_defaults(verb=verbs["config explain"], refuse=explain.error)
     return parser
 
 

@@ -12,12 +12,13 @@ from typing import Any
 
 from resonator_daemon.arguments import Verb, make_parser
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.journal import error_prefix, set_up_logging
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     options = make_parser(_VERBS).parse_args(arguments)
-    logging.basicConfig(format="%(levelname)s %(message)s", level=logging.INFO, stream=sys.stderr)
+    set_up_logging()
     verb: Verb = options.verb
     if sys.stdout is None:  # closed by whoever started us
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for as long as the process lives
@@ -27,7 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except OperatorError as error:
         for message in error.messages:
-            sys.stderr.write(f"resonatord: {message}\n")
+            sys.stderr.write(f"{error_prefix()}resonatord: {message}\n")
         return error.exit_code
     except KeyboardInterrupt:
         return ExitCode.DONE
@@ -40,20 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from resonator_daemon.code_check import findings
-    from resonator_daemon.config import load_config
-    from resonator_daemon.errors import ConfigError
+    from resonator_daemon.config_store import ConfigStore
+    from resonator_daemon.places import state_directory
     from resonator_daemon.service import serve
 
-    config = load_config(options.config)
-    if overlapping := findings(config.plate):
-        raise ConfigError(*overlapping)
-    asyncio.run(serve(config))
+    asyncio.run(serve(ConfigStore(options.config, state_directory() / "last-good")))
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
-    from resonator_daemon import code_check
-    from resonator_daemon.config import load_config
+    from resonator_daemon.config_store import load_checked
     from resonator_daemon.decoder_config import is_decoders_own, load_decoder_config
 
     findings: tuple[str, ...] = ()
@@ -62,8 +58,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
         if is_decoders_own(options.file):
             notes = load_decoder_config(options.file).mqtt.notes
         else:
-            config = load_config(options.file)
-            notes, findings = config.notes, code_check.findings(config.plate)
+            notes = load_checked(options.file).notes
     except OperatorError as error:
         findings = error.messages
     if options.json:
@@ -86,6 +81,25 @@ def _config_example(options: argparse.Namespace) -> None:
         _print_json({"example": text})
     else:
         sys.stdout.write(text)
+
+
+def _config_schema(options: argparse.Namespace) -> None:
+    from resonator_daemon.config_help import config_schema
+
+    sys.stdout.write(json.dumps(config_schema(), indent=None if options.json else 2) + "\n")
+
+
+def _config_explain(options: argparse.Namespace) -> None:
+    from resonator_daemon.config_help import UnknownKeyError, explained, explanation, key_list
+
+    try:
+        keys = explained(options.key)
+    except UnknownKeyError as error:
+        options.refuse(str(error))
+    if options.json:
+        _print_json({"keys": [key._asdict() for key in keys]})
+    else:
+        sys.stdout.write("\n".join(explanation(key) for key in keys) if options.key else key_list(keys))
 
 
 def _emulate(options: argparse.Namespace) -> None:
@@ -126,10 +140,37 @@ def _identify(options: argparse.Namespace) -> ExitCode:
     return identify(options.link, options.config, blink=options.blink, as_json=options.json)
 
 
-def _record(options: argparse.Namespace) -> None:
-    from resonator_daemon.record import record
+def _doctor(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.doctor.options import doctor_as_asked
 
-    record(options.config, options.output, options.seconds, as_json=options.json)
+    logging.getLogger().setLevel(logging.ERROR)  # what matters of it is in the report
+    return doctor_as_asked(options)
+
+
+def _record(options: argparse.Namespace) -> None:
+    from resonator_daemon.record import RecordOptions, record
+
+    wanted = RecordOptions(options.output, options.seconds, options.max_mb, options.max_minutes, options.derived)
+    record(options.config, wanted, as_json=options.json)
+
+
+def _export(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.exporting.run import export_as_asked
+
+    return export_as_asked(options)
+
+
+def _repair(options: argparse.Namespace) -> None:
+    from resonator_daemon.repair import repair
+
+    repair(options.file, options.output, as_json=options.json)
+
+
+def _replay(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.playback.run import replay_as_asked
+
+    logging.getLogger().setLevel(logging.WARNING)  # that a broker is connected goes without saying
+    return replay_as_asked(options)
 
 
 def _watch(options: argparse.Namespace) -> None:
@@ -187,11 +228,23 @@ def _calibrate(options: argparse.Namespace) -> ExitCode:
     return calibrate_as_asked(options)
 
 
+def _status(options: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.status_verb import status
+
+    return status(options.name, watch=options.watch, as_json=options.json)
+
+
 def _tare(options: argparse.Namespace) -> ExitCode:
     from resonator_daemon.tare import tare
 
     logging.getLogger().setLevel(logging.WARNING)  # that a broker is connected goes without saying
     return tare(options.config, as_json=options.json)
+
+
+def _install(options: argparse.Namespace) -> None:
+    from resonator_daemon.install import install
+
+    install(options.prefix, dry_run=options.dry_run, as_json=options.json)
 
 
 def _schema(options: argparse.Namespace) -> None:
@@ -232,16 +285,24 @@ _VERBS: dict[str, Verb] = {
     "calibrate": _calibrate,
     "check": _check,
     "config example": _config_example,
+    "config explain": _config_explain,
+    "config schema": _config_schema,
     "decode": _decode,
     "demo": _demo,
+    "doctor": _doctor,
     "emulate": _emulate,
+    "export": _export,
     "identify": _identify,
+    "install": _install,
     "plan codes": _plan_codes,
     "plan sensors": _plan_sensors,
     "ports": _ports,
     "record": _record,
+    "repair": _repair,
+    "replay": _replay,
     "run": _run,
     "schema": _schema,
+    "status": _status,
     "tare": _tare,
     "watch": _watch,
 }

@@ -7,12 +7,16 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from serial.tools.list_ports_common import ListPortInfo
+
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.port_holders import Holder, port_holders
 from resonator_daemon.acquisition.port_identity import serial_ports
 
 _BY_ID = Path("/dev/serial/by-id")
 _BAUD = 4_000_000
+_OWN_IDS = frozenset({(0x1209, 0x0001)})  # those that the installed udev rules name
+_OWN_WORDS = ("resonat", "rd board")  # in the strings of a USB device
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +33,7 @@ class Place:
     held_by: tuple[Holder, ...]
     held_by_all_seen: bool
     permitted: bool
+    looks_like_a_board: bool  # by ids and strings alone: nothing is opened
 
 
 def list_places(*, as_json: bool) -> None:
@@ -59,6 +64,8 @@ def _as_json(place: Place) -> dict[str, Any]:
 
 def _notes(place: Place) -> list[str]:
     notes = []
+    if place.looks_like_a_board:
+        notes.append("looks like a board; to be sure: resonatord identify")
     if place.held_by:
         notes.append(f"held by {' and '.join(str(holder) for holder in place.held_by)}")
     if not place.permitted:
@@ -84,9 +91,15 @@ def _serial_places() -> list[Place]:
                 held_by=holders.processes,
                 held_by_all_seen=holders.all_seen,
                 permitted=os.access(port.device, os.R_OK | os.W_OK),
+                looks_like_a_board=_looks_like_a_board(port),
             )
         )
     return places
+
+
+def _looks_like_a_board(port: ListPortInfo) -> bool:
+    strings = " ".join(filter(None, (port.manufacturer, port.product, port.description))).lower()
+    return (port.vid, port.pid) in _OWN_IDS or any(word in strings for word in _OWN_WORDS)
 
 
 def _by_id() -> dict[str, str]:
@@ -111,6 +124,7 @@ def _usb_places() -> list[Place]:
                 held_by=holders.processes,
                 held_by_all_seen=holders.all_seen,
                 permitted=os.access(board.node, os.R_OK | os.W_OK),
+                looks_like_a_board=True,  # its interface is of a board's class
             )
         )
     return places

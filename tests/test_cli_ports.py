@@ -79,7 +79,8 @@ def test_ports_are_listed_with_the_line_to_copy(
     assert main(["ports"]) == 0
     said, noted = capsys.readouterr()
     assert noted == "programs of other users that hold a port are not shown; root sees them\n"
-    assert f'/dev/null  1209:000a 0042 RD board\n    link = "serial:{by_id}?baud=4000000"\n' in said
+    board = "    looks like a board; to be sure: resonatord identify\n"
+    assert f'/dev/null  1209:000a 0042 RD board\n{board}    link = "serial:{by_id}?baud=4000000"\n' in said
     assert '/dev/zero  says nothing of itself\n    link = "serial:/dev/zero?baud=4000000"\n' in said
     code, listed = asked(capsys, "ports")
     assert code == 0
@@ -87,6 +88,23 @@ def test_ports_are_listed_with_the_line_to_copy(
     assert (first["link"], first["by_id"]) == (f"serial:{by_id}?baud=4000000", str(by_id))
     assert (first["usb_id"], first["serial_number"], first["permitted"]) == ("1209:000a", "0042", True)
     assert (second["usb_id"], second["serial_number"], second["description"]) == (None, None, None)
+    assert (first["looks_like_a_board"], second["looks_like_a_board"]) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("said", "expected"),
+    [
+        ({"vid": 0x1209, "pid": 0x0001}, True),
+        ({"vid": 0x1209, "pid": 0x0002}, False),
+        ({"vid": 0x0403, "pid": 0x6001, "description": "FT232R USB UART"}, False),
+        ({"vid": 0x0403, "pid": 0x6001, "product": "Resonator counter"}, True),
+    ],
+)
+def test_what_looks_like_a_board_is_told_without_opening_it(
+    present: list[ListPortInfo], capsys: pytest.CaptureFixture[str], said: dict[str, Any], expected: bool
+) -> None:
+    present.append(serial_port("/dev/null", **said))
+    assert asked(capsys, "ports")[1]["ports"][0]["looks_like_a_board"] is expected
 
 
 def test_ports_tells_who_holds_one(present: list[ListPortInfo], board: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -266,7 +284,7 @@ def test_a_held_port_names_its_holder(board: str, capsys: pytest.CaptureFixture[
     [
         ((), "name a LINK (see: resonatord ports) or --config FILE"),
         (("serial:/dev/ttyACM0",), "must be serial:PATH?baud=N"),
-        (("/dev/ttyACM0",), "no link is called"),
+        (("/dev/ttyACM0",), "must say what kind of link it is"),
     ],
 )
 def test_a_link_that_is_none_is_a_usage_error(

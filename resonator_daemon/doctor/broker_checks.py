@@ -1,0 +1,220 @@
+"""The broker: is its name known, does it listen, does it take this user, and how quickly do messages come back."""
+
+import asyncio
+import contextlib
+import logging
+import secrets
+import socket
+import statistics
+from collections.abc import Iterator
+from typing import Final
+
+import aiomqtt
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
+from resonator_daemon.doctor.load import Load
+from resonator_daemon.publishing import connection
+from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.topics import full_topic
+
+RESOLVES: Final = Check("broker.name", Area.SOFTWARE, "name of the broker")
+LISTENS: Final = Check("broker.listens", Area.SOFTWARE, "broker listens")
+ACCEPTS: Final = Check("broker.accepts", Area.SOFTWARE, "broker takes this user")
+ROUND_TRIP: Final = Check("broker.round_trip", Area.SOFTWARE, "round trip to the broker")
+
+_CONNECT_S: Final = 5.0
+_ACCEPT_S: Final = 8.0
+_TURNS: Final = 15
+_SOON_S: Final = 0.005  # who answers so soon after a message is taken for a conversation, and its acknowledgements wait
+_PAUSE_S: Final = 0.06  # longer than an acknowledgement is delayed, so that each turn stands for itself
+_ANSWER_S: Final = 2.0
+_SLOW_S: Final = 0.020  # in which 200 messages a second would already wait for each other
+_SPIKE_S: Final = 0.030  # Linux delays acknowledgements by 40 ms
+_SPIKES_SHARE: Final = 0.1
+_TOPIC_LEVEL: Final = "doctor"
+
+
+async def check_broker(broker: Mqtt, load: Load) -> list[Finding]:
+    """Return what there is to say of a broker, link by link; what comes after the first fault is not looked at."""
+    where = f"{broker.host}:{broker.port}"
+    loop = asyncio.get_running_loop()
+    try:
+        async with asyncio.timeout(_CONNECT_S):
+            found = await loop.getaddrinfo(broker.host, broker.port, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError, TimeoutError) as error:
+        reason = "no answer from the resolver" if isinstance(error, TimeoutError) else getattr(error, "strerror", error)
+        fault = RESOLVES.fault(f"{broker.host}: no such host ({reason})", "correct mqtt.url, or see to the network")
+        return [fault, *not_checked((LISTENS, ACCEPTS, ROUND_TRIP), "its address is not known")]
+    resolved = RESOLVES.ok(f"{broker.host} is {', '.join(sorted({str(address[4][0]) for address in found}))}")
+    try:
+        async with asyncio.timeout(_CONNECT_S):
+            _, writer = await asyncio.open_connection(broker.host, broker.port)
+    except (OSError, TimeoutError) as error:
+        reason = f"no answer within {_CONNECT_S:g} s" if isinstance(error, TimeoutError) else str(error)
+        fault = LISTENS.fault(
+            f"{where}: {reason}",
+            "start the broker, see that it listens on that address (and the firewall), or mqtt.url",
+        )
+        return [resolved, fault, *not_checked((ACCEPTS, ROUND_TRIP), "nobody listens")]
+    writer.close()
+    with contextlib.suppress(OSError):
+        await writer.wait_closed()
+    return [resolved, LISTENS.ok(where), *await _ask(broker, load)]
+
+
+class _Probe:
+    """Sends messages to itself: one, soon after it a pair, and then nothing for longer than acknowledgements wait.
+
+    A broker with Nagle's algorithm holds the second of a pair back until the first is acknowledged.
+    """
+
+    def __init__(self, broker: Mqtt) -> None:
+        self._topic = full_topic(broker.prefix, _TOPIC_LEVEL, secrets.token_hex(8))
+        self._arrived: dict[int, float] = {}
+        self._came = asyncio.Event()
+        self.sent: dict[int, float] = {}
+        self.denied = ""
+        self.version = ""
+        self.accepted = asyncio.Event()
+        self.done = asyncio.Event()
+
+    @property
+    def round_trips_s(self) -> dict[int, float]:
+        return {number: self._arrived[number] - at_s for number, at_s in self.sent.items() if number in self._arrived}
+
+    def make_client(self, broker: Mqtt, version: aiomqtt.ProtocolVersion) -> BrokerClient:
+        return BrokerClient(broker, version, on_message=self._take)
+
+    async def serve(self, client: BrokerClient) -> None:
+        self.version = "MQTT 5" if client.version is aiomqtt.ProtocolVersion.V5 else "MQTT 3.1.1"
+        self.accepted.set()
+        try:
+            await client.subscribe(self._topic, qos=0)
+        except aiomqtt.MqttCodeError as error:
+            self.denied = str(error)
+            self.done.set()
+            return
+        for turn in range(_TURNS):
+            self._send(client, 3 * turn)
+            await asyncio.sleep(_SOON_S)
+            _delay_acknowledgements(client)
+            self._send(client, 3 * turn + 1)
+            self._send(client, 3 * turn + 2)
+            await asyncio.sleep(_PAUSE_S)
+        await self._hear_rest()
+        self.done.set()
+        await asyncio.wait([client.lost])
+
+    def _send(self, client: BrokerClient, number: int) -> None:
+        if client.writable:
+            self.sent[number] = asyncio.get_running_loop().time()
+            client.send(self._topic, str(number).encode(), qos=0)
+
+    async def _hear_rest(self) -> None:
+        try:
+            async with asyncio.timeout(_ANSWER_S):
+                while len(self._arrived) < len(self.sent):
+                    self._came.clear()
+                    await self._came.wait()
+        except TimeoutError:
+            pass  # what has not come by now is counted as not come
+
+    def _take(self, message: Incoming) -> None:
+        if message.payload.isdigit():
+            self._arrived.setdefault(int(message.payload), asyncio.get_running_loop().time())
+            self._came.set()
+
+
+def _delay_acknowledgements(client: BrokerClient) -> None:
+    """Acknowledge as a socket does that has long been open; the system is quick about it on a new one."""
+    descriptor = client._client.socket()  # noqa: SLF001 - the library keeps it to itself
+    if isinstance(descriptor, socket.socket):
+        descriptor.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
+
+
+class _LastWord(logging.Handler):
+    """Keeps what the connection says of itself, in the place of the log."""
+
+    text = "no answer"
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.text = record.getMessage()
+
+
+async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
+    probe, closing = _Probe(broker), asyncio.get_running_loop().create_future()
+    word = _LastWord()
+    propagate, connection.log.propagate = connection.log.propagate, False
+    connection.log.addHandler(word)
+    keeping = asyncio.create_task(
+        keep_connected(broker, lambda version: probe.make_client(broker, version), probe.serve, closing)
+    )
+    try:
+        async with asyncio.timeout(_ACCEPT_S):
+            await probe.accepted.wait()
+        async with asyncio.timeout(_TURNS * _PAUSE_S + 3 * _ANSWER_S):
+            await probe.done.wait()
+    except TimeoutError:
+        pass  # told below by what is missing
+    finally:
+        closing.set_result(None)
+        await keeping
+        connection.log.removeHandler(word)
+        connection.log.propagate = propagate
+    return list(_told(probe, word.text, load.busy()))
+
+
+def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:
+    if not probe.accepted.is_set():
+        yield ACCEPTS.fault(
+            said.removesuffix("; trying again"),
+            "correct the keys of [mqtt], or the broker's accounts; docs/security.md",
+        )
+        yield ROUND_TRIP.not_checked("the broker does not take this user")
+        return
+    yield ACCEPTS.ok(probe.version)
+    if probe.denied:
+        yield ROUND_TRIP.not_checked(f"its access rules deny a topic to measure on ({probe.denied})")
+        return
+    times_s = probe.round_trips_s
+    if not times_s:
+        yield ROUND_TRIP.not_checked(
+            f"none of {len(probe.sent)} messages came back: its access rules may deny them, which MQTT does not tell"
+        )
+        return
+    yield excused(_round_trip(times_s, len(probe.sent)), busy)
+
+
+def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
+    times_s = list(by_number.values())
+    median_ms, worst_ms = 1e3 * statistics.median(times_s), 1e3 * max(times_s)
+    evidence = f"{median_ms:.1f} ms in the middle, {worst_ms:.1f} ms at worst, of {len(times_s)}"
+    spikes = sum(time_s > _SPIKE_S for number, time_s in by_number.items() if number % 3 == 2)  # the later of a pair
+    slow = sum(time_s > _SLOW_S for time_s in times_s)
+    if len(times_s) < sent:
+        return ROUND_TRIP.fault(
+            f"{evidence}; {sent - len(times_s)} of {sent} did not come back within {_ANSWER_S:g} s",
+            "the broker, or the network to it, takes less than it is sent: look at its load and its limits",
+            value=float(sent - len(times_s)),
+            limit=0.0,
+            unit="messages",
+        )
+    if spikes >= _SPIKES_SHARE * len(times_s) and spikes > 0.5 * slow:
+        return ROUND_TRIP.warning(
+            f"{evidence}; {spikes} took about 40 ms: small messages wait for acknowledgements (Nagle)",
+            "set_tcp_nodelay true in mosquitto.conf, or what other brokers call it",
+            value=float(spikes),
+            limit=_SPIKES_SHARE * len(times_s),
+            unit="messages",
+        )
+    if slow > _SPIKES_SHARE * len(times_s):
+        return ROUND_TRIP.warning(
+            f"{evidence}; {slow} took longer than {1e3 * _SLOW_S:g} ms",
+            "the broker, or the network to it, is slow: look at its load, or use a nearer one",
+            value=median_ms,
+            limit=1e3 * _SLOW_S,
+            unit="ms",
+        )
+    return ROUND_TRIP.ok(evidence, value=median_ms, limit=1e3 * _SLOW_S, unit="ms")

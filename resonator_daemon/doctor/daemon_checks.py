@@ -1,0 +1,101 @@
+"""A daemon that runs on the link already: what it says of itself, so that nobody has to take the link from it."""
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from resonator_daemon.doctor import link_checks
+from resonator_daemon.doctor.finding import Area, Check, Finding, graded
+from resonator_daemon.status_client import Answer
+
+RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
+CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")
+LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon says")
+SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon says")
+BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon says")
+
+_ERRORS_FAULT: Final = 1e-3  # frames damaged or lost, of all since the board's last start
+_FRAMES_MIN: Final = 100
+_CALM_SENSOR: Final = ("ok", "settling", "overload", "rejected", "ambiguous", "possibly_more")
+
+
+def check_daemon(answer: Answer) -> Iterator[Finding]:
+    """Yield what a running daemon says; its words are a stranger's, and may lack anything."""
+    status = answer.status
+    if status is None:
+        if os.access(answer.socket, os.R_OK | os.W_OK):
+            yield RUNS.fault(f"{answer.socket}: {answer.problem}", "restart it, if it does not recover")
+        else:
+            yield RUNS.not_checked(f"{answer.socket}: {answer.problem}")
+        return
+    yield from told(status, "its socket")
+
+
+def told(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
+    """Yield what a daemon's own word tells; whatever it leaves out is not looked at."""
+    pid = f" as pid {status['pid']}" if "pid" in status else ""
+    yield RUNS.ok(f"it runs{pid} and has the link; what follows is what it says over {where}")
+    if config := _table(status, "config"):
+        yield from _config(config)
+    link = _table(status, "link")
+    if link.get("state") == "online":
+        yield LINK.ok(f"online {link.get('reason', '')}".strip())
+        yield from _losses(_table(status, "health"))
+    else:
+        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "do what the reason says; docs/links.md")
+    sensor = _table(status, "sensor")
+    if sensor.get("state") in _CALM_SENSOR:
+        yield SENSOR.ok(f"{sensor.get('state')} {sensor.get('reason', '')}".strip())
+    elif link.get("state") == "online":
+        yield SENSOR.fault(
+            f"{sensor.get('state')}: {sensor.get('reason')}",
+            "stop the daemon and ask again: then the tones are looked at",
+        )
+    else:
+        yield SENSOR.not_checked("no frames come")
+    broker = _table(status, "broker")
+    if broker.get("connected"):
+        yield BROKER.ok(f"connected to {broker.get('url')}")
+    else:
+        yield BROKER.warning(f"not connected to {broker.get('url')}", "see what is found of the broker itself")
+
+
+def _config(config: Mapping[str, Any]) -> Iterator[Finding]:
+    if config.get("in_use") == "last_good":
+        problems = "; ".join(str(problem) for problem in config.get("problems", ()))
+        yield CONFIG.fault(
+            f"it works by the last good one: {problems}", f"mend {config.get('file')} (resonatord check), then reload"
+        )
+    elif config.get("needs_restart"):
+        keys = ", ".join(str(key) for key in config["needs_restart"])
+        yield CONFIG.warning(f"{keys} in the file are not in effect yet", "restart the daemon")
+    else:
+        yield CONFIG.ok(str(config.get("file")))
+
+
+def _losses(health: Mapping[str, Any]) -> Iterator[Finding]:
+    boots = health.get("boots") or ()
+    if not boots:
+        yield link_checks.ERRORS.not_checked("the daemon has not told of its health yet")
+        return
+    present = boots[-1]
+    lost = present.get("lost", {})
+    hit = int(lost.get("damaged", 0)) + int(lost.get("link_gap", 0))
+    frames = int(present.get("frames", 0)) + sum(int(count) for count in lost.values())
+    evidence = f"{hit} of {frames} frames damaged or lost since the board's last start (limit {_ERRORS_FAULT:g})"
+    if frames < _FRAMES_MIN:
+        yield link_checks.ERRORS.not_checked(f"{frames} frames, at least {_FRAMES_MIN} are needed")
+        return
+    yield link_checks.ERRORS.judged(
+        graded(hit / frames, 0.0, _ERRORS_FAULT),
+        evidence,
+        link_checks.CABLE,
+        value=hit / frames,
+        limit=_ERRORS_FAULT,
+        unit="",
+    )
+
+
+def _table(status: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = status.get(name)
+    return value if isinstance(value, dict) else {}

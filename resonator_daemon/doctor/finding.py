@@ -1,0 +1,99 @@
+"""What one check says: what was looked at, the evidence with its limit, the outcome, and what to do."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Outcome(StrEnum):
+    """How a check ended."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAULT = "fault"
+    NOT_CHECKED = "not_checked"
+
+
+class Area(StrEnum):
+    """Who must act, in the order of causes: what is wrong in one hides what may be wrong in the next."""
+
+    WIRING = "wiring"
+    SENSOR = "sensor"
+    SOFTWARE = "software"
+
+
+FINE = "fine"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What a check says.
+
+    Attributes
+    ----------
+    evidence
+        What was seen and what the limit is; of what was not checked, why not.
+    value, limit, unit
+        The same as numbers, where they are numbers.
+    remedy
+        What to do; empty where there is nothing to do.
+    """
+
+    id: str
+    area: Area
+    title: str
+    outcome: Outcome
+    evidence: str
+    remedy: str = ""
+    value: float | None = None
+    limit: float | None = None
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What is looked at; `id` stays the same from version to version."""
+
+    id: str
+    area: Area
+    title: str
+
+    def ok(self, evidence: str, *, value: float | None = None, limit: float | None = None, unit: str = "") -> Finding:
+        return Finding(self.id, self.area, self.title, Outcome.OK, evidence, "", value, limit, unit)
+
+    def warning(
+        self, evidence: str, remedy: str, *, value: float | None = None, limit: float | None = None, unit: str = ""
+    ) -> Finding:
+        return Finding(self.id, self.area, self.title, Outcome.WARNING, evidence, remedy, value, limit, unit)
+
+    def fault(
+        self, evidence: str, remedy: str, *, value: float | None = None, limit: float | None = None, unit: str = ""
+    ) -> Finding:
+        return Finding(self.id, self.area, self.title, Outcome.FAULT, evidence, remedy, value, limit, unit)
+
+    def not_checked(self, reason: str) -> Finding:
+        return Finding(self.id, self.area, self.title, Outcome.NOT_CHECKED, reason)
+
+    def judged(self, outcome: Outcome, evidence: str, remedy: str, *, value: float, limit: float, unit: str) -> Finding:
+        """Return a finding whose outcome was weighed from numbers; a remedy belongs to what is not ok."""
+        remedy = "" if outcome is Outcome.OK else remedy
+        return Finding(self.id, self.area, self.title, outcome, evidence, remedy, value, limit, unit)
+
+
+def excused(finding: Finding, excuse: str) -> Finding:
+    """Return that it could not be checked, where something else than what it names explains what was seen."""
+    if not excuse or finding.outcome not in (Outcome.WARNING, Outcome.FAULT):
+        return finding
+    return Finding(finding.id, finding.area, finding.title, Outcome.NOT_CHECKED, f"{excuse}; seen: {finding.evidence}")
+
+
+def graded(value: float, warning_above: float, fault_above: float) -> Outcome:
+    """Return how bad a value is of which less is better."""
+    if value > fault_above:
+        return Outcome.FAULT
+    return Outcome.WARNING if value > warning_above else Outcome.OK
+
+
+def not_checked(checks: Iterable[Check], reason: str) -> list[Finding]:
+    """Return that none of these could be looked at."""
+    return [check.not_checked(reason) for check in checks]

@@ -1,0 +1,239 @@
+"""The way from the board to the computer: who answers, how its ticks come, what is damaged or lost."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from firmware_protocol.messages import ResetCause
+from resonator_daemon.acquisition.clock import TOLERANCE_PPM
+from resonator_daemon.acquisition.fit import misfits
+from resonator_daemon.acquisition.port_inquiry import Inquiry, round_trip_s
+from resonator_daemon.doctor.finding import Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.doctor.sitting import OPEN_S, Sitting
+from resonator_daemon.plate import Plate
+
+OPENS: Final = Check("link.opens", Area.WIRING, "link")
+ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
+TALKS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and says something else
+FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file")
+UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
+REFERENCE: Final = Check("board.reference", Area.SENSOR, "reference of the board")
+ROUND_TRIP: Final = Check("link.round_trip", Area.WIRING, "round trip to the board")
+RESET: Final = Check("board.reset", Area.WIRING, "last reset of the board")
+
+COUNTS: Final = Check("board.counts", Area.SENSOR, "board counts")
+STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
+ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
+OVERFLOW: Final = Check("link.overflow", Area.WIRING, "frames that the board dropped")
+OVERRUN: Final = Check("host.overrun", Area.SOFTWARE, "bytes that the driver lost")
+OF_AN_INQUIRY: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
+OF_A_SITTING: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
+
+_ROUND_TRIP_S: Final = 0.005  # median; an FTDI timer of 16 ms, its default, gives 8 ms more
+_ERRORS_WARNING, _ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
+_RATE_LEAST: Final = 0.8  # of the frames that the plate asks for, before the board must be dropping them
+_GARBAGE_FAULT: Final = 1e-3  # bytes discarded, of all
+
+
+def check_inquiry(inquiry: Inquiry, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
+    """Yield what a board's answers say, its counting aside; `busy` explains answers that come late."""
+    identity = inquiry.described.identity
+    yield ANSWERS.ok(f"{identity.product} {identity.serial_number}, firmware {identity.firmware}")
+    if plate is None:
+        yield FITS.not_checked(
+            "no configuration names the plate, and no shipped one bears the name that the board gives"
+        )
+        yield UNIT.not_checked("no plate file")
+    else:
+        yield _fits(inquiry, plate)
+        yield _unit(inquiry, plate)
+    yield _reference(inquiry)
+    yield excused(_round_trip(inquiry), busy)
+    yield _reset(inquiry)
+
+
+def check_sitting(sitting: Sitting) -> Iterator[Finding]:
+    """Yield what became of frames and bytes while the board counted."""
+    if not sitting.counted:
+        yield from _nothing_came(sitting)
+        return
+    yield COUNTS.ok(f"{sitting.frames} frames in {sitting.seconds:.1f} s")
+    overruns = sitting.after.host_overruns - sitting.before.host_overruns
+    yield excused(_errors(sitting), "the driver lost bytes, which looks the same" if overruns else "")
+    yield excused(_steady(sitting), "" if sitting.losses else sitting.busy)
+    yield excused(_overflow(sitting), sitting.busy)
+    yield OVERRUN.judged(
+        graded(overruns, 0.0, 0.0),
+        f"{overruns} times, none is meant" if overruns else "none that it tells of",
+        "relieve the computer: what keeps it from its interrupts for so long?",
+        value=float(overruns),
+        limit=0.0,
+        unit="times",
+    )
+
+
+def _steady(sitting: Sitting) -> Finding:
+    said = (*sitting.losses, *sitting.interruptions)
+    if not said:
+        return STEADY.ok("frames came all the time")
+    return STEADY.fault(
+        f"frames stopped {len(said)} times in {sitting.seconds:.1f} s: {said[0]}",
+        "check plug, cable, hub and the board's power: move the cable and watch",
+        value=float(len(said)),
+        limit=0.0,
+        unit="interruptions",
+    )
+
+
+def _nothing_came(sitting: Sitting) -> Iterator[Finding]:
+    rest = (STEADY, OVERFLOW, OVERRUN)
+    account = sitting.after
+    if sitting.problems:
+        check = FITS if not any(text.startswith("reference_hz") for text in sitting.problems) else REFERENCE
+        yield check.fault("; ".join(sitting.problems), "connect the right board, or name the right plate file")
+        yield from not_checked((COUNTS, ERRORS, *rest), "the board does not serve this plate")
+    elif account.bytes_discarded > _GARBAGE_FAULT * max(account.bytes_received, 1):
+        yield _garbage(account.bytes_discarded, account.bytes_received, 0, 0)
+        yield from not_checked((COUNTS, *rest), "too little arrives undamaged")
+    else:
+        yield COUNTS.fault(
+            f"it answers, and no frame came within {OPEN_S:g} s: {sitting.link}",
+            "start the board anew; if that does not help, it or its firmware is broken",
+        )
+        yield from not_checked((ERRORS, *rest), "no frame came")
+
+
+def _overflow(sitting: Sitting) -> Finding:
+    dropped = sitting.after.lost.board_overflow - sitting.before.lost.board_overflow
+    frames = _all_frames(sitting)
+    remedy = (
+        "the link takes less than the board counts: raise the baud rate on both ends, use a quicker port, or lower "
+        "counter.frame_rate_hz of the plate"
+    )
+    rate_hz = frames / sitting.seconds
+    if rate_hz < _RATE_LEAST * sitting.frame_rate_hz and not sitting.stopped:
+        return OVERFLOW.fault(
+            f"frames come at {rate_hz:.0f} a second, {sitting.frame_rate_hz:g} are counted: the others pile up there",
+            remedy,
+            value=rate_hz,
+            limit=_RATE_LEAST * sitting.frame_rate_hz,
+            unit="Hz",
+        )
+    return OVERFLOW.judged(
+        graded(dropped / frames, _ERRORS_WARNING, _ERRORS_FAULT),
+        f"{dropped} of {frames}, none is meant",
+        remedy,
+        value=float(dropped),
+        limit=0.0,
+        unit="frames",
+    )
+
+
+def _errors(sitting: Sitting) -> Finding:
+    before, after = sitting.before, sitting.after
+    hit = after.lost.damaged - before.lost.damaged
+    if not sitting.stopped:  # else the frames in between count as a gap
+        hit += after.lost.link_gap - before.lost.link_gap
+    hit += after.parts_lost - before.parts_lost
+    discarded = after.bytes_discarded - before.bytes_discarded
+    received = after.bytes_received - before.bytes_received
+    frames = _all_frames(sitting)
+    if hit / frames > _ERRORS_FAULT or discarded > _GARBAGE_FAULT * received:
+        return _garbage(discarded, received, hit, frames)
+    evidence = f"{hit} of {frames} frames damaged or lost (limit {_ERRORS_FAULT:g}), {discarded} of {received} bytes"
+    if not hit and not discarded:
+        return ERRORS.ok(evidence, value=0.0, limit=_ERRORS_FAULT)
+    return ERRORS.warning(evidence, CABLE, value=hit / frames, limit=_ERRORS_FAULT)
+
+
+CABLE: Final = (
+    "exchange the cable, keep it away from motors, ground both ends; on a line with a baud rate, see that both ends "
+    "have the same"
+)
+
+
+def _garbage(discarded: int, received: int, hit: int, frames: int) -> Finding:
+    share = hit / frames if frames else 1.0
+    of_frames = (
+        f"{hit} of {frames} frames damaged or lost (limit {_ERRORS_FAULT:g}), " if frames else "no whole frame, "
+    )
+    return ERRORS.fault(
+        f"{of_frames}{discarded} of {received} bytes are no packets (limit {_GARBAGE_FAULT:g})",
+        CABLE,
+        value=share,
+        limit=_ERRORS_FAULT,
+    )
+
+
+def _all_frames(sitting: Sitting) -> int:
+    return max(1, sitting.frames + sitting.after.lost.total - sitting.before.lost.total)
+
+
+def _fits(inquiry: Inquiry, plate: Plate) -> Finding:
+    problems = misfits(inquiry.described.description, plate)
+    if problems:
+        return FITS.fault("; ".join(problems), "connect the right board, or name the right plate file")
+    return FITS.ok(f"the board counts what plate {plate.name} needs")
+
+
+def _unit(inquiry: Inquiry, plate: Plate) -> Finding:
+    unit, present = plate.calibration.unit, inquiry.described.identity.serial_number
+    if unit is None:
+        return UNIT.not_checked("the plate file does not say with which board it was calibrated")
+    if unit != present:
+        return UNIT.fault(
+            f"the plate file was calibrated with {unit}, {present} is connected",
+            f"connect {unit}, or name the plate file of {present}",
+        )
+    return UNIT.ok(unit)
+
+
+def _reference(inquiry: Inquiry) -> Finding:
+    rate = inquiry.tick_rate
+    if rate is None:
+        return REFERENCE.not_checked("its ticks could not be timed")
+    evidence = (
+        f"ticks come {rate.deviation_ppm:+.0f} ppm off by this computer's clock, give or take "
+        f"{rate.uncertainty_ppm:.0f}; at most {TOLERANCE_PPM:g} ppm are plausible"
+    )
+    if rate.plausible:
+        return REFERENCE.ok(evidence, value=rate.deviation_ppm, limit=float(TOLERANCE_PPM), unit="ppm")
+    return REFERENCE.fault(
+        f"{evidence}: forces would be wrong by as much",
+        "mend the reference oscillator of the board, or what its firmware says of it; check this computer's clock",
+        value=rate.deviation_ppm,
+        limit=float(TOLERANCE_PPM),
+        unit="ppm",
+    )
+
+
+def _round_trip(inquiry: Inquiry) -> Finding:
+    times_s = round_trip_s(inquiry)
+    if times_s is None:
+        return ROUND_TRIP.fault(
+            "it says who it is, and answers no ping", "start the board anew, or update its firmware"
+        )
+    shortest_s, median_s = times_s
+    evidence = (
+        f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms in the middle (limit {_ROUND_TRIP_S * 1e3:g})"
+    )
+    if median_s <= _ROUND_TRIP_S:
+        return ROUND_TRIP.ok(evidence, value=median_s * 1e3, limit=_ROUND_TRIP_S * 1e3, unit="ms")
+    return ROUND_TRIP.warning(
+        evidence,
+        "an adapter that collects bytes: shorten its latency timer (docs/links.md); of TCP, look at the network",
+        value=median_s * 1e3,
+        limit=_ROUND_TRIP_S * 1e3,
+        unit="ms",
+    )
+
+
+def _reset(inquiry: Inquiry) -> Finding:
+    cause = inquiry.described.identity.reset_cause
+    if cause == ResetCause.BROWN_OUT:
+        return RESET.warning(
+            "its supply had broken down", "check the board's power: a shorter cable, another port, a hub with a supply"
+        )
+    if cause == ResetCause.WATCHDOG:
+        return RESET.warning("its watchdog had started it anew", "update its firmware; tell its maker")
+    name = ResetCause(cause).name.lower().replace("_", " ") if cause in set(ResetCause) else f"cause {cause}"
+    return RESET.ok(name)

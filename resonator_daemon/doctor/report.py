@@ -1,0 +1,106 @@
+"""The verdict over all findings, and the report of it: for people in 80 columns, or as one JSON object."""
+
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome
+from resonator_daemon.errors import ExitCode
+
+WIDTH: Final = 80
+_MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
+_MARK_WIDTH: Final = 9
+
+
+@dataclass(frozen=True)
+class Report:
+    """Everything that was found, in the order in which it was looked at."""
+
+    findings: Sequence[Finding]
+
+    @property
+    def faulty(self) -> tuple[Area, ...]:
+        """Areas with a fault, the first cause first."""
+        areas = {finding.area for finding in self.findings if finding.outcome is Outcome.FAULT}
+        return tuple(area for area in Area if area in areas)
+
+    @property
+    def verdict(self) -> str:
+        """`wiring`, `sensor`, `software` or `fine`: who must act first."""
+        return self.faulty[0].value if self.faulty else FINE
+
+    @property
+    def cause(self) -> Finding | None:
+        """The first fault of the area that must be seen to first."""
+        faults = (f for f in self.findings if f.outcome is Outcome.FAULT and f.area == self.verdict)
+        return next(faults, None)
+
+    @property
+    def exit_code(self) -> ExitCode:
+        return ExitCode.FAILED if self.faulty else ExitCode.DONE
+
+    def count(self, outcome: Outcome) -> int:
+        return sum(finding.outcome is outcome for finding in self.findings)
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "verb": "doctor",
+            "ok": not self.faulty,
+            "verdict": self.verdict,
+            "faulty": list(self.faulty),
+            "cause": self.cause.id if self.cause else None,
+            "findings": [_as_json(finding) for finding in self.findings],
+        }
+
+    def as_text(self) -> str:
+        lines = [line for area in Area for line in self._lines_of(area)]
+        return "\n".join([*lines, *self._ending()]) + "\n"
+
+    def _lines_of(self, area: Area) -> Iterator[str]:
+        of_area = [finding for finding in self.findings if finding.area is area]
+        if not of_area:
+            return
+        yield area.value
+        for finding in of_area:
+            yield from _wrapped(f"  {_MARKS[finding.outcome]:<{_MARK_WIDTH}}", f"{finding.title}: {finding.evidence}")
+            if finding.remedy:
+                yield from _wrapped(" " * (_MARK_WIDTH + 2), f"-> {finding.remedy}")
+        yield ""
+
+    def _ending(self) -> Iterator[str]:
+        counts = ", ".join(
+            f"{self.count(outcome)} {name}"
+            for outcome, name in (
+                (Outcome.FAULT, "at fault"),
+                (Outcome.WARNING, "to be watched"),
+                (Outcome.OK, "ok"),
+                (Outcome.NOT_CHECKED, "not checked"),
+            )
+        )
+        yield f"{len(self.findings)} looked at: {counts}"
+        if self.cause is None:
+            yield "verdict: fine"
+            return
+        others = "".join(f", then {area.value}" for area in self.faulty[1:])
+        yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {self.cause.title}: {self.cause.evidence}")
+
+
+def printable(text: str) -> str:
+    """Return words of boards, brokers and processes without what would steer a terminal."""
+    return "".join(sign if sign.isprintable() else " " for sign in text)
+
+
+def _as_json(finding: Finding) -> dict[str, Any]:
+    return {key: value.value if isinstance(value, Area | Outcome) else value for key, value in asdict(finding).items()}
+
+
+def _wrapped(head: str, text: str) -> Iterable[str]:
+    return textwrap.wrap(
+        printable(text),
+        WIDTH,
+        initial_indent=head,
+        subsequent_indent=" " * len(head),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

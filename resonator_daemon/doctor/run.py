@@ -1,0 +1,219 @@
+"""`resonatord doctor`: looks at everything in the order of causes, and says who must act."""
+
+import asyncio
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.port_holders import Holders, port_holders
+from resonator_daemon.acquisition.port_inquiry import Inquiry, NoBoardError, inquire
+from resonator_daemon.acquisition.port_opening import open_link
+from resonator_daemon.config import (
+    Config,
+    LinkTarget,
+    Mqtt,
+    ReplayLink,
+    SerialLink,
+    TcpLink,
+    UsbLink,
+    frame_bytes,
+    load_config,
+)
+from resonator_daemon.doctor import link_checks, sensor_checks
+from resonator_daemon.doctor.broker_checks import check_broker
+from resonator_daemon.doctor.clock_checks import check_clock
+from resonator_daemon.doctor.daemon_checks import check_daemon, told
+from resonator_daemon.doctor.disk_checks import check_disk
+from resonator_daemon.doctor.finding import Area, Finding, Outcome, not_checked
+from resonator_daemon.doctor.host import Host
+from resonator_daemon.doctor.load import Load
+from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
+from resonator_daemon.doctor.report import Report
+from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon
+from resonator_daemon.doctor.service_checks import check_service
+from resonator_daemon.doctor.sitting import sit_with
+from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
+from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.places import state_directory
+from resonator_daemon.plate import Plate, load_plate, shipped_plates
+
+_BITS_PER_BYTE: Final = 8
+_DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
+_AFTER_INQUIRY: Final = (*link_checks.OF_AN_INQUIRY, *link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE)
+
+
+@dataclass(frozen=True)
+class DoctorOptions:
+    """What is to be looked at: a configuration's board, or one on a link."""
+
+    config_path: Path | None
+    link: LinkTarget | None
+    seconds: float
+    brokers: tuple[Mqtt, ...] = ()  # beside the configuration's
+    json: bool = False
+    host: Host = field(default_factory=Host)
+
+
+def doctor(options: DoctorOptions) -> ExitCode:
+    """Look, and print the report; FAILED where something is at fault.
+
+    Raises
+    ------
+    OperatorError
+        The configuration cannot be used: there is nothing to hold the board against.
+    """
+    try:
+        examination = _Examination(options)
+    except OperatorError as error:
+        if options.json:
+            told = {"code": "config", "message": str(error), "hint": "resonatord check"}
+            sys.stdout.write(json.dumps({"verb": "doctor", "ok": False, "error": told}) + "\n")
+        raise
+    report = Report(list(examination.findings()))
+    sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.as_text())
+    return report.exit_code
+
+
+class _Examination:
+    def __init__(self, options: DoctorOptions) -> None:
+        self._options = options
+        self._host = options.host
+        self._config: Config | None = None if options.config_path is None else load_config(options.config_path)
+        link = options.link or (self._config.link if self._config else None)
+        if isinstance(link, ReplayLink):
+            raise ConfigError(f"link: {link} is a recording, which has no wiring; name the link of a board")
+        self._link = link
+
+    def findings(self) -> Iterator[Finding]:
+        """Yield everything in the order of causes."""
+        config = self._config
+        if self._link is not None:
+            yield from self._board(self._link)
+        self._say("clock, disk, service")
+        yield from check_clock(self._host)
+        yield from check_disk(state_directory(), config.recording if config else None)
+        yield from check_service(self._options.config_path, self._host)
+        for broker in self._brokers():
+            self._say(f"broker {broker.host}:{broker.port}")
+            yield from asyncio.run(check_broker(broker, Load(self._host)))
+        self._say("")
+
+    def _board(self, link: LinkTarget) -> Iterator[Finding]:
+        self._say(f"link {link}")
+        node = self._node(link)
+        holders = Holders((), True) if node is None else port_holders(str(node))
+        of_port = list(self._port(link, holders))
+        heard = self._daemon(link, holders, of_port)
+        if heard:
+            yield from (finding for finding in of_port if finding.id != HOLDER.id)
+            yield from heard
+            yield from not_checked(_AFTER_INQUIRY, _DAEMON_HAS_IT)
+            return
+        yield from of_port
+        if any(finding.outcome is Outcome.FAULT for finding in of_port):
+            yield from not_checked((link_checks.OPENS, link_checks.ANSWERS, *_AFTER_INQUIRY), "the port cannot be used")
+            return
+        yield from self._talk(link)
+
+    def _daemon(self, link: LinkTarget, holders: Holders, of_port: list[Finding]) -> list[Finding]:
+        """Return what the daemon says that has the link; empty where none has it."""
+        own_link = self._config is not None and self._config.link == link
+        path = self._options.config_path if own_link else None
+        answer = asyncio.run(find_daemon(link, path, {holder.pid for holder in holders.processes}))
+        if answer is not None and answer.status is not None:
+            return list(check_daemon(answer))
+        held = any(finding.id == HOLDER.id and finding.outcome is Outcome.FAULT for finding in of_port)
+        if held or answer is not None or isinstance(link, TcpLink):
+            for broker in self._brokers():
+                self._say(f"what a daemon publishes at {broker.host}:{broker.port}")
+                name = self._config.name if own_link and self._config is not None else None
+                if (status := asyncio.run(hear_daemon(broker, name, link))) is not None:
+                    return list(told(status, "MQTT"))
+        return [] if answer is None else list(check_daemon(answer))
+
+    def _brokers(self) -> tuple[Mqtt, ...]:
+        return (*((self._config.mqtt,) if self._config else ()), *self._options.brokers)
+
+    def _node(self, link: LinkTarget) -> Path | None:
+        """Return the device file of a link."""
+        if isinstance(link, SerialLink):
+            return self._host.at(link.path).resolve()
+        return usb_node(link, self._host) if isinstance(link, UsbLink) else None
+
+    def _port(self, link: LinkTarget, holders: Holders) -> Iterator[Finding]:
+        plate = self._config.plate if self._config else None
+        load = None if plate is None else frame_bytes(plate) * _BITS_PER_BYTE * plate.counter.frame_rate_hz
+        if isinstance(link, SerialLink):
+            yield from check_port(link, self._host, holders)
+            name = self._host.at(link.path).resolve().name
+            if (device := usb_device_of(name, self._host)) is not None:
+                yield from check_usb_device(device, self._host, load)
+        elif isinstance(link, UsbLink):
+            yield from check_usb_link(link, self._host, load)
+            if usb_node(link, self._host) is not None:
+                yield check_holder(holders, str(link))
+
+    def _talk(self, link: LinkTarget) -> Iterator[Finding]:
+        try:
+            opened = open_link(link)
+        except LinkUnavailableError as error:
+            yield link_checks.OPENS.fault(str(error), "do what it says; docs/links.md")
+            yield from not_checked((link_checks.ANSWERS, *_AFTER_INQUIRY), "the link cannot be opened")
+            return
+        try:
+            yield link_checks.OPENS.ok(f"{link} is open")
+            self._say("asking the board who it is")
+            load = Load(self._host)
+            inquiry = inquire(opened)
+            busy = load.busy()
+        except NoBoardError as error:
+            check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
+            yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
+            yield from not_checked(_AFTER_INQUIRY, "no board answers")
+            return
+        finally:
+            opened.close()
+        yield from self._listen(link, inquiry, busy)
+
+    def _listen(self, link: LinkTarget, inquiry: Inquiry, busy: str) -> Iterator[Finding]:
+        plate = self._plate(inquiry)
+        answered = list(link_checks.check_inquiry(inquiry, plate, busy))
+        yield from answered
+        if plate is None:
+            yield from not_checked((*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "name a --config FILE")
+            return
+        if any(f.outcome is Outcome.FAULT and f.id == link_checks.FITS.id for f in answered):
+            yield from not_checked(
+                (*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
+            )
+            return
+        sitting = sit_with(link, plate, self._options.seconds, self._say, Load(self._host))
+        found = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
+        of_link = [finding for finding in link_checks.check_sitting(sitting) if finding.id not in found]
+        yield from of_link
+        yield sensor_checks.check_calibration(plate, plate.calibration.expiry_note(datetime.now(UTC).date()))
+        if any(finding.outcome is Outcome.FAULT and finding.area is Area.WIRING for finding in of_link):
+            yield from not_checked(sensor_checks.OF_THE_PLATE, "too little arrives undamaged to judge by")
+        elif not sitting.counted:
+            yield from not_checked(sensor_checks.OF_THE_PLATE, "no frames came")
+        elif link_checks.REFERENCE.id in found:
+            yield from not_checked(sensor_checks.OF_THE_PLATE, "frequencies mean nothing by such a reference")
+        else:
+            yield from sensor_checks.check_plate(sitting, plate)
+
+    def _plate(self, inquiry: Inquiry) -> Plate | None:
+        if self._config is not None:
+            return self._config.plate
+        name = inquiry.described.description.plate
+        return load_plate(name) if name in shipped_plates() else None
+
+    def _say(self, what: str) -> None:
+        """Show progress in one line of a terminal."""
+        if sys.stderr.isatty():
+            sys.stderr.write(f"\r{what}\x1b[K")
+            sys.stderr.flush()

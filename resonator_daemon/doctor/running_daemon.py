@@ -1,0 +1,89 @@
+"""Finds the daemon that has a link already, so that nobody takes it away: by its socket, or by what it publishes."""
+
+import asyncio
+import os
+from collections.abc import Collection, Mapping
+from contextlib import aclosing
+from pathlib import Path
+from typing import Any, Final
+
+from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, UsbLink, load_config, parse_link
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing.payloads import Condition, Info
+from resonator_daemon.publishing.subscriber import subscribe
+from resonator_daemon.publishing.topics import TOPICS
+from resonator_daemon.status_client import Answer, ask_all
+
+_HEARD: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
+_LOOK_S, _HEAR_S = 1.0, 3.0  # the broker has the states, health comes each second
+
+
+async def find_daemon(link: LinkTarget, config_path: Path | None, pids: Collection[int]) -> Answer | None:
+    """Return what the daemon of this computer answers that has a link; None where none does.
+
+    It is the one that holds the port, as `pids` do, or was started with `config_path`, or with another file that names
+    the same link.
+    """
+    for answer in await ask_all(None):
+        if answer.status is None:
+            if config_path is not None and answer.socket.parent.name == config_path.stem:
+                return answer
+        elif answer.status.get("pid") in pids or _has(answer.status, link, config_path):
+            return answer
+    return None
+
+
+def same_link(one: LinkTarget, other: LinkTarget) -> bool:
+    """Tell whether both lead to one board, whatever they call it."""
+    if isinstance(one, SerialLink) and isinstance(other, SerialLink):
+        return os.path.realpath(one.path) == os.path.realpath(other.path)
+    if isinstance(one, UsbLink) and isinstance(other, UsbLink):
+        alike = (one.vendor_id, one.product_id) == (other.vendor_id, other.product_id)
+        return alike and (one.serial_number == other.serial_number or None in (one.serial_number, other.serial_number))
+    return one == other
+
+
+def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) -> bool:
+    config = status.get("config")
+    if not isinstance(config, dict) or not isinstance(config.get("file"), str):
+        return False
+    file = Path(f"/proc/{status.get('pid')}/cwd") / config["file"]
+    try:
+        if config_path is not None and file.samefile(config_path):
+            return True
+        return "link" not in config.get("needs_restart", ()) and same_link(load_config(file).link, link)
+    except (OSError, ValueError, OperatorError):
+        return False  # its file is not for this user to read, or has changed since
+
+
+async def hear_daemon(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[str, Any] | None:
+    """Return what a daemon publishes of itself, as its socket would give it; None where none says so in time.
+
+    Without a name it is the one that says it reads `link`.
+    """
+    plates: dict[str, dict[str, Any]] = {}
+    topics = tuple(TOPICS[path] for path in _HEARD)
+    try:
+        async with asyncio.timeout(_LOOK_S) as limit, aclosing(subscribe(broker, topics)) as messages:
+            async for plate, path, message in messages:
+                said = plates.setdefault(plate, {})
+                if isinstance(message, Info):
+                    said["is_ours"] = _names(message.link, link)
+                else:
+                    said[path.removeprefix("state/")] = message.model_dump(mode="json")
+                wanted = plate == name if name else said.get("is_ours")
+                if wanted and path in ("info", "state/daemon"):
+                    limit.reschedule(asyncio.get_running_loop().time() + _HEAR_S)
+                if wanted and said.keys() >= {"daemon", "link", "sensor", "health"}:
+                    online = said["daemon"].get("state") == Condition.ONLINE
+                    return {**said, "broker": {"connected": True, "url": broker.anonymous().url}} if online else None
+    except TimeoutError:
+        pass
+    return None
+
+
+def _names(text: str, link: LinkTarget) -> bool:
+    try:
+        return same_link(parse_link(text), link)
+    except ValueError:
+        return False  # a later version's kind of link

@@ -1,0 +1,288 @@
+"""Plate and counter: are all tones there and where they belong, how noisy, how steady, and is the plate at rest."""
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.doctor.finding import Area, Check, Finding, Outcome, graded, not_checked
+from resonator_daemon.doctor.hearing import PAIRS, Floats, Hearing
+from resonator_daemon.doctor.sitting import Sitting
+from resonator_daemon.plate import SKIN_SIGNALS, Plate
+
+CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")
+AT_REST: Final = Check("sensor.at_rest", Area.SENSOR, "plate at rest")
+TONES: Final = Check("sensor.tones", Area.SENSOR, "tones")
+NOISE: Final = Check("sensor.noise", Area.SENSOR, "noise floor")
+CROSS_TALK: Final = Check("sensor.cross_talk", Area.SENSOR, "cross-talk between channels")
+DRIFT: Final = Check("sensor.drift", Area.SENSOR, "drift")
+TEMPERATURE: Final = Check("board.temperature", Area.SENSOR, "temperature of the board")
+CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record")
+OF_THE_PLATE: Final = (CHANNELS, AT_REST, TONES, NOISE, CROSS_TALK, DRIFT, TEMPERATURE)
+
+_HEARD_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is heard
+_NOISE_WARNING, _NOISE_FAULT = 3.0, 10.0  # over what counter and oscillator give
+_RESIDUAL_WARNING: Final = 1.0  # noise over the residuals of the calibration record
+_ALIKE_WARNING, _ALIKE_FAULT = 2.0, 8.0  # times less than two channels of their own could differ
+_DRIFT_PER_S: Final = 2e-8  # relative: that of 10 mK/s at a usual site, and 3 mN/s
+_DRIFT_SIGMAS: Final = 6.0
+_PRESSED_SHARE: Final = 0.05  # of the plate's largest force
+_READINGS_MIN: Final = 5
+_BOARD_KELVIN: Final = (233.0, 358.0)  # -40 to 85 degrees Celsius, for which parts are made
+_STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
+
+
+def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
+    """Yield what the tones say; `sitting` is one in which frames came."""
+    hearing = sitting.hearing
+    if hearing is None or len(sitting.readings) < _READINGS_MIN:
+        reason = f"{len(sitting.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
+        yield from not_checked(OF_THE_PLATE, reason)
+        return
+    times_s = np.array([reading.time_s for reading in sitting.readings])
+    shift = np.array([reading.shift for reading in sitting.readings])  # (r, t, 4)
+    std = np.array([reading.std for reading in sitting.readings])
+    strange_hz = np.array([reading.strange_hz for reading in sitting.readings])
+    touched = np.array([reading.touched for reading in sitting.readings]) | _moving(shift, plate)
+    yield _at_rest(touched, shift, plate, hearing)
+    quiet = ~touched
+    if np.count_nonzero(quiet) < _READINGS_MIN:
+        yield from not_checked((CHANNELS, TONES, NOISE, CROSS_TALK, DRIFT), "the plate is touched")
+    else:
+        shift, std, strange_hz = shift[quiet], std[quiet], strange_hz[quiet]
+        yield _channels(shift, strange_hz, hearing)
+        yield _tones(shift, strange_hz, hearing)
+        yield _noise(shift, std, plate, hearing)
+        yield _cross_talk(np.array([reading.pair_noise for reading in sitting.readings])[quiet])
+        yield _drift(times_s[quiet], shift, std)
+    yield _temperature(sitting.temperatures_kelvin)
+
+
+def check_calibration(plate: Plate, expiry_note: str) -> Finding:
+    """Return how the plate's record stands; `expiry_note` says that it has expired, or is empty."""
+    calibration = plate.calibration
+    if calibration.id is None:
+        return CALIBRATION.not_checked("the plate file has none")
+    if expiry_note:
+        return CALIBRATION.warning(expiry_note, "resonatord calibrate, with known masses")
+    return CALIBRATION.ok(f"{calibration.id}, of {calibration.date or 'an unknown day'}")
+
+
+def _moving(shift: Floats, plate: Plate) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Tell in which readings one force site moves against all others: (r,)."""
+    readings, tones, _ = shift.shape
+    if tones < 3 or plate.signals == SKIN_SIGNALS:
+        return np.zeros(readings, bool)
+    force = _forces(shift - np.median(shift, axis=1, keepdims=True), plate)
+    off: Floats = np.abs(force - np.median(force, axis=0))
+    return np.asarray(off.max(axis=1) > 0.2 * _PRESSED_SHARE * plate.force_max_newton)
+
+
+def _forces(shift: Floats, plate: Plate) -> Floats:
+    """Return forces (r, t) by the plate file's sensitivities, NaN read as none."""
+    force: Floats = np.nan_to_num(shift / plate.tones.sensitivity).mean(axis=-1)
+    return force
+
+
+def _at_rest(
+    touched: np.ndarray[tuple[int], np.dtype[np.bool_]], shift: Floats, plate: Plate, hearing: Hearing
+) -> Finding:
+    remedy = "take everything off the plate, and ask again"
+    readings = len(touched)
+    if touched.all():
+        return AT_REST.fault("a site is pressed all the time", remedy)
+    if touched[0]:
+        return AT_REST.warning(f"pressed at the start, and in {touched.sum()} of {readings} readings", remedy)
+    if plate.signals != SKIN_SIGNALS and len(hearing.tones) > 2 and plate.calibration.id is not None:
+        middle = np.median(np.nanmean(shift, axis=0), axis=0)
+        force = _forces((np.nanmean(shift, axis=0) - middle)[None], plate)[0]
+        worst = int(np.abs(force).argmax())
+        limit_newton = _PRESSED_SHARE * plate.force_max_newton
+        if abs(force[worst]) > limit_newton:
+            return AT_REST.fault(
+                f"{hearing.tones[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
+                f"{remedy}; where it is bare, calibrate anew",
+                value=float(abs(force[worst])),
+                limit=limit_newton,
+                unit="N",
+            )
+    if touched.any():
+        return AT_REST.ok(f"touched in {touched.sum()} of {readings} readings, which the checks below leave out")
+    return AT_REST.ok("nothing touches it")
+
+
+def _channels(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
+    """Judge each channel by the share of all tones that it hears, wherever they are."""
+    heard = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
+    dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if heard[channel] < _HEARD_SHARE]
+    least = f"a channel counts as alive that hears {100 * _HEARD_SHARE:.0f} % of its tones"
+    if dead:
+        return CHANNELS.fault(
+            f"channel {', '.join(dead)} of {CHANNEL_COUNT} hears too little; {least}",
+            "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
+            value=float(heard.min()),
+            limit=_HEARD_SHARE,
+        )
+    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", value=float(heard.min()), limit=_HEARD_SHARE)
+
+
+def _tones(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
+    alive = np.isfinite(shift).mean(axis=(0, 1)) >= _HEARD_SHARE  # of dead channels another finding tells
+    heard = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
+    unheard = np.flatnonzero((heard < _HEARD_SHARE).any(axis=1))
+    off = np.nanmax(np.abs(_middle(shift)), axis=1, initial=0.0)  # (t,)
+    outside = np.flatnonzero(off > hearing.band)
+    if np.isfinite(strange_hz).any():
+        frequency_hz = float(np.nanmean(strange_hz))
+        nearest_hz = float(hearing.f0_hz.mean())
+        return TONES.fault(
+            f"{frequency_hz / 1e6:.6f} MHz is heard, which is neither {hearing.tones[0]} ({nearest_hz / 1e6:.6f} MHz) "
+            "nor a site of the plate file",
+            "name the plate file of this plate, or calibrate it anew",
+            value=frequency_hz,
+            limit=nearest_hz,
+            unit="Hz",
+        )
+    if len(outside):
+        worst = int(outside[np.argmax(off[outside] / hearing.band[outside])])
+        return TONES.fault(
+            f"{len(outside)} of {len(off)} out of band, the worst is {hearing.tones[worst]}: "
+            f"{1e6 * off[worst]:.1f} ppm off, at most {1e6 * hearing.band[worst]:.1f} ppm",
+            "name the plate file of this plate; a single tone that is off is a broken site",
+            value=1e6 * float(off[worst]),
+            limit=1e6 * float(hearing.band[worst]),
+            unit="ppm",
+        )
+    if len(unheard):
+        names = ", ".join(hearing.tones[tone] for tone in unheard[:5])
+        return TONES.fault(
+            f"{len(unheard)} of {len(off)} are not heard by every channel that is alive: {names}",
+            "these sites are broken, or another tone covers theirs",
+            value=float(len(unheard)),
+            limit=0.0,
+            unit="tones",
+        )
+    if not alive.any():
+        return TONES.not_checked("no channel hears them")
+    worst = int(np.argmax(off / hearing.band))
+    return TONES.ok(
+        f"all {len(off)} in band, the furthest {1e6 * off[worst]:.1f} ppm off of {1e6 * hearing.band[worst]:.1f} ppm",
+        value=1e6 * float(off[worst]),
+        limit=1e6 * float(hearing.band[worst]),
+        unit="ppm",
+    )
+
+
+def _middle(shift: Floats) -> Floats:
+    """Mean over the readings, (t, 4), NaN where a tone is never heard."""
+    heard = np.isfinite(shift)
+    total = np.where(heard, shift, 0.0).sum(axis=0)
+    return np.where(heard.any(axis=0), total / np.maximum(heard.sum(axis=0), 1), math.nan)
+
+
+def _noise(shift: Floats, std: Floats, plate: Plate, hearing: Hearing) -> Finding:
+    """Compare the steps from reading to reading with what counter and oscillator give, tone by tone."""
+    steps = np.diff(shift, axis=0)
+    usable = np.isfinite(steps)
+    count = usable.sum(axis=0)
+    if not (count > 1).any():
+        return NOISE.not_checked("no tone is heard for two readings in a row")
+    expected = np.where(usable, std[1:] ** 2 + std[:-1] ** 2, 0.0).sum(axis=0)
+    drift = np.where(usable, steps, 0.0).sum(axis=0) / np.maximum(count, 1)
+    seen = np.where(usable, (steps - drift) ** 2, 0.0).sum(axis=0)  # (t, 4)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.sqrt(seen / expected)
+    by_channel = np.nanmedian(ratio, axis=0) if len(ratio) > 1 else ratio[0]
+    channel = int(np.nanargmax(by_channel))
+    worst = float(by_channel[channel])
+    evidence = (
+        f"{worst:.1f} times what counter and oscillator give, on channel {channel + 1} (limit {_NOISE_WARNING:g})"
+    )
+    outcome = graded(worst, _NOISE_WARNING, _NOISE_FAULT)
+    residuals = plate.calibration.residuals
+    if residuals and plate.signals != SKIN_SIGNALS:
+        rms = np.sqrt(np.nanmean(seen) / max(1, 2 * (len(shift) - 1)))
+        newton = float(rms / np.abs(plate.tones.sensitivity).mean())
+        evidence += f"; {1e3 * newton:.2g} mN, the calibration record left {1e3 * max(residuals):.2g} mN"
+        if newton > _RESIDUAL_WARNING * max(residuals) and outcome is Outcome.OK:
+            outcome = Outcome.WARNING
+    remedy = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
+    return NOISE.judged(outcome, evidence, remedy, value=worst, limit=_NOISE_WARNING, unit="times")
+
+
+def _cross_talk(pair_noise: Floats) -> Finding:
+    """Two channels that count by themselves differ by their noise; one that hears the other's does not."""
+    heard = np.isfinite(pair_noise)
+    if not heard.any():
+        return CROSS_TALK.not_checked("no two channels hear the same tone")
+    counts = np.maximum(heard.sum(axis=0), 1)
+    mean = np.where(heard.any(axis=0), np.where(heard, pair_noise, 0.0).sum(axis=0) / counts, math.inf)
+    pair = int(mean.argmin())
+    alike = 1.0 / max(float(mean[pair]), 1e-6)
+    first, second = PAIRS[pair]
+    evidence = (
+        f"channels {first + 1} and {second + 1} are the most alike: they differ by 1/{max(alike, 1.0):.1f} of their "
+        f"noise, in the square (limit 1/{_ALIKE_WARNING:g})"
+    )
+    return CROSS_TALK.judged(
+        graded(alike, _ALIKE_WARNING, _ALIKE_FAULT),
+        evidence,
+        "one of them hears the other: check plugs and shields of both transducers",
+        value=alike,
+        limit=_ALIKE_WARNING,
+        unit="times",
+    )
+
+
+def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
+    """Fit a line to each tone's mean over the channels, and judge the fastest that is no noise."""
+    with np.errstate(invalid="ignore"):
+        heard = np.isfinite(shift)
+        counts = heard.sum(axis=2)
+        values = np.where(counts, np.where(heard, shift, 0.0).sum(axis=2) / np.maximum(counts, 1), math.nan)  # (r, t)
+    complete = np.isfinite(values).all(axis=0)
+    if not complete.any():
+        return DRIFT.not_checked("no tone is heard all the time")
+    lever = times_s - times_s.mean()
+    line = lever / (lever @ lever)
+    slope = line @ values[:, complete]
+    rest = values[:, complete] - values[:, complete].mean(axis=0) - np.outer(lever, slope)
+    slope_std = np.sqrt((rest**2).sum(axis=0) / max(1, len(lever) - 2) * (line @ line))
+    sure = np.maximum(np.abs(slope) - _DRIFT_SIGMAS * slope_std, 0.0)
+    worst = int(sure.argmax())
+    evidence = (
+        f"{1e9 * abs(slope[worst]):.1f} ppb/s, give or take {1e9 * slope_std[worst]:.1f} "
+        f"(limit {1e9 * _DRIFT_PER_S:.0f} beyond that)"
+    )
+    return DRIFT.judged(
+        graded(float(sure[worst]), _DRIFT_PER_S, math.inf),
+        evidence,
+        "let plate and board warm up, keep draughts and hands away, and ask again",
+        value=1e9 * float(sure[worst]),
+        limit=1e9 * _DRIFT_PER_S,
+        unit="ppb/s",
+    )
+
+
+def _temperature(kelvin: list[float]) -> Finding:
+    if not kelvin:
+        return TEMPERATURE.not_checked("the board does not tell, or has not told in this time")
+    low, high = min(kelvin), max(kelvin)
+    evidence = f"{low:.1f} to {high:.1f} K"
+    remedy = "cool or warm the board; a value that no board can have means a broken thermometer"
+    if not (_BOARD_KELVIN[0] <= low and high <= _BOARD_KELVIN[1]):
+        limits = f"{_BOARD_KELVIN[0]:g} to {_BOARD_KELVIN[1]:g} K are plausible"
+        beyond = low if low < _BOARD_KELVIN[0] else high
+        limit = _BOARD_KELVIN[0] if low < _BOARD_KELVIN[0] else _BOARD_KELVIN[1]
+        return TEMPERATURE.fault(f"{evidence}, {limits}", remedy, value=beyond, limit=limit, unit="K")
+    if high - low > _STEP_KELVIN:
+        return TEMPERATURE.warning(
+            f"{evidence} within seconds, at most {_STEP_KELVIN:g} K is plausible",
+            remedy,
+            value=high - low,
+            limit=_STEP_KELVIN,
+            unit="K",
+        )
+    return TEMPERATURE.ok(evidence, value=high, limit=_BOARD_KELVIN[1], unit="K")

@@ -1,0 +1,167 @@
+"""Some seconds with a board: who it is, what it counts, and what became of the bytes on the way."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
+from firmware_protocol.packets import Packet, PacketDecoder
+from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.fit import oscillator_hz
+from resonator_daemon.acquisition.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    ReaderFailed,
+    SingleToneFrame,
+)
+from resonator_daemon.acquisition.wire_events import Received, WireEvent
+from resonator_daemon.config import LinkTarget
+from resonator_daemon.doctor.hearing import Hearing, Reading, make_hearing
+from resonator_daemon.doctor.load import Load
+from resonator_daemon.plate import Plate
+
+OPEN_S: Final = 6.0  # in which a board must count
+_TURN_S: Final = 0.1
+
+Progress = Callable[[str], None]
+
+
+@dataclass
+class Sitting:
+    """What some seconds with a board have given.
+
+    Attributes
+    ----------
+    before, after
+        The link's account at the first frame and at the end; equal where no frame came.
+    interruptions, losses
+        What was said of the link whenever frames stopped coming, and whenever the link itself was lost.
+    busy
+        That this computer had too little time to listen; empty where it had enough.
+    problems
+        Why the board cannot serve the plate, as it said itself or as its ticks have shown.
+    temperatures_kelvin
+        As the board says them of itself; empty where it does not.
+    """
+
+    frame_rate_hz: float = 0.0  # that the plate asks for
+    seconds: float = 0.0
+    board: BoardOnline | None = None
+    link: str = ""
+    hearing: Hearing | None = None
+    readings: list[Reading] = field(default_factory=list)
+    before: LinkAccount = field(default_factory=LinkAccount)
+    after: LinkAccount = field(default_factory=LinkAccount)
+    interruptions: list[str] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
+    busy: str = ""
+    problems: tuple[str, ...] = ()
+    temperatures_kelvin: list[float] = field(default_factory=list)
+
+    @property
+    def frames(self) -> int:
+        return self.after.frames - self.before.frames
+
+    @property
+    def stopped(self) -> bool:
+        """Whether frames stopped coming for a while."""
+        return bool(self.interruptions or self.losses)
+
+    @property
+    def counted(self) -> bool:
+        return self.seconds > 0.0
+
+
+class _StatusEar:
+    """Picks what a board says of itself out of the bytes; called from the reader's thread."""
+
+    def __init__(self) -> None:
+        self._decoder = PacketDecoder(from_board=True)
+        self.heard: list[BoardStatus] = []
+
+    def tap(self, event: WireEvent) -> None:
+        if not isinstance(event, Received):
+            return
+        for packet in self._decoder.feed(event.data):
+            if isinstance(packet, Packet) and packet.type == MessageType.STATUS:
+                try:
+                    self.heard.append(decode_message(BoardStatus, packet.payload))
+                except MalformedMessageError:
+                    continue  # the link's account has it
+
+
+def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, load: Load) -> Sitting:
+    """Have the board count for `seconds` from its first frame on, and listen.
+
+    Raises
+    ------
+    Exception
+        What the reader's thread failed with, which is a mistake of ours.
+    """
+    arrived = threading.Event()
+    ear = _StatusEar()
+    anyone = plate.calibration.model_copy(update={"unit": None})  # that it is another board is said beside the rest
+    reader = BoardReader(target, plate.model_copy(update={"calibration": anyone}), arrived.set, tap=ear.tap)
+    sitting = Sitting(plate.counter.frame_rate_hz)
+    reader.start()
+    try:
+        _listen(reader, arrived, sitting, plate, seconds, progress)
+    finally:
+        reader.stop()
+    sitting.busy = load.busy()
+    if sitting.counted:
+        sitting.after = reader.account()
+    else:
+        sitting.before = sitting.after = reader.account()
+    kelvin = (status.temperature_millikelvin for status in ear.heard)
+    sitting.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
+    return sitting
+
+
+def _listen(
+    reader: BoardReader, arrived: threading.Event, sitting: Sitting, plate: Plate, seconds: float, progress: Progress
+) -> None:
+    begun_s = time.monotonic()
+    first_s: float | None = None
+    while True:
+        arrived.wait(_TURN_S)
+        arrived.clear()
+        now_s = time.monotonic()
+        for arrival in reader.take():
+            match arrival:
+                case SingleToneFrame() | ChannelisedFrame():
+                    if first_s is None:
+                        first_s = now_s
+                        sitting.before = reader.account()
+                    if sitting.hearing is not None and (reading := sitting.hearing.push(arrival)) is not None:
+                        sitting.readings.append(reading)
+                case BoardOnline():
+                    sitting.board = arrival
+                    if sitting.hearing is None:
+                        sitting.hearing = make_hearing(plate, oscillator_hz(arrival.description))
+                case LinkChange():
+                    sitting.link = arrival.reason
+                    if first_s is not None and arrival.state == "stalled":
+                        sitting.interruptions.append(arrival.reason)
+                    if first_s is not None and arrival.state == "lost":
+                        sitting.losses.append(arrival.reason)
+                case BoardRefused():
+                    sitting.problems = arrival.problems
+                case ReaderFailed():
+                    raise arrival.error
+        if sitting.problems:
+            return
+        if first_s is None:
+            if now_s - begun_s > OPEN_S:
+                return
+        else:
+            sitting.seconds = now_s - first_s
+            progress(f"{reader.account().frames} frames, {min(sitting.seconds, seconds):.0f} of {seconds:g} s")
+            if sitting.seconds >= seconds:
+                return

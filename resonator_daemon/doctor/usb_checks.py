@@ -1,0 +1,133 @@
+"""The USB device behind a link: whether it is put to sleep, how fast it is connected, and through which hubs."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from resonator_daemon.config import UsbLink
+from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
+from resonator_daemon.doctor.host import Host
+
+DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
+AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend")
+SPEED: Final = Check("usb.speed", Area.WIRING, "USB speed")
+HUBS: Final = Check("usb.hubs", Area.WIRING, "USB path")
+
+_FULL_SPEED_MBIT: Final = 12
+_FULL_SPEED_USABLE: Final = 0.6  # of the bits; the rest are frames, polls and other devices
+_HUBS_WARNING: Final = 2
+_DEVICES: Final = "/sys/bus/usb/devices"
+
+
+def usb_device_of(tty: str, host: Host) -> Path | None:
+    """Return the directory of the USB device behind a terminal as /sys has it; None where it is none."""
+    place = host.at(f"/sys/class/tty/{tty}/device")
+    if not place.exists():
+        return None
+    root = Path(os.path.realpath(host.root))
+    for directory in (here := Path(os.path.realpath(place)), *here.parents):
+        if (directory / "idVendor").exists():
+            return Path("/") / directory.relative_to(root)
+    return None
+
+
+def usb_node(link: UsbLink, host: Host) -> Path | None:
+    """Return the device file of the device that a USB link names; None where it is none, or not the only one."""
+    found = list(_named(link, host))
+    return host.at(_node(found[0], host)) if len(found) == 1 else None
+
+
+def _node(device: Path, host: Host) -> str:
+    bus, number = (host.text(device / name) or "0" for name in ("busnum", "devnum"))
+    return f"/dev/bus/usb/{int(bus):03d}/{int(number):03d}"
+
+
+def check_usb_link(link: UsbLink, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+    """Yield what there is to say of the device that a USB link names."""
+    found = list(_named(link, host))
+    wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
+        f", serial {link.serial_number}" if link.serial_number else ""
+    )
+    if not found:
+        yield DEVICE.fault(
+            f"no USB device {wanted} is present", "plug the board in, check cable and power, or correct `link`"
+        )
+        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "the device is not there")
+        return
+    if len(found) > 1:
+        yield DEVICE.fault(f"{len(found)} USB devices are {wanted}", "name one by `?serial=` in `link`")
+        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "which of them is meant is not known")
+        return
+    node = _node(found[0], host)
+    if host.may_use(host.at(node)):
+        yield DEVICE.ok(f"{wanted} is there, and this user may open it")
+    else:
+        yield DEVICE.fault(
+            f"{wanted} is there, and this user may not open {node}",
+            "a udev rule gives it to a group of this user: docs/links.md, or: resonatord install",
+        )
+    yield from check_usb_device(found[0], host, load_bit_per_s)
+
+
+def check_usb_device(device: Path, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+    """Yield how a device is connected; `load_bit_per_s` is what the plate's frames need, None where it is not known."""
+    yield _autosuspend(device, host)
+    yield _speed(device, host, load_bit_per_s)
+    yield _hubs(device)
+
+
+def _named(link: UsbLink, host: Host) -> Iterator[Path]:
+    for directory in sorted(host.at(_DEVICES).glob("*")):
+        device = Path(_DEVICES) / directory.name
+        ids = host.text(device / "idVendor"), host.text(device / "idProduct")
+        if ids == (f"{link.vendor_id:04x}", f"{link.product_id:04x}") and (
+            link.serial_number in (None, host.text(device / "serial"))
+        ):
+            yield device
+
+
+def _autosuspend(device: Path, host: Host) -> Finding:
+    control = host.text(device / "power/control")
+    if control is None:
+        return AUTOSUSPEND.not_checked("the kernel does not tell")
+    delay_ms = host.text(device / "power/autosuspend_delay_ms") or ""
+    if control == "on" or delay_ms.startswith("-"):
+        return AUTOSUSPEND.ok("off")
+    return AUTOSUSPEND.warning(
+        f"on (power/control = {control}): the device may be put to sleep after {delay_ms or '?'} ms without traffic",
+        'a udev rule: TEST=="power/control", ATTR{power/control}="on" (docs/links.md, or: resonatord install)',
+    )
+
+
+def _speed(device: Path, host: Host, load_bit_per_s: float | None) -> Finding:
+    text = host.text(device / "speed") or ""
+    try:
+        speed_mbit = float(text)
+    except ValueError:
+        return SPEED.not_checked("the kernel does not tell")
+    usable_mbit = _FULL_SPEED_USABLE * speed_mbit
+    if load_bit_per_s is None:
+        return SPEED.ok(f"{speed_mbit:g} Mbit/s", value=speed_mbit, unit="Mbit/s")
+    needed_mbit = load_bit_per_s * 1e-6
+    evidence = f"{speed_mbit:g} Mbit/s, of which {usable_mbit:g} can be counted on; the frames need {needed_mbit:.2g}"
+    if needed_mbit <= usable_mbit:
+        return SPEED.ok(evidence, value=needed_mbit, limit=usable_mbit, unit="Mbit/s")
+    remedy = "connect it to a port, and by a cable, of a higher speed"
+    if speed_mbit > _FULL_SPEED_MBIT:
+        remedy = "lower counter.frame_rate_hz of the plate"
+    return SPEED.fault(evidence, remedy, value=needed_mbit, limit=usable_mbit, unit="Mbit/s")
+
+
+def _hubs(device: Path) -> Finding:
+    hubs = device.name.count(".")
+    way = f"{device.name}: {'straight to the computer' if not hubs else f'through {hubs} hub(s)'}"
+    if hubs <= _HUBS_WARNING:
+        return HUBS.ok(way, value=float(hubs), limit=float(_HUBS_WARNING), unit="hubs")
+    return HUBS.warning(
+        f"{way}, at most {_HUBS_WARNING} are meant",
+        "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth",
+        value=float(hubs),
+        limit=float(_HUBS_WARNING),
+        unit="hubs",
+    )

@@ -1,0 +1,12 @@
+"""Shorter looks than a person's, where what is found does not depend on it."""
+
+import pytest
+
+from resonator_daemon.acquisition import port_inquiry
+from resonator_daemon.doctor import broker_checks
+
+
+@pytest.fixture(autouse=True)
+def _short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(port_inquiry, "_PING_S", 0.01)
+    monkeypatch.setattr(broker_checks, "_TURNS", 8)

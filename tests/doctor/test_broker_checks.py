@@ -1,0 +1,67 @@
+"""Brokers that are well, refuse, are not there, are slow, or wait for acknowledgements."""
+
+import asyncio
+from pathlib import Path
+
+import pytest
+from brokers import Mosquitto
+from slow_gate import Gate
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.doctor import broker_checks
+from resonator_daemon.doctor.broker_checks import check_broker
+from resonator_daemon.doctor.finding import Finding, Outcome
+
+
+async def found(url: str) -> dict[str, Finding]:
+    return {finding.id: finding for finding in await check_broker(Mqtt(url=url))}
+
+
+async def test_a_broker_that_is_well(mosquitto: Mosquitto) -> None:
+    findings = await found(mosquitto.url)
+    assert {finding.outcome for finding in findings.values()} == {Outcome.OK}
+    assert findings["broker.accepts"].evidence == "MQTT 5"
+
+
+async def test_a_broker_without_nodelay_shows_spikes(tmp_path: Path) -> None:
+    broker = Mosquitto(tmp_path, "set_tcp_nodelay false", "allow_anonymous true")
+    await broker.start()
+    try:
+        finding = (await found(broker.url))["broker.round_trip"]
+    finally:
+        await broker.kill()
+    assert finding.outcome is Outcome.WARNING
+    assert "Nagle" in finding.evidence
+
+
+async def test_a_broker_that_refuses_says_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(broker_checks, "_ACCEPT_S", 1.0)
+    broker = Mosquitto(tmp_path, "allow_anonymous false")
+    await broker.start()
+    try:
+        findings = await found(broker.url)
+    finally:
+        await broker.kill()
+    assert findings["broker.listens"].outcome is Outcome.OK
+    assert findings["broker.accepts"].outcome is Outcome.FAULT
+    assert "a client without a name" in findings["broker.accepts"].evidence
+
+
+@pytest.mark.parametrize(
+    ("url", "id"), [("mqtt://127.0.0.1:9", "broker.listens"), ("mqtt://no-such-host.invalid:1883", "broker.name")]
+)
+async def test_a_broker_that_is_not_there_is_a_fault(url: str, id: str) -> None:
+    findings = await found(url)
+    assert [name for name, finding in findings.items() if finding.outcome is Outcome.FAULT] == [id]
+    assert findings["broker.round_trip"].outcome is Outcome.NOT_CHECKED
+
+
+async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(broker_checks, "_ANSWER_S", 0.2)
+    async with Gate(int(mosquitto.url.rpartition(":")[2])).standing() as gate:
+        gate.bytes_per_s = 1000.0
+        finding = (await found(f"mqtt://127.0.0.1:{gate.port}"))["broker.round_trip"]
+    if ways := asyncio.all_tasks() - {asyncio.current_task()}:
+        await asyncio.wait(ways)  # the gate's, which it has cancelled
+    assert finding.outcome in (Outcome.FAULT, Outcome.WARNING)
+    assert "Nagle" not in finding.evidence

@@ -1,0 +1,172 @@
+"""`resonatord doctor` as a user meets it: verdict, report, exit code."""
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+from brokers import Mosquitto
+from emulation import emulated
+
+from resonator_daemon.acquisition.serial_link import open_serial
+from resonator_daemon.cli import main
+from resonator_daemon.config import SerialLink
+from resonator_daemon.doctor import clock_checks, run
+from resonator_daemon.doctor.finding import FINE, Area, Check
+from resonator_daemon.doctor.report import WIDTH, Report
+from resonator_daemon.status_client import Answer
+from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
+
+WIRE = Check("a.wire", Area.WIRING, "wire")
+PLATE = Check("a.plate", Area.SENSOR, "plate")
+HOST = Check("a.host", Area.SOFTWARE, "host")
+
+
+def configuration(folder: Path, link: str, url: str = "mqtt://127.0.0.1:9", plate: str = "quartz16") -> Path:
+    path = folder / "hand.toml"
+    path.write_text(f'name = "hand"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n')
+    return path
+
+
+def asked(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, object]]:
+    code = main(["doctor", *map(str, arguments), "--json"])
+    said = json.loads(capsys.readouterr().out)
+    assert isinstance(said, dict)
+    return code, said
+
+
+def outcomes(report: dict[str, object]) -> dict[str, str]:
+    findings = report["findings"]
+    assert isinstance(findings, list)
+    return {finding["id"]: finding["outcome"] for finding in findings}
+
+
+def test_the_first_cause_is_the_verdict() -> None:
+    report = Report([HOST.fault("h", "do"), PLATE.fault("p", "do"), WIRE.warning("w", "do")])
+    assert (report.verdict, report.faulty, report.exit_code) == ("sensor", (Area.SENSOR, Area.SOFTWARE), 1)
+    assert "verdict: sensor, then software; first: plate: p" in report.as_text()
+    report = Report([HOST.warning("h", "do"), WIRE.ok("w"), PLATE.not_checked("p")])
+    assert (report.verdict, report.exit_code) == (FINE, 0)
+
+
+def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
+    text = Report([WIRE.fault("words " * 40 + "\x1b[2J\r", "remedy " * 30)]).as_text()
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert "\x1b" not in text
+    assert "\r" not in text
+
+
+async def test_a_board_and_a_broker_that_are_well(
+    tmp_path: Path, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import asyncio
+
+    monkeypatch.setattr(clock_checks, "is_synchronised", lambda: True)
+    port = tmp_path / "board"
+    path = configuration(tmp_path, f"serial:{port}?baud=4000000", mosquitto.url)
+    with emulated(EmulatorOptions("quartz16", pty=port, scenario="still")):
+        code, report = await asyncio.to_thread(asked, capsys, "--config", path, "--seconds", 1)
+    found = outcomes(report)
+    assert (code, report["verdict"], report["cause"]) == (0, "fine", None), found
+    assert "fault" not in found.values()
+    assert found["broker.accepts"] == found["sensor.noise"] == found["board.reference"] == "ok"
+
+
+@pytest.mark.parametrize("plate", ["quartz16", "comb16"])
+def test_a_board_on_a_link_alone_is_looked_at_with_the_plate_that_it_names(
+    plate: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with emulated(EmulatorOptions(plate, tcp=("127.0.0.1", 0), scenario="still")) as emulator:
+        code, report = asked(capsys, emulator.link.address, "--seconds", 0.8)
+    found = outcomes(report)
+    assert (code, report["verdict"]) == (0, "fine"), found
+    assert found["sensor.tones"] == found["link.errors"] == "ok"
+    assert not any(name.startswith("broker.") for name in found)
+
+
+def test_a_dead_cable_leaves_the_sensor_unjudged(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=port, scenario="still", faults=parse_faults("bit_error_rate=2e-5"))
+    with emulated(options):
+        code, report = asked(capsys, f"serial:{port}?baud=4000000", "--seconds", 0.8)
+    found = outcomes(report)
+    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
+    assert found["sensor.noise"] == found["sensor.channels"] == "not_checked"
+
+
+def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=port, faults=parse_faults("misbehave=other_plate"))
+    path = configuration(tmp_path, f"serial:{port}?baud=4000000")
+    with emulated(options):
+        code, report = asked(capsys, "--config", path)
+    found = outcomes(report)
+    assert (code, report["verdict"], report["cause"]) == (1, "sensor", "board.fits")
+    assert (found["link.errors"], found["broker.listens"]) == ("not_checked", "fault")
+    assert report["faulty"] == ["sensor", "software"]
+
+
+def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from resonator_daemon.acquisition import port_inquiry
+
+    monkeypatch.setattr(port_inquiry, "_ANSWER_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        assert asked(capsys, address)[1]["cause"] == "board.answers"
+    code, report = asked(capsys, address)
+    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
+
+
+def test_what_a_daemon_has_is_not_taken_from_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    status = {
+        "pid": 7,
+        "config": {"in_use": "last_good", "file": "hand.toml", "problems": ["link: missing"]},
+        "link": {"state": "online", "reason": ""},
+        "sensor": {"state": "pilot_lost", "reason": "channel 2"},
+        "health": {"boots": [{"frames": 990, "lost": {"damaged": 10}}]},
+        "broker": {"connected": True, "url": "mqtt://x"},
+    }
+
+    async def answers(_instance: str) -> Answer:
+        return Answer(tmp_path / "status.sock", status, None)
+
+    def opened(_link: object) -> None:
+        raise AssertionError("the daemon's link was opened")
+
+    monkeypatch.setattr(run, "find_daemon", answers)
+    monkeypatch.setattr(run, "open_link", opened)
+    code, report = asked(capsys, "--config", configuration(tmp_path, "tcp://127.0.0.1:9"))
+    found = outcomes(report)
+    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
+    assert (found["daemon.runs"], found["daemon.config"], found["daemon.sensor"]) == ("ok", "fault", "fault")
+    assert found["sensor.noise"] == "not_checked"
+
+
+def test_a_port_that_this_process_holds_without_a_daemon_is_said_to_be_held(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        held = open_serial(SerialLink(str(port), 4_000_000))
+        code, report = asked(capsys, f"serial:{port}?baud=4000000")
+        held.close()
+    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
+    findings = report["findings"]
+    assert isinstance(findings, list)
+    assert "is held by" in next(f["evidence"] for f in findings if f["id"] == "link.opens")
+
+
+def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor"])
+    assert ended.value.code == 2
+    path = configuration(tmp_path, "nothing")
+    code, said = asked(capsys, "--config", path)
+    assert (code, said["ok"]) == (78, False)
+    assert main(["doctor", "--config", str(configuration(tmp_path, "replay:x.mcap"))]) == 78
+    assert "is a recording" in capsys.readouterr().err

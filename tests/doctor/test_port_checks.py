@@ -1,0 +1,117 @@
+"""The serial port, on a made-up computer: each thing that may be wrong with it, and none where all is well."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+from made_up_host import USB, MadeUpHost
+
+from resonator_daemon.acquisition.port_holders import Holder, Holders
+from resonator_daemon.config import SerialLink
+from resonator_daemon.doctor.finding import Finding, Outcome
+from resonator_daemon.doctor.host import Host
+from resonator_daemon.doctor.port_checks import check_port
+
+LINK = SerialLink("/dev/ttyUSB0", 4_000_000)
+NOBODY = Holders((), True)
+
+
+@pytest.fixture
+def computer(tmp_path: Path) -> MadeUpHost:
+    made = MadeUpHost(tmp_path)
+    port = tmp_path / "dev" / "ttyUSB0"
+    try:
+        os.mknod(port, stat.S_IFCHR | 0o660, os.makedev(188, 0))
+    except PermissionError:
+        pytest.skip("device nodes need root")
+    os.chmod(port, 0o660)
+    return made
+
+
+def found(host: Host, holders: Holders = NOBODY, link: SerialLink = LINK) -> dict[str, Finding]:
+    return {finding.id: finding for finding in check_port(link, host, holders)}
+
+
+def outcomes(findings: dict[str, Finding]) -> set[Outcome]:
+    return {finding.outcome for finding in findings.values()}
+
+
+def test_a_port_that_is_well_has_nothing_wrong(computer: MadeUpHost) -> None:
+    assert outcomes(found(computer.host())) == {Outcome.OK}
+
+
+def test_a_port_that_is_not_there_is_said_with_those_that_are(tmp_path: Path) -> None:
+    computer = MadeUpHost(tmp_path)
+    computer.link("dev/serial/by-id/usb-RD_board_0042-if00", Path("/dev/null"))
+    findings = found(computer.host())
+    assert findings["port.exists"].outcome is Outcome.FAULT
+    assert "usb-RD_board_0042-if00" in findings["port.exists"].evidence
+    assert {finding.outcome for name, finding in findings.items() if name != "port.exists"} == {Outcome.NOT_CHECKED}
+
+
+def test_a_missing_port_is_not_blamed_on_brltty_where_that_is_not_installed(tmp_path: Path) -> None:
+    computer = MadeUpHost(tmp_path)
+    assert "brltty" not in found(computer.host())["port.exists"].evidence
+    computer.write("usr/lib/udev/rules.d/85-brltty.rules", 'ENV{PRODUCT}=="1a86/7523/*"')
+    assert "brltty is installed" in found(computer.host())["port.exists"].evidence
+
+
+def test_a_link_to_a_port_that_is_gone_is_told_from_a_wrong_name(tmp_path: Path) -> None:
+    computer = MadeUpHost(tmp_path)
+    computer.link("dev/ttyUSB0", Path("/dev/none-such"))
+    assert "is a link to /dev/none-such, which is not there" in found(computer.host())["port.exists"].evidence
+
+
+def test_a_file_is_no_port(tmp_path: Path) -> None:
+    computer = MadeUpHost(tmp_path)
+    computer.write("dev/ttyUSB0", "")
+    assert "no serial port but a file" in found(computer.host())["port.exists"].evidence
+
+
+def test_a_port_of_another_group_names_the_group(computer: MadeUpHost) -> None:
+    os.chown(computer.root / "dev" / "ttyUSB0", 0, 20)  # dialout on Debian
+    finding = found(computer.host(closed="ttyUSB0"))["port.permission"]
+    assert finding.outcome is Outcome.FAULT
+    assert "sudo usermod -aG dialout $USER" in finding.remedy
+    os.chmod(computer.root / "dev" / "ttyUSB0", 0o600)
+    assert "usermod" not in found(computer.host(closed="ttyUSB0"))["port.permission"].remedy
+
+
+def test_whoever_holds_the_port_is_named_and_this_process_is_not(computer: MadeUpHost) -> None:
+    finding = found(computer.host(), Holders((Holder(77, "minicom", locks=False),), True))["port.holder"]
+    assert finding.outcome is Outcome.FAULT
+    assert "minicom (pid 77)" in finding.evidence
+    own = Holders((Holder(os.getpid(), "pytest", locks=True),), True)
+    assert found(computer.host(), own)["port.holder"].outcome is Outcome.OK
+
+
+def test_modem_manager_is_a_warning_until_a_rule_keeps_it_away(computer: MadeUpHost) -> None:
+    computer.write("proc/9/comm", "ModemManager")
+    assert found(computer.host())["port.modem_manager"].outcome is Outcome.WARNING
+    computer.write("run/udev/data/c188:0", "E:ID_MODEL=x\nE:ID_MM_PORT_IGNORE=0")
+    assert found(computer.host())["port.modem_manager"].outcome is Outcome.WARNING
+    computer.write("run/udev/data/c188:0", "E:ID_MODEL=x\nE:ID_MM_PORT_IGNORE=1")
+    assert found(computer.host())["port.modem_manager"].outcome is Outcome.OK
+
+
+@pytest.mark.parametrize(
+    ("rule", "outcome"),
+    [
+        ('ENV{PRODUCT}=="1a86/7523/*", GOTO="brltty"', Outcome.WARNING),
+        ('# ENV{PRODUCT}=="1a86/7523/*"', Outcome.OK),
+        ('ENV{PRODUCT}=="403/6001/*"', Outcome.OK),
+    ],
+)
+def test_brltty_is_a_warning_where_its_rules_name_the_adapter(
+    computer: MadeUpHost, rule: str, outcome: Outcome
+) -> None:
+    computer.write("usr/lib/udev/rules.d/85-brltty.rules", rule)
+    assert found(computer.host())["port.brltty"].outcome is outcome
+
+
+def test_a_latency_timer_is_a_warning_where_it_cannot_be_shortened(computer: MadeUpHost) -> None:
+    computer.write(f"{USB}/1-1.4:1.0/ttyUSB0/latency_timer", "16")
+    assert found(computer.host())["port.latency_timer"].outcome is Outcome.OK
+    finding = found(computer.host(closed="latency_timer"))["port.latency_timer"]
+    assert (finding.outcome, finding.value, finding.limit) == (Outcome.WARNING, 16.0, 1.0)

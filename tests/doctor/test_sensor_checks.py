@@ -1,0 +1,196 @@
+"""Plate and counter: an emulated plate that is well, and its frames changed to what broken ones would send."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from emulation import emulated
+
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.config import SerialLink, parse_link
+from resonator_daemon.doctor.finding import Finding, Outcome
+from resonator_daemon.doctor.hearing import Reading
+from resonator_daemon.doctor.link_checks import check_sitting
+from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
+from resonator_daemon.doctor.sitting import Sitting, sit_with
+from resonator_daemon.plate import Plate, load_plate
+from simulators.emulator import EmulatorOptions
+
+SECONDS = 0.75
+
+
+@pytest.fixture(scope="module")
+def quartz16() -> Plate:
+    return load_plate("quartz16")
+
+
+def listened(folder: Path, scenario: str = "still") -> Sitting:
+    port = folder / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port, scenario=scenario)):
+        return sit_with(SerialLink(str(port), 4_000_000), load_plate("quartz16"), SECONDS, lambda _text: None)
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory: pytest.TempPathFactory) -> Sitting:
+    return listened(tmp_path_factory.mktemp("calm"))
+
+
+def judged(sitting: Sitting, plate: Plate) -> dict[str, Finding]:
+    return {finding.id: finding for finding in check_plate(sitting, plate)}
+
+
+def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
+    return {
+        name: finding.outcome
+        for name, finding in findings.items()
+        if finding.outcome in (Outcome.WARNING, Outcome.FAULT)
+    }
+
+
+def changed(sitting: Sitting, **change: object) -> Sitting:
+    """Return the sitting with each reading changed; a callable is given the reading and its number."""
+    readings = [
+        dataclasses.replace(
+            reading,
+            **{name: value(reading, number) if callable(value) else value for name, value in change.items()},
+        )
+        for number, reading in enumerate(sitting.readings)
+    ]
+    return dataclasses.replace(sitting, readings=readings)
+
+
+def test_a_plate_that_is_well_has_nothing_wrong(calm: Sitting, quartz16: Plate) -> None:
+    findings = judged(calm, quartz16)
+    assert bad(findings) == {}
+    assert {name for name, f in findings.items() if f.outcome is Outcome.NOT_CHECKED} == {"board.temperature"}
+    assert {finding.outcome for finding in check_sitting(calm)} == {Outcome.OK}
+
+
+def test_a_channel_that_hears_nothing_is_dead(calm: Sitting, quartz16: Plate) -> None:
+    def deaf(reading: Reading, _number: int) -> np.ndarray:
+        shift = reading.shift.copy()
+        shift[:, 2] = np.nan
+        return shift
+
+    findings = judged(changed(calm, shift=deaf), quartz16)
+    assert bad(findings) == {"sensor.channels": Outcome.FAULT}
+    assert "channel 3 of 4" in findings["sensor.channels"].evidence
+
+
+def test_a_plate_that_is_silent_is_dead_on_all_channels(calm: Sitting, quartz16: Plate) -> None:
+    nothing = np.full((1, CHANNEL_COUNT), np.nan)
+    findings = judged(changed(calm, shift=nothing, pair_noise=np.full(6, np.nan)), quartz16)
+    assert bad(findings) == {"sensor.channels": Outcome.FAULT}
+    assert findings["sensor.noise"].outcome is Outcome.NOT_CHECKED
+
+
+@pytest.mark.parametrize(("times", "outcome"), [(5.0, Outcome.WARNING), (30.0, Outcome.FAULT)])
+def test_a_noise_floor_above_the_counters_own_is_told(
+    calm: Sitting, quartz16: Plate, times: float, outcome: Outcome
+) -> None:
+    def noisy(reading: Reading, number: int) -> np.ndarray:
+        return reading.shift + (-1) ** number * times * reading.std / np.sqrt(2.0)
+
+    assert bad(judged(changed(calm, shift=noisy), quartz16)) == {"sensor.noise": outcome}
+
+
+def test_noise_above_what_the_calibration_left_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
+    for residual, expected in ((1e-6, {"sensor.noise": Outcome.WARNING}), (1.0, {})):
+        record = quartz16.calibration.model_copy(update={"residuals": (residual,)})
+        assert bad(judged(calm, quartz16.model_copy(update={"calibration": record}))) == expected
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(0.3, Outcome.WARNING), (0.001, Outcome.FAULT)])
+def test_two_channels_that_are_too_much_alike_hear_each_other(
+    calm: Sitting, quartz16: Plate, share: float, outcome: Outcome
+) -> None:
+    findings = judged(changed(calm, pair_noise=np.array([1, 1, 1, share, 1, 1.0])), quartz16)
+    assert bad(findings) == {"sensor.cross_talk": outcome}
+    assert "channels 2 and 3" in findings["sensor.cross_talk"].evidence
+
+
+def test_a_drift_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
+    def drifting(reading: Reading, _number: int) -> np.ndarray:
+        return reading.shift + 1e-7 * reading.time_s
+
+    assert bad(judged(changed(calm, shift=drifting), quartz16)) == {"sensor.drift": Outcome.WARNING}
+
+
+def test_a_pilot_of_another_plate_is_out_of_place(calm: Sitting, quartz16: Plate) -> None:
+    strange = changed(calm, shift=np.full((1, CHANNEL_COUNT), np.nan), strange_hz=np.full(CHANNEL_COUNT, 10_046_000.0))
+    assert bad(judged(strange, quartz16)) == {"sensor.tones": Outcome.FAULT}
+
+
+def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Sitting, quartz16: Plate) -> None:
+    findings = judged(changed(calm, touched=True), quartz16)
+    assert bad(findings) == {"sensor.at_rest": Outcome.FAULT}
+    assert findings["sensor.noise"].outcome is Outcome.NOT_CHECKED
+    released = changed(calm, touched=lambda _reading, number: number == 0)
+    assert bad(judged(released, quartz16)) == {"sensor.at_rest": Outcome.WARNING}
+    later = changed(calm, touched=lambda _reading, number: number == 3)
+    assert bad(judged(later, quartz16)) == {}
+
+
+@pytest.mark.parametrize(
+    ("kelvin", "outcome"),
+    [
+        ([300.0, 301.0], Outcome.OK),
+        ([300.0, 306.0], Outcome.WARNING),
+        ([0.0], Outcome.FAULT),
+        ([400.0], Outcome.FAULT),
+    ],
+)
+def test_a_temperature_that_no_board_has_is_a_fault(
+    calm: Sitting, quartz16: Plate, kelvin: list[float], outcome: Outcome
+) -> None:
+    told = dataclasses.replace(calm, temperatures_kelvin=kelvin)
+    assert judged(told, quartz16)["board.temperature"].outcome is outcome
+
+
+def test_an_expired_calibration_is_a_warning(quartz16: Plate) -> None:
+    dated = quartz16.model_copy(update={"calibration": quartz16.calibration.model_copy(update={"id": "abc"})})
+    assert check_calibration(quartz16, "").outcome is Outcome.NOT_CHECKED
+    assert check_calibration(dated, "").outcome is Outcome.OK
+    assert check_calibration(dated, "expired").outcome is Outcome.WARNING
+
+
+def test_a_tone_out_of_its_band_is_named(tmp_path: Path) -> None:
+    plate = load_plate("comb16")
+    with emulated(EmulatorOptions("comb16", tcp=("127.0.0.1", 0), scenario="still")) as emulator:
+        link = parse_link(emulator.link.address)
+        sitting = sit_with(link, plate, SECONDS, lambda _text: None)
+    assert bad(judged(sitting, plate)) == {}
+
+    def off(reading: Reading, _number: int) -> np.ndarray:
+        shift = reading.shift.copy()
+        shift[4] += 2e-4
+        return shift
+
+    findings = judged(changed(sitting, shift=off), plate)
+    assert bad(findings) == {"sensor.tones": Outcome.FAULT}
+    site = plate.site_ids[plate.tones.site_index[4]]
+    assert f"1 of 16 out of band, the worst is site {site}:" in findings["sensor.tones"].evidence
+
+
+@pytest.mark.parametrize(
+    ("scenario", "id"),
+    [
+        ("[faults]\nbit_error_rate = 1e-5\n", "link.errors"),
+        ('[[faults.events]]\nwhat = "freeze"\nat_s = 0.3\nfor_s = 0.2\n', "link.steady"),
+        ("[plate]\ndrop_rate = 0.02\n", "link.overflow"),
+    ],
+)
+def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:
+    (tmp_path / "scenario.toml").write_text(scenario)
+    sitting = listened(tmp_path, str(tmp_path / "scenario.toml"))
+    found = {finding.id: finding for finding in check_sitting(sitting)}
+    assert found[id].outcome is Outcome.FAULT
+    assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id
+
+
+def test_frames_that_come_more_slowly_than_they_are_counted_pile_up(calm: Sitting) -> None:
+    narrow = dataclasses.replace(calm, frame_rate_hz=1.5 * calm.frame_rate_hz)
+    faulty = [finding for finding in check_sitting(narrow) if finding.outcome is not Outcome.OK]
+    assert [(finding.id, finding.outcome) for finding in faulty] == [("link.overflow", Outcome.FAULT)]
+    assert "pile up" in faulty[0].evidence
