@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from system_parts import free_port
 
@@ -38,6 +39,10 @@ class Case:
     broker: str = "set_tcp_nodelay true\nallow_anonymous true"
     url: str = ""
     holder: bool = False
+
+
+# That of the emulator's `thermal-shock`, at once: there it comes ten seconds after the start.
+SHOCK = "environment_kelvin = [[0, 298.15], [5, 308.15]]\n[plate]\ncontact_time_s = 0.5\n"
 
 
 def fault(name: str, verdict: str, seen: str, faults: str) -> Case:
@@ -71,7 +76,7 @@ CASES = (
         "sensor.tones=fault",
         moved=("pilot_hz = 10.01e6", "pilot_hz = 10.02e6"),
     ),
-    Case("thermal shock", "fine", "sensor.drift=warning", plate="comb16", emulator=("--scenario", "thermal-shock")),
+    Case("thermal shock", "fine", "sensor.drift=warning", plate="comb16", scenario=SHOCK),
     Case("no broker", "software", "broker.listens=fault", url="mqtt://127.0.0.1:9"),
     Case("unknown broker", "software", "broker.name=fault", url="mqtt://no-such-host.invalid:1883"),
     Case("refused", "software", "broker.accepts=fault", broker="allow_anonymous false"),
@@ -87,7 +92,7 @@ def main() -> int:
     parser.add_argument("--only", default="")
     options = parser.parse_args()
     healthy = [HEALTHY[number % len(HEALTHY)] for number in range(options.healthy)]
-    wrong = 0
+    wrong = unjudged = 0
     print(f"{'asked':<24}{'expected':<38}{'seen':<12}{'s':>5}  beside it")
     for number, case in enumerate([*healthy, *CASES]):
         if options.only not in case.name:
@@ -100,16 +105,26 @@ def main() -> int:
             if finding["outcome"] in ("warning", "fault") and not finding["id"].startswith(("clock.", "disk."))
         ]
         good = report["verdict"] == case.verdict and (case.seen in bad if case.seen else not bad)
-        wrong += not good
+        busy = not good and too_busy(report, case.seen.partition("=")[0])
+        wrong += not good and not busy
+        unjudged += busy
         beside = ", ".join(name for name in bad if name != case.seen)
         expected = f"{case.verdict} {case.seen}"
-        mark = report["verdict"] if good else f"{report['verdict']} WRONG"
+        mark = report["verdict"] if good else "busy" if busy else f"{report['verdict']} WRONG"
         print(f"{case.name:<24}{expected:<38}{mark:<12}{time.monotonic() - began_s:5.1f}  {beside}", flush=True)
-    print(f"{wrong} differ")
+    print(f"{wrong} differ, {unjudged} could not be judged on a busy computer; clock.* and disk.* are left out")
     return 1 if wrong else 0
 
 
-def examined(case: Case, seconds: float, seed: int) -> dict[str, object]:
+def too_busy(report: dict[str, Any], finding_id: str) -> bool:
+    """Whether the doctor said of a finding that the computer was too busy to tell."""
+    return any(
+        finding["id"] == finding_id and finding["evidence"].startswith("this computer is busy")
+        for finding in report["findings"]
+    )
+
+
+def examined(case: Case, seconds: float, seed: int) -> dict[str, Any]:
     """Set the case up, and return the doctor's report."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
@@ -129,7 +144,7 @@ def examined(case: Case, seconds: float, seed: int) -> dict[str, object]:
             check=False,
             env=os.environ | {"XDG_STATE_HOME": name},
         )
-        report: dict[str, object] = json.loads(done.stdout)
+        report: dict[str, Any] = json.loads(done.stdout)
         return report
 
 

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from resonator_daemon.doctor import link_checks
 from resonator_daemon.doctor.finding import Area, Check, Finding, graded
+from resonator_daemon.publishing.payloads import Condition
 from resonator_daemon.status_client import Answer
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
@@ -16,7 +17,7 @@ BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon say
 
 _ERRORS_FAULT: Final = 1e-3  # frames damaged or lost, of all since the board's last start
 _FRAMES_MIN: Final = 100
-_CALM_SENSOR: Final = ("ok", "settling", "overload", "rejected", "ambiguous", "possibly_more")
+_WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in which a sensor measures on
 
 
 def check_daemon(answer: Answer) -> Iterator[Finding]:
@@ -38,26 +39,29 @@ def told(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
     if config := _table(status, "config"):
         yield from _config(config)
     link = _table(status, "link")
-    if link.get("state") == "online":
+    if link.get("state") == Condition.ONLINE:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"))
     else:
         yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "do what the reason says; docs/links.md")
-    sensor = _table(status, "sensor")
-    if sensor.get("state") in _CALM_SENSOR:
-        yield SENSOR.ok(f"{sensor.get('state')} {sensor.get('reason', '')}".strip())
-    elif link.get("state") == "online":
-        yield SENSOR.fault(
-            f"{sensor.get('state')}: {sensor.get('reason')}",
-            "stop the daemon and ask again: then the tones are looked at",
-        )
-    else:
-        yield SENSOR.not_checked("no frames come")
+    yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")
     if broker.get("connected"):
         yield BROKER.ok(f"connected to {broker.get('url')}")
     else:
         yield BROKER.warning(f"not connected to {broker.get('url')}", "see what is found of the broker itself")
+
+
+def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
+    state, remedy = sensor.get("state"), "stop the daemon and ask again: then the tones are looked at"
+    words = f"{state}: {sensor.get('reason')}"
+    if not online:
+        return SENSOR.not_checked("no frames come")
+    if state == Condition.ONLINE:
+        return SENSOR.ok(words)
+    if state is None or state == Condition.STARTING:
+        return SENSOR.not_checked(words if state else "the daemon has not told of it yet")
+    return SENSOR.warning(words, remedy) if state in _WATCHED else SENSOR.fault(words, remedy)
 
 
 def _config(config: Mapping[str, Any]) -> Iterator[Finding]:

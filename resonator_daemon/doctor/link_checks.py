@@ -32,6 +32,7 @@ _ROUND_TRIP_S: Final = 0.005  # median; an FTDI timer of 16 ms, its default, giv
 _ERRORS_WARNING, _ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
 _RATE_LEAST: Final = 0.8  # of the frames that the plate asks for, before the board must be dropping them
 _GARBAGE_FAULT: Final = 1e-3  # bytes discarded, of all
+_HITS_LEAST, _GARBAGE_LEAST_BYTES = 3, 1024  # fewer are chance, or packets that were cut when the port was opened
 
 
 def check_inquiry(inquiry: Inquiry, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
@@ -137,7 +138,8 @@ def _errors(sitting: Sitting) -> Finding:
     discarded = after.bytes_discarded - before.bytes_discarded
     received = after.bytes_received - before.bytes_received
     frames = _all_frames(sitting)
-    if hit / frames > _ERRORS_FAULT or discarded > _GARBAGE_FAULT * received:
+    many = hit >= _HITS_LEAST and hit / frames > _ERRORS_FAULT
+    if many or discarded > max(_GARBAGE_FAULT * received, _GARBAGE_LEAST_BYTES):
         return _garbage(discarded, received, hit, frames)
     evidence = f"{hit} of {frames} frames damaged or lost (limit {_ERRORS_FAULT:g}), {discarded} of {received} bytes"
     if not hit and not discarded:

@@ -15,7 +15,7 @@ from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.status_client import Answer, ask_all
 
 _HEARD: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
-_LOOK_S, _HEAR_S = 1.0, 3.0  # the broker has the states, health comes each second
+_LOOK_S, _HEAR_S = 2.0, 4.0  # the broker has the states, health comes each second
 
 
 async def find_daemon(link: LinkTarget, config_path: Path | None, pids: Collection[int]) -> Answer | None:
@@ -72,11 +72,12 @@ async def hear_daemon(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[
                 else:
                     said[path.removeprefix("state/")] = message.model_dump(mode="json")
                 wanted = plate == name if name else said.get("is_ours")
+                if wanted and "daemon" in said and said["daemon"].get("state") != Condition.ONLINE:
+                    return None
                 if wanted and path in ("info", "state/daemon"):
                     limit.reschedule(asyncio.get_running_loop().time() + _HEAR_S)
                 if wanted and said.keys() >= {"daemon", "link", "sensor", "health"}:
-                    online = said["daemon"].get("state") == Condition.ONLINE
-                    return {**said, "broker": {"connected": True, "url": broker.anonymous().url}} if online else None
+                    return {**said, "broker": {"connected": True, "url": broker.anonymous().url}}
     except TimeoutError:
         pass
     return None

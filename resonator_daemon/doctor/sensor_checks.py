@@ -24,6 +24,8 @@ OF_THE_PLATE: Final = (CHANNELS, AT_REST, TONES, NOISE, CROSS_TALK, DRIFT, TEMPE
 
 _HEARD_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is heard
 _NOISE_WARNING, _NOISE_FAULT = 3.0, 10.0  # over what counter and oscillator give
+# What a counter takes for a signal is three times as strong as its noise; where they are equal, edges are lost.
+_SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN = 1.0 / 3.0, 1.0
 _RESIDUAL_WARNING: Final = 1.0  # noise over the residuals of the calibration record
 _ALIKE_WARNING, _ALIKE_FAULT = 2.0, 8.0  # times less than two channels of their own could differ
 _DRIFT_PER_S: Final = 2e-8  # relative: that of 10 mK/s at a usual site, and 3 mN/s
@@ -54,7 +56,8 @@ def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
         shift, std, strange_hz = shift[quiet], std[quiet], strange_hz[quiet]
         yield _channels(shift, strange_hz, hearing)
         yield _tones(shift, strange_hz, hearing)
-        yield _noise(shift, std, plate, hearing)
+        scatter_radian = np.array([reading.scatter_radian for reading in sitting.readings])[quiet]
+        yield _worse(_noise(shift, std, plate, hearing), _scatter(scatter_radian))
         yield _cross_talk(np.array([reading.pair_noise for reading in sitting.readings])[quiet])
         yield _drift(times_s[quiet], shift, std)
     yield _temperature(sitting.temperatures_kelvin)
@@ -183,15 +186,14 @@ def _middle(shift: Floats) -> Floats:
 
 
 def _noise(shift: Floats, std: Floats, plate: Plate, hearing: Hearing) -> Finding:
-    """Compare the steps from reading to reading with what counter and oscillator give, tone by tone."""
-    steps = np.diff(shift, axis=0)
+    """Compare how readings bend with what counter and oscillator give, tone by tone; drift hardly bends them."""
+    steps = np.diff(shift, 2, axis=0)
     usable = np.isfinite(steps)
     count = usable.sum(axis=0)
     if not (count > 1).any():
-        return NOISE.not_checked("no tone is heard for two readings in a row")
-    expected = np.where(usable, std[1:] ** 2 + std[:-1] ** 2, 0.0).sum(axis=0)
-    drift = np.where(usable, steps, 0.0).sum(axis=0) / np.maximum(count, 1)
-    seen = np.where(usable, (steps - drift) ** 2, 0.0).sum(axis=0)  # (t, 4)
+        return NOISE.not_checked("no tone is heard for some readings in a row")
+    expected = np.where(usable, std[2:] ** 2 + 4.0 * std[1:-1] ** 2 + std[:-2] ** 2, 0.0).sum(axis=0)
+    seen = np.where(usable, steps**2, 0.0).sum(axis=0)  # (t, 4)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.sqrt(seen / expected)
     by_channel = np.nanmedian(ratio, axis=0) if len(ratio) > 1 else ratio[0]
@@ -203,13 +205,35 @@ def _noise(shift: Floats, std: Floats, plate: Plate, hearing: Hearing) -> Findin
     outcome = graded(worst, _NOISE_WARNING, _NOISE_FAULT)
     residuals = plate.calibration.residuals
     if residuals and plate.signals != SKIN_SIGNALS:
-        rms = np.sqrt(np.nanmean(seen) / max(1, 2 * (len(shift) - 1)))
+        rms = np.sqrt(np.nanmean(seen) / (6 * len(steps)))
         newton = float(rms / np.abs(plate.tones.sensitivity).mean())
         evidence += f"; {1e3 * newton:.2g} mN, the calibration record left {1e3 * max(residuals):.2g} mN"
         if newton > _RESIDUAL_WARNING * max(residuals) and outcome is Outcome.OK:
             outcome = Outcome.WARNING
     remedy = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
     return NOISE.judged(outcome, evidence, remedy, value=worst, limit=_NOISE_WARNING, unit="times")
+
+
+def _scatter(scatter_radian: Floats) -> Finding:
+    """Compare the noise of single edges, which readings average out, with what a usable signal leaves; (r, 4)."""
+    if not np.isfinite(scatter_radian).any():
+        return NOISE.not_checked("no edges are counted")
+    by_channel = _middle(scatter_radian[..., None])[:, 0]
+    channel = int(np.nanargmax(by_channel))
+    worst = float(by_channel[channel])
+    return NOISE.judged(
+        graded(worst, _SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN),
+        f"edges scatter by {worst:.2f} rad of the tone on channel {channel + 1} (limit {_SCATTER_WARNING_RADIAN:.2f})",
+        "the signal drowns: look at transducer, amplifier, shield and supply of that channel",
+        value=worst,
+        limit=_SCATTER_WARNING_RADIAN,
+        unit="rad",
+    )
+
+
+def _worse(one: Finding, other: Finding) -> Finding:
+    graver = other.outcome is Outcome.FAULT or (other.outcome is Outcome.WARNING and one.outcome is not Outcome.FAULT)
+    return other if graver else one
 
 
 def _cross_talk(pair_noise: Floats) -> Finding:

@@ -11,10 +11,14 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor import broker_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome
+from resonator_daemon.doctor.host import Host
+from resonator_daemon.doctor.load import Load
+
+HOST = Host(Path("/none"))  # which tells of no load
 
 
 async def found(url: str) -> dict[str, Finding]:
-    return {finding.id: finding for finding in await check_broker(Mqtt(url=url))}
+    return {finding.id: finding for finding in await check_broker(Mqtt(url=url), Load(HOST))}
 
 
 async def test_a_broker_that_is_well(mosquitto: Mosquitto) -> None:
@@ -27,7 +31,11 @@ async def test_a_broker_without_nodelay_shows_spikes(tmp_path: Path) -> None:
     broker = Mosquitto(tmp_path, "set_tcp_nodelay false", "allow_anonymous true")
     await broker.start()
     try:
-        finding = (await found(broker.url))["broker.round_trip"]
+        # On a busy computer a broker may come to read both messages of a pair at once, and sends them in one.
+        for _ in range(5):
+            finding = (await found(broker.url))["broker.round_trip"]
+            if finding.outcome is Outcome.WARNING:
+                break
     finally:
         await broker.kill()
     assert finding.outcome is Outcome.WARNING

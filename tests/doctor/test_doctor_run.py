@@ -127,12 +127,12 @@ def test_what_a_daemon_has_is_not_taken_from_it(
         "pid": 7,
         "config": {"in_use": "last_good", "file": "hand.toml", "problems": ["link: missing"]},
         "link": {"state": "online", "reason": ""},
-        "sensor": {"state": "pilot_lost", "reason": "channel 2"},
+        "sensor": {"state": "stalled", "reason": "the pilot is lost on channel 2"},
         "health": {"boots": [{"frames": 990, "lost": {"damaged": 10}}]},
         "broker": {"connected": True, "url": "mqtt://x"},
     }
 
-    async def answers(_instance: str) -> Answer:
+    async def answers(*_asked: object) -> Answer:
         return Answer(tmp_path / "status.sock", status, None)
 
     def opened(_link: object) -> None:

@@ -11,13 +11,16 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.config import SerialLink, parse_link
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.hearing import Reading
+from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_sitting
+from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
 from resonator_daemon.doctor.sitting import Sitting, sit_with
 from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import EmulatorOptions
 
-SECONDS = 0.75
+SECONDS = 0.6
+HOST = Host(Path("/none"))  # which tells of no load
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +31,9 @@ def quartz16() -> Plate:
 def listened(folder: Path, scenario: str = "still") -> Sitting:
     port = folder / "board"
     with emulated(EmulatorOptions("quartz16", pty=port, scenario=scenario)):
-        return sit_with(SerialLink(str(port), 4_000_000), load_plate("quartz16"), SECONDS, lambda _text: None)
+        return sit_with(
+            SerialLink(str(port), 4_000_000), load_plate("quartz16"), SECONDS, lambda _text: None, Load(HOST)
+        )
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +100,19 @@ def test_a_noise_floor_above_the_counters_own_is_told(
     assert bad(judged(changed(calm, shift=noisy), quartz16)) == {"sensor.noise": outcome}
 
 
+@pytest.mark.parametrize(
+    ("scatter_radian", "expected"),
+    [(0.32, {}), (0.35, {"sensor.noise": Outcome.WARNING}), (1.1, {"sensor.noise": Outcome.FAULT})],
+)
+def test_edges_that_scatter_more_than_those_of_a_signal_do_are_told(
+    calm: Sitting, quartz16: Plate, scatter_radian: float, expected: dict[str, Outcome]
+) -> None:
+    scatter = np.array([0.1, 0.1, scatter_radian, 0.1])
+    findings = judged(changed(calm, scatter_radian=scatter), quartz16)
+    assert bad(findings) == expected
+    assert not expected or "on channel 3" in findings["sensor.noise"].evidence
+
+
 def test_noise_above_what_the_calibration_left_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
     for residual, expected in ((1e-6, {"sensor.noise": Outcome.WARNING}), (1.0, {})):
         record = quartz16.calibration.model_copy(update={"residuals": (residual,)})
@@ -112,7 +130,7 @@ def test_two_channels_that_are_too_much_alike_hear_each_other(
 
 def test_a_drift_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
     def drifting(reading: Reading, _number: int) -> np.ndarray:
-        return reading.shift + 1e-7 * reading.time_s
+        return reading.shift + 1e-7 * reading.time_s + 1e-7 * reading.time_s**2  # and it grows
 
     assert bad(judged(changed(calm, shift=drifting), quartz16)) == {"sensor.drift": Outcome.WARNING}
 
@@ -155,21 +173,54 @@ def test_an_expired_calibration_is_a_warning(quartz16: Plate) -> None:
     assert check_calibration(dated, "expired").outcome is Outcome.WARNING
 
 
-def test_a_tone_out_of_its_band_is_named(tmp_path: Path) -> None:
-    plate = load_plate("comb16")
+@pytest.fixture(scope="module")
+def comb16() -> Plate:
+    return load_plate("comb16")
+
+
+@pytest.fixture(scope="module")
+def comb(comb16: Plate) -> Sitting:
     with emulated(EmulatorOptions("comb16", tcp=("127.0.0.1", 0), scenario="still")) as emulator:
         link = parse_link(emulator.link.address)
-        sitting = sit_with(link, plate, SECONDS, lambda _text: None)
-    assert bad(judged(sitting, plate)) == {}
+        return sit_with(link, comb16, SECONDS, lambda _text: None, Load(HOST))
+
+
+def test_a_comb_that_is_well_has_nothing_wrong(comb: Sitting, comb16: Plate) -> None:
+    assert bad(judged(comb, comb16)) == {}
+
+
+def test_a_tone_that_no_channel_hears_is_a_fault(comb: Sitting, comb16: Plate) -> None:
+    def deaf(reading: Reading, _number: int) -> np.ndarray:
+        shift = reading.shift.copy()
+        shift[4] = np.nan
+        return shift
+
+    findings = judged(changed(comb, shift=deaf), comb16)
+    assert findings["sensor.tones"].outcome is Outcome.FAULT
+    assert "1 of 16 are not heard" in findings["sensor.tones"].evidence
+
+
+def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Sitting, comb16: Plate) -> None:
+    def pressed(reading: Reading, _number: int) -> np.ndarray:
+        shift = reading.shift.copy()
+        shift[4] += 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4]
+        return shift
+
+    dated = comb16.model_copy(update={"calibration": comb16.calibration.model_copy(update={"id": "abc"})})
+    assert judged(changed(comb, shift=pressed), dated)["sensor.at_rest"].outcome is Outcome.FAULT
+    assert judged(changed(comb, shift=pressed), comb16)["sensor.at_rest"].outcome is Outcome.OK
+
+
+def test_a_tone_out_of_its_band_is_named(comb: Sitting, comb16: Plate) -> None:
 
     def off(reading: Reading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] += 2e-4
         return shift
 
-    findings = judged(changed(sitting, shift=off), plate)
+    findings = judged(changed(comb, shift=off), comb16)
     assert bad(findings) == {"sensor.tones": Outcome.FAULT}
-    site = plate.site_ids[plate.tones.site_index[4]]
+    site = comb16.site_ids[comb16.tones.site_index[4]]
     assert f"1 of 16 out of band, the worst is site {site}:" in findings["sensor.tones"].evidence
 
 
@@ -187,6 +238,55 @@ def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: 
     found = {finding.id: finding for finding in check_sitting(sitting)}
     assert found[id].outcome is Outcome.FAULT
     assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id
+
+
+def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Sitting) -> None:
+    account = dataclasses.replace(
+        calm.after, host_overruns=calm.before.host_overruns + 1, bytes_discarded=calm.after.bytes_discarded + 99_999
+    )
+    found = {finding.id: finding.outcome for finding in check_sitting(dataclasses.replace(calm, after=account))}
+    assert (found["host.overrun"], found["link.errors"]) == (Outcome.FAULT, Outcome.NOT_CHECKED)
+
+
+@pytest.mark.parametrize(
+    ("damaged", "discarded", "outcome"),
+    [
+        (0, 0, Outcome.OK),
+        (2, 0, Outcome.WARNING),
+        (3, 0, Outcome.FAULT),
+        (0, 1024, Outcome.WARNING),
+        (0, 1025, Outcome.FAULT),
+    ],
+)
+def test_a_packet_that_was_cut_is_no_broken_cable(
+    calm: Sitting, damaged: int, discarded: int, outcome: Outcome
+) -> None:
+    lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
+    account = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
+    found = {finding.id: finding for finding in check_sitting(dataclasses.replace(calm, after=account))}
+    assert found["link.errors"].outcome is outcome
+
+
+def test_a_board_that_does_not_count_is_the_sensors(calm: Sitting) -> None:
+    silent = dataclasses.replace(calm, seconds=0.0, after=calm.before, link="no frames")
+    found = {finding.id: finding.outcome for finding in check_sitting(silent)}
+    assert {name for name, outcome in found.items() if outcome is Outcome.FAULT} == {"board.counts"}
+
+
+@pytest.mark.parametrize(
+    ("change", "id", "outcome"),
+    [
+        ({"interruptions": ["no frame comes"]}, "link.steady", Outcome.NOT_CHECKED),
+        ({"losses": ["unplugged"]}, "link.steady", Outcome.FAULT),
+        ({"frame_rate_hz": 1e5}, "link.overflow", Outcome.NOT_CHECKED),
+        ({}, "link.steady", Outcome.OK),
+    ],
+)
+def test_what_a_busy_computer_explains_is_not_the_links_fault(
+    calm: Sitting, change: dict[str, object], id: str, outcome: Outcome
+) -> None:
+    busy = dataclasses.replace(calm, busy="this computer is busy", **change)
+    assert {finding.id: finding.outcome for finding in check_sitting(busy)}[id] is outcome
 
 
 def test_frames_that_come_more_slowly_than_they_are_counted_pile_up(calm: Sitting) -> None:

@@ -1,0 +1,37 @@
+"""A busy computer is told from a bad link: what its lateness explains is nobody else's fault."""
+
+from pathlib import Path
+
+import pytest
+from made_up_host import MadeUpHost
+
+from resonator_daemon.doctor.finding import Area, Check, Outcome, excused
+from resonator_daemon.doctor.load import Load
+
+CHECK = Check("a.check", Area.WIRING, "check")
+
+
+@pytest.mark.parametrize(("idle", "busy"), [(14, True), (16, False)])
+def test_a_computer_without_idle_time_is_busy(tmp_path: Path, idle: int, busy: bool) -> None:
+    computer = MadeUpHost(tmp_path)
+    computer.write("proc/stat", "cpu  1000 0 0 5000 0 0 0 0 0 0\ncpu0 1 1 1 1")
+    load = Load(computer.host())
+    assert load.busy() == ""
+    computer.write("proc/stat", f"cpu  {1100 - idle} 0 0 {5000 + idle - 5} 5 0 0 0 0 0\ncpu0 1 1 1 1")
+    assert bool(load.busy()) is busy
+
+
+def test_what_the_kernel_does_not_tell_is_no_excuse(tmp_path: Path) -> None:
+    computer = MadeUpHost(tmp_path)
+    assert Load(computer.host()).busy() == ""
+    computer.write("proc/stat", "cpu 1 nothing")
+    assert Load(computer.host()).busy() == ""
+
+
+def test_an_excuse_covers_what_is_bad_and_nothing_else() -> None:
+    for bad in (CHECK.fault("seen", "do"), CHECK.warning("seen", "do")):
+        assert excused(bad, "busy") == CHECK.not_checked("busy; seen: seen")
+        assert excused(bad, "") is bad
+    well = CHECK.ok("seen")
+    assert excused(well, "busy") is well
+    assert excused(CHECK.not_checked("why"), "busy").outcome is Outcome.NOT_CHECKED

@@ -1,0 +1,210 @@
+"""A daemon that has the link already: it is found, heard, and not disturbed."""
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Mosquitto
+from made_up_host import MadeUpHost
+from observer import observe
+from service_bench import Bench
+
+from resonator_daemon.acquisition.port_holders import Holder, Holders
+from resonator_daemon.cli import main
+from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, TcpLink, UsbLink, parse_link
+from resonator_daemon.doctor import run, running_daemon
+from resonator_daemon.doctor.daemon_checks import check_daemon, told
+from resonator_daemon.doctor.finding import Outcome
+from resonator_daemon.doctor.run import DoctorOptions, doctor
+from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, same_link
+from resonator_daemon.status_client import Answer, ask_all
+
+STATUS: dict[str, Any] = {
+    "pid": 77,
+    "config": {"in_use": "file", "file": "/none/hand.toml", "problems": [], "needs_restart": []},
+    "link": {"state": "online", "reason": ""},
+    "sensor": {"state": "online", "reason": ""},
+    "health": {"boots": [{"frames": 10_000, "lost": {"damaged": 0}}]},
+    "broker": {"connected": True, "url": "mqtt://x"},
+}
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+def answering(
+    monkeypatch: pytest.MonkeyPatch, status: dict[str, Any] | None, socket: Path = Path("/r/other/status.sock")
+) -> None:
+    async def answers(_wanted: str | None) -> list[Answer]:
+        return [Answer(socket, status, None if status else "runs and gives no answer")]
+
+    monkeypatch.setattr(running_daemon, "ask_all", answers)
+
+
+def judged(**change: object) -> dict[str, Outcome]:
+    return {finding.id: finding.outcome for finding in told(STATUS | change, "its socket")}
+
+
+def unopenable(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(_link: LinkTarget) -> None:
+        raise AssertionError("the daemon's link was opened")
+
+    monkeypatch.setattr(run, "open_link", opened)
+
+
+@pytest.mark.parametrize("by_configuration", [True, False])
+async def test_a_running_daemon_counts_on_while_the_doctor_looks(
+    bench: Bench, by_configuration: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with (
+        bench.emulated(scenario="still"),
+        observe(bench.broker_url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until(lambda: heard.payloads("resonator/hand/health"))
+        await heard.until(
+            lambda: [said["state"] for said in heard.payloads("resonator/hand/state/sensor")][-1:] == ["online"]
+        )
+        asked = (
+            ["--config", str(bench.folder / "board.toml")] if by_configuration else [f"serial:{bench.port}?baud=9600"]
+        )
+        before = (await ask_all(None))[0].status
+        count = len(heard.payloads("resonator/hand/forces"))
+        await asyncio.to_thread(main, ["doctor", *asked, "--json"])
+        await heard.until(lambda: len(heard.payloads("resonator/hand/forces")) > count + 5)
+        after = (await ask_all(None))[0].status
+    assert before is not None
+    assert after is not None
+    found = {finding["id"]: finding["outcome"] for finding in json.loads(capsys.readouterr().out)["findings"]}
+    assert (found["daemon.runs"], found["daemon.sensor"], found["sensor.noise"]) == ("ok", "ok", "not_checked")
+    states = {state["state"] for state in heard.payloads("resonator/hand/state/link")}
+    assert not states & {"lost", "waiting"}
+    assert "link.opens" not in found
+    (boot,) = after["health"]["boots"]
+    assert boot["lost"] == before["health"]["boots"][0]["lost"]
+    assert boot["connections"] == after["health"]["connections"] == 1
+
+
+async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broker, link = Mqtt(url=bench.broker_url), SerialLink(str(bench.port), 4_000_000)
+    async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard:
+        async with bench.running(bench.service()):
+            await heard.until(lambda: heard.payloads("resonator/hand/health"))
+            by_name = await hear_daemon(broker, "hand", TcpLink("10.0.0.1", 1))
+            by_link = await hear_daemon(broker, None, link)
+            monkeypatch.setattr(running_daemon, "_LOOK_S", 0.3)
+            neither = await hear_daemon(broker, None, SerialLink("/dev/ttyACM7", 4_000_000))
+            nobody = await hear_daemon(broker, "foot", link)
+        offline = await hear_daemon(broker, "hand", link)
+    assert neither is nobody is offline is None
+    for said in (by_name, by_link):
+        assert said is not None
+        assert said["link"]["state"] == "online"
+        assert {finding.id: finding.outcome for finding in told(said, "MQTT")}["daemon.sensor"] is Outcome.OK
+
+
+async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    link = TcpLink("127.0.0.1", 9)
+    file = tmp_path / "hand.toml"
+    file.write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
+    answering(monkeypatch, STATUS)
+    assert await find_daemon(link, None, {78}) is None
+    assert await find_daemon(link, None, {77}) is not None
+    answering(monkeypatch, STATUS | {"config": {"file": str(file)}})
+    assert await find_daemon(link, None, ()) is not None
+    other = TcpLink("127.0.0.1", 10)
+    assert await find_daemon(other, None, ()) is None
+    assert await find_daemon(other, file, ()) is not None
+    answering(monkeypatch, STATUS | {"config": {"file": str(file), "needs_restart": ["link"]}})
+    assert await find_daemon(link, None, ()) is None
+    answering(monkeypatch, None, Path("/r/hand/status.sock"))
+    assert await find_daemon(link, file, ()) is not None
+    assert await find_daemon(link, tmp_path / "foot.toml", ()) is None
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        ("serial:/dev/null?baud=9600", "serial:/dev/./null?baud=4000000", True),
+        ("serial:/dev/null?baud=9600", "serial:/dev/zero?baud=9600", False),
+        ("usb:1209:0001?serial=7", "usb:1209:0001", True),
+        ("usb:1209:0001?serial=7", "usb:1209:0001?serial=8", False),
+        ("usb:1209:0001", "usb:1209:0002", False),
+        ("tcp://a:1", "tcp://a:2", False),
+    ],
+)
+def test_links_are_the_same_where_they_lead_to_one_board(one: str, other: str, same: bool) -> None:
+    assert same_link(parse_link(one), parse_link(other)) is same
+
+
+def looked(computer: MadeUpHost, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    doctor(DoctorOptions(None, UsbLink(0x1A86, 0x7523, "0042"), 1.0, json=True, host=computer.host()))
+    return {finding["id"]: finding for finding in json.loads(capsys.readouterr().out)["findings"]}
+
+
+def test_a_usb_device_that_a_daemon_has_is_left_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    computer = MadeUpHost(tmp_path)
+    unopenable(monkeypatch)
+    monkeypatch.setattr(
+        run,
+        "port_holders",
+        lambda node: Holders((Holder(77, "resonatord", False),) if node.endswith("usb/001/007") else (), True),
+    )
+    answering(monkeypatch, STATUS)
+    found = looked(computer, capsys)
+    assert found["daemon.runs"]["outcome"] == "ok"
+    assert "port.holder" not in found
+    answering(monkeypatch, STATUS | {"pid": 78})  # another one, and a stranger has the device
+    found = looked(computer, capsys)
+    assert "resonatord (pid 77)" in found["port.holder"]["evidence"]
+    assert found["link.opens"]["outcome"] == "not_checked"
+
+
+def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
+    assert set(judged().values()) == {Outcome.OK}
+
+
+@pytest.mark.parametrize(
+    ("change", "id", "outcome"),
+    [
+        ({"config": {"in_use": "last_good", "problems": ["x"]}}, "daemon.config", Outcome.FAULT),
+        ({"config": {"in_use": "file", "needs_restart": ["link"]}}, "daemon.config", Outcome.WARNING),
+        ({"link": {"state": "lost", "reason": "x"}}, "daemon.link", Outcome.FAULT),
+        ({"link": {"state": "lost", "reason": "x"}, "sensor": {"state": "x"}}, "daemon.sensor", Outcome.NOT_CHECKED),
+        ({"link": None}, "daemon.link", Outcome.FAULT),
+        ({"sensor": {"state": "pressed_at_start", "reason": "x"}}, "daemon.sensor", Outcome.FAULT),
+        ({"sensor": {"state": "starting"}}, "daemon.sensor", Outcome.NOT_CHECKED),
+        ({"sensor": {"state": "drifting"}}, "daemon.sensor", Outcome.WARNING),
+        ({"sensor": {"state": "uncalibrated"}}, "daemon.sensor", Outcome.WARNING),
+        ({"broker": {"connected": False}}, "daemon.broker", Outcome.WARNING),
+        ({"health": None}, "link.errors", Outcome.NOT_CHECKED),
+        ({"health": {"boots": [{"frames": 50, "lost": {}}]}}, "link.errors", Outcome.NOT_CHECKED),
+        ({"health": {"boots": [{"frames": 9_995, "lost": {"damaged": 5}}]}}, "link.errors", Outcome.WARNING),
+        ({"health": {"boots": [{"frames": 9_980, "lost": {"link_gap": 20}}]}}, "link.errors", Outcome.FAULT),
+        ({"health": {"boots": [{"frames": 9_980, "lost": {"board_overflow": 20}}]}}, "link.errors", Outcome.OK),
+    ],
+)
+def test_what_a_daemon_says_is_judged(change: dict[str, object], id: str, outcome: Outcome) -> None:
+    assert judged(**change)[id] is outcome
+
+
+def test_a_daemon_that_does_not_answer_is_a_fault_unless_this_user_may_not_ask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    socket = tmp_path / "status.sock"
+    socket.touch()
+    (finding,) = check_daemon(Answer(socket, None, "runs and gives no answer"))
+    assert (finding.id, finding.outcome) == ("daemon.runs", Outcome.FAULT)
+    monkeypatch.setattr("os.access", lambda _path, _mode: False)
+    (finding,) = check_daemon(Answer(socket, None, "this user may not ask it"))
+    assert finding.outcome is Outcome.NOT_CHECKED
