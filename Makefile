@@ -116,10 +116,14 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 	.venv/bin/python benchmarks/fuzz.py
 	.venv/bin/python benchmarks/command_fuzz.py
 
-soak: .venv/run-stamp  ## brokers frozen, dead, wiped, slow; 200 kills and restores; 1000 hang-ups; 10 million damaged frames
+MINUTES ?= 60
+
+soak: .venv/run-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kills and restores; hang-ups; 10 million damaged frames
 	$(debian-packages)
 	debian-packages $(BROKER)
-	for benchmark in broker_outage kill_restore hang_ups wire_accounts; do
+	printf '\n== long_run\n'
+	.venv/bin/python benchmarks/long_run.py --minutes $(MINUTES)
+	for benchmark in broker_outage kill_restore kill_recording hang_ups wire_accounts; do
 	  printf '\n== %s\n' "$$benchmark"
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done

@@ -21,7 +21,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     set_up_logging()
     verb: Verb = options.verb
     if sys.stdout is None:  # closed by whoever started us
-        sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - for as long as the process lives
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a sign that this locale has not, and paths that are no text
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = verb(options) or ExitCode.DONE
         sys.stdout.flush()
@@ -35,6 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left: nobody is there to tell
         return ExitCode.FAILED
+    except UnicodeEncodeError as error:  # streams take everything: it is the name of a file
+        what = f"{error.object!a} cannot name a file in this locale, whose encoding is {error.encoding}"
+        sys.stderr.write(f"{error_prefix()}resonatord: {what}; set LC_ALL=C.UTF-8\n")
+        return ExitCode.CONFIG
     except OSError as error:  # as where stdout is on a full disk
         sys.stderr.write(f"resonatord: {error}\n")
         return ExitCode.FAILED

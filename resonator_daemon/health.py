@@ -1,9 +1,11 @@
 """How the daemon itself fares: rates, losses, processor, memory, and what it holds of the system."""
 
 import asyncio
+import math
+import resource
 import time
 from dataclasses import asdict
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import psutil
 
@@ -40,12 +42,47 @@ class Vitals(TypedDict):
     messages: MessageAccount
 
 
-class HealthMonitor:
-    """Takes stock of this process; rates are over the time since the last call of `vitals`."""
+class Held(NamedTuple):
+    """What a process has of the system; `cpu_percent` of one core since it was asked for last."""
+
+    cpu_percent: float
+    rss_mb: float
+    threads: int
+    file_descriptors: int
+
+
+class OwnProcess:
+    """Asks the system what this process has of it."""
 
     def __init__(self) -> None:
         self._process = psutil.Process()
         self._process.cpu_percent()  # the first call begins the interval
+        self._last = Held(0.0, self._rss_mb(), self._process.num_threads(), self._process.num_fds())
+
+    def held(self) -> Held:
+        """Return what it has now.
+
+        The system tells in files. A process that may open nothing more has as many descriptors as it may have; the rest
+        is then not known, or as it was.
+        """
+        try:
+            self._last = Held(
+                self._process.cpu_percent(), self._rss_mb(), self._process.num_threads(), self._process.num_fds()
+            )
+        except OSError:
+            most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+            return self._last._replace(cpu_percent=math.nan, file_descriptors=most)
+        return self._last
+
+    def _rss_mb(self) -> float:
+        return float(self._process.memory_info().rss) / 2**20
+
+
+class HealthMonitor:
+    """Takes stock of this process; rates are over the time since the last call of `vitals`."""
+
+    def __init__(self) -> None:
+        self._process = OwnProcess()
         self._started = self._last = time.monotonic()
         self._last_frames = 0
 
@@ -64,6 +101,7 @@ class HealthMonitor:
         now = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
         self._last, self._last_frames = now, link.frames
+        held = self._process.held()
         return Vitals(
             uptime_s=now - self._started,
             frames=link.frames,
@@ -99,11 +137,11 @@ class HealthMonitor:
             clock_drift_ppm=clock_drift_ppm,
             clock_outliers=link.clock_outliers,
             clock_restarts=link.clock_restarts,
-            cpu_percent=self._process.cpu_percent(),
-            rss_mb=self._process.memory_info().rss / 2**20,
+            cpu_percent=held.cpu_percent,
+            rss_mb=held.rss_mb,
             tasks=len(asyncio.all_tasks()),
-            threads=self._process.num_threads(),
-            file_descriptors=self._process.num_fds(),
+            threads=held.threads,
+            file_descriptors=held.file_descriptors,
             latency=latency,
             recording=recording,
             commands=commands,

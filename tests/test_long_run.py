@@ -1,0 +1,223 @@
+"""The judge of a long run finds what it is there to find: leaks, holes, books that do not balance, strange lines."""
+
+import math
+import random
+from typing import Any
+
+import numpy as np
+import pytest
+from long_run_faults import draw_leg
+from long_run_judge import FLAT_MB, Leg, Row, Sample, Seen, Trend, account_off, judge, leg_of, rises, trend, warm
+from long_run_log import KNOWN, Cause, LogJudge, new_lines
+
+from simulators.faults import parse_faults
+
+HOUR_S = 3600.0
+
+
+def samples(rss_mb: Any, **more: Any) -> list[Sample]:
+    """Give a sample each 30 s; what is not said stays as it is."""
+    held = {"file_descriptors": 20.0, "threads": 6.0, "tasks": 9.0}
+    return [
+        Sample(
+            30.0 * n, float(value), **(held | {key: float(given[n]) for key, given in more.items()}), recordings_mb=1.0
+        )
+        for n, value in enumerate(rss_mb)
+    ]
+
+
+def well(**other: Any) -> Seen:
+    seen = Seen(
+        samples=samples(120.0 + np.random.default_rng(1).normal(0.0, 0.05, 120)),
+        legs=[Leg("no faults", 1000, 3, 0, 900, 0)],
+        healths=100,
+        messages=1000,
+        lines=50,
+        asked=10,
+        files=5,
+        files_removed=2,
+        exit_code=0,
+    )
+    for key, value in other.items():
+        setattr(seen, key, value)
+    return seen
+
+
+def missed(seen: Seen) -> list[str]:
+    return [row.what for row in judge(seen) if not row.good]
+
+
+def test_a_run_without_fault_is_good() -> None:
+    assert missed(well()) == []
+    assert all(isinstance(row, Row) and row.asked and row.seen for row in judge(well()))
+
+
+@pytest.mark.parametrize(
+    ("other", "what"),
+    [
+        ({"accounts_off": ["bytes_in 1, their fates 2"]}, "accounts that do not balance"),
+        ({"healths": 0}, "accounts that do not balance"),
+        ({"holes": 1}, "messages missing without a word"),
+        ({"out_of_order": 1}, "messages out of order"),
+        ({"unexplained": ["a line"]}, "log lines that nothing explains"),
+        ({"lines": 0}, "log lines that nothing explains"),
+        ({"refused": ["status: 1"]}, "questions without an answer"),
+        ({"recordings_over_mb": 0.5}, "recordings above their budget"),
+        ({"files_removed": 0}, "old recordings removed"),
+        ({"events_missing": 1}, "pieces in no recording"),
+        ({"exit_code": 1}, "exit code on SIGTERM"),
+        ({"exit_code": None}, "exit code on SIGTERM"),
+        ({"legs": []}, "whole frames that did not arrive"),
+        ({"legs": [Leg("no faults", 1000, 0, 0, 600, 0)]}, "whole frames that did not arrive"),
+        ({"legs": [Leg("no faults", 1000, 0, 0, 1010, 0)]}, "whole frames that did not arrive"),
+        ({"samples": []}, "memory"),
+        ({"samples": samples([120.0] * 120, threads=np.arange(120) // 40)}, "threads"),
+        ({"samples": samples([120.0] * 120, tasks=np.arange(120) // 40)}, "tasks"),
+        ({"samples": samples([120.0] * 120, file_descriptors=np.arange(120) // 40)}, "file descriptors"),
+    ],
+)
+def test_each_figure_can_be_missed(other: dict[str, Any], what: str) -> None:
+    assert what in missed(well(**other))
+
+
+@pytest.mark.parametrize("leak_mb_per_hour", [1.0, 5.0])
+def test_a_leak_is_seen_above_the_noise_of_memory(leak_mb_per_hour: float) -> None:
+    noise = np.random.default_rng(3).normal(0.0, 0.1, 240)
+    assert missed(well(samples=samples(120.0 + leak_mb_per_hour * np.arange(240) / 120 + noise))) == ["memory"]
+
+
+def test_tables_that_fill_at_first_are_no_leak() -> None:
+    hours = np.arange(240) / 120
+    assert missed(well(samples=samples(120.0 - 8.0 * np.exp(-hours / 0.05)))) == []
+
+
+def test_a_walk_that_comes_back_is_no_leak_and_a_small_step_neither() -> None:
+    hours = np.arange(240) / 120
+    assert missed(well(samples=samples(120.0 + np.sin(2 * math.pi * hours)))) == []
+    assert missed(well(samples=samples(120.0 + 0.6 * FLAT_MB * (hours > 1.2)))) == []
+
+
+def test_the_first_quarter_is_left_out_and_never_more_than_an_hour() -> None:
+    assert warm([]) == []
+    assert [sample.at_s for sample in warm(samples([1.0] * 9))] == [60.0, 90.0, 120.0, 150.0, 180.0, 210.0, 240.0]
+    assert warm(samples([1.0] * 2000))[0].at_s == HOUR_S
+
+
+def test_slope_and_standard_error_are_those_of_independent_noise() -> None:
+    draw = np.random.default_rng(5)
+    at_s, slopes, stated = 30.0 * np.arange(200), [], []
+    for _ in range(200):
+        found = trend(at_s, 2.0 * at_s / HOUR_S + draw.normal(0.0, 1.0, 200))
+        assert found is not None
+        slopes.append(found.per_hour)
+        stated.append(found.std_per_hour)
+    assert np.mean(slopes) == pytest.approx(2.0, abs=0.1)
+    assert 0.8 < np.mean(stated) / np.std(slopes) < 1.4
+
+
+def test_noise_that_follows_itself_makes_the_slope_less_certain() -> None:
+    draw = np.random.default_rng(7)
+    at_s = 30.0 * np.arange(400)
+    slopes, stated = [], []
+    for _ in range(200):
+        noise, value = [], 0.0
+        for step in draw.normal(0.0, 1.0, 400):
+            value = 0.8 * value + step
+            noise.append(value)
+        found = trend(at_s, noise)
+        assert found is not None
+        slopes.append(found.per_hour)
+        stated.append(found.std_per_hour)
+    assert 0.8 < np.mean(stated) / np.std(slopes) < 1.4
+
+
+def test_a_rise_counts_that_is_certain_and_large() -> None:
+    assert rises(Trend(1.0, 0.3, 2.0), 0.5)
+    assert not rises(Trend(1.0, 0.4, 2.0), 0.5)
+    assert not rises(Trend(1.0, 0.1, 0.4), 0.5)
+    assert not rises(Trend(-1.0, 0.1, -2.0), 0.5)
+
+
+def test_what_does_not_change_has_no_slope_and_few_values_have_none_to_tell() -> None:
+    found = trend([0.0, 30.0, 60.0, 90.0, 120.0], [7.0] * 5)
+    assert found == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+    assert not rises(found, 1e-6)
+    assert trend([0.0, 30.0], [1.0, 2.0]) is None
+
+
+HEALTH: dict[str, Any] = {
+    "bytes_in": 10,
+    "bytes_by_fate": {"accepted": 7, "waiting": 3},
+    "messages": {
+        "made": 15,
+        "acknowledged": 1,
+        "handed_to_socket": 2,
+        "dropped": {"queue_full": 3},
+        "unknown_at_disconnect": 4,
+        "waiting": 5,
+    },
+    "frames": 500,
+    "connections": 3,
+    "packets_ignored": {"stale": 4},
+}
+
+
+def test_accounts_balance_or_are_told() -> None:
+    assert account_off(HEALTH) == []
+    assert account_off(HEALTH | {"bytes_in": 11}) == ["bytes_in 11, their fates 10"]
+    for key in ("made", "acknowledged", "handed_to_socket", "unknown_at_disconnect", "waiting"):
+        messages = HEALTH["messages"] | {key: 100}
+        assert len(account_off(HEALTH | {"messages": messages})) == 1, key
+
+
+def test_a_leg_is_what_the_board_sent_whole_beside_what_came() -> None:
+    board = {"frames_sent": 900, "faults": {"frames_hit": 20}}
+    after = HEALTH | {"frames": 1300, "connections": 5, "packets_ignored": {"stale": 10}}
+    leg = leg_of("bit errors", board, HEALTH, after)
+    assert (leg.missing, leg.hang_ups, leg.stale) == (80, 2, 6)
+    assert leg.excused == 350 * 3 + 6
+
+
+def test_a_line_needs_its_cause_at_its_time() -> None:
+    log = LogJudge([(r"WARNING link lost: .*", (Cause.GONE, Cause.REBOOT)), (r"INFO file \d+", (Cause.ALWAYS,))])
+    line = "WARNING link lost: unplugged"
+    assert log.unexplained("INFO file 7", 5.0) is None
+    assert "without a cause" in (log.unexplained(line, 5.0) or "")
+    log.did(Cause.FREEZE, 8.0, 9.0)
+    log.did(Cause.GONE, 10.0, 12.0)
+    assert "without a cause" in (log.unexplained(line, 9.0) or "")
+    assert log.unexplained(line, 11.0) is None
+    assert log.unexplained(line, 31.0) is None
+    assert "without a cause" in (log.unexplained(line, 33.0) or "")
+    assert "unknown" in (log.unexplained(f"{line}\n", 11.0) or "")
+    assert "unknown" in (log.unexplained("Traceback (most recent call last):", 11.0) or "")
+
+
+def test_deeds_that_are_long_over_are_forgotten() -> None:
+    log = LogJudge()
+    for at_s in range(0, 100_000, 100):
+        log.did(Cause.COMMAND, at_s, at_s + 1.0)
+    assert len(log._deeds) < 10
+    assert log.at_work([Cause.ALWAYS], 1e9)
+    assert log.at_work([Cause.COMMAND], 99_910.0)
+    assert not log.at_work([Cause.START], 99_910.0)
+
+
+def test_lines_come_without_control_characters() -> None:
+    assert list(new_lines("a\x1b[2Jb\nc")) == ["a?[2Jb", "c"]
+
+
+def test_each_known_line_has_a_cause_and_is_known_once() -> None:
+    patterns = [pattern for pattern, _ in KNOWN]
+    assert len(set(patterns)) == len(patterns)
+    assert all(causes for _, causes in KNOWN)
+
+
+def test_legs_are_faults_that_the_emulator_takes_and_the_same_for_a_seed() -> None:
+    first, second = random.Random(1), random.Random(1)
+    legs = [draw_leg(first) for _ in range(300)]
+    assert legs == [draw_leg(second) for _ in range(300)]
+    for leg in legs:
+        parse_faults(leg.faults)
+        assert bool(leg.faults) == bool(leg.causes)
+    assert {cause for leg in legs for cause in leg.causes} >= {Cause.GONE, Cause.REBOOT, Cause.DAMAGE, Cause.OVERFLOW}
