@@ -6,6 +6,7 @@ import logging
 from resonator_daemon.config import Config
 from resonator_daemon.config_store import ConfigStore, Loaded
 from resonator_daemon.errors import ConfigError
+from resonator_daemon.recording_commands import as_json_text
 from resonator_daemon.reload import Changes, applied, changes
 from resonator_daemon.status import ConfigStatus
 
@@ -34,7 +35,7 @@ class ConfigInUse:
     def __init__(self, store: ConfigStore) -> None:
         self._store = store
         self._loaded = store.load()
-        self._problems = self._loaded.problems  # of the file as it is now
+        self._problems = _told(self._loaded.problems)  # of the file as it is now
         self._waiting: tuple[str, ...] = ()  # keys whose new values need a restart
         self.config: Config = self._loaded.config
 
@@ -46,17 +47,17 @@ class ConfigInUse:
     @property
     def remark(self) -> str:
         """What people should know of it; "" where the file is in use as it is."""
-        if self._loaded.in_use == "last_good":
-            return self._loaded.reason
         if self._problems:
+            last_good = self._loaded.in_use == "last_good"
+            on = "on the last good configuration" if last_good else "its changed configuration cannot be used"
             more = f", and {len(self._problems) - 1} more" if len(self._problems) > 1 else ""
-            return f"its changed configuration cannot be used: {self._problems[0]}{more}"
+            return f"{on}: {self._problems[0]}{more}"
         return f"restart for changed {', '.join(self._waiting)}" if self._waiting else ""
 
     @property
     def status(self) -> ConfigStatus:
         return ConfigStatus(
-            file=str(self._store.path),
+            file=as_json_text(self._store.path),
             in_use=self._loaded.in_use,
             problems=self._problems,
             loaded_t_ns=self._loaded.utc_ns,
@@ -68,7 +69,7 @@ class ConfigInUse:
         try:
             loaded: Loaded = await asyncio.to_thread(self._store.reload)
         except ConfigError as error:
-            self._problems = error.messages
+            self._problems = _told(error.messages)
             for message in error.messages:
                 log.error("%s", message)
             log.error("the configuration cannot be used; all goes on as before")
@@ -78,3 +79,8 @@ class ConfigInUse:
         self._loaded, self._problems, self._waiting = loaded, (), found.restart
         log.info("configuration read again: %s", found)
         return found
+
+
+def _told(problems: tuple[str, ...]) -> tuple[str, ...]:
+    """Return problems as messages can carry them: they name files, and names of files may be no text."""
+    return tuple(as_json_text(problem) for problem in problems)

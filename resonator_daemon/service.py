@@ -26,7 +26,7 @@ from resonator_daemon.acquisition.frames import (
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.board_course import BoardCourse
 from resonator_daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
-from resonator_daemon.config import plate_name
+from resonator_daemon.config import Config, plate_name
 from resonator_daemon.config_in_use import ConfigInUse
 from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.daemon_state import DaemonStanding, DaemonState
@@ -42,7 +42,7 @@ from resonator_daemon.places import runtime_directory
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.recorded_messages import RecordedMessages
-from resonator_daemon.recording_commands import RecordingCommands, recording_info
+from resonator_daemon.recording_commands import RecordingCommands, as_json_text, recording_info
 from resonator_daemon.status import BrokerStatus, Status
 from resonator_daemon.status_server import SOCKET_NAME, StatusServer
 from resonator_daemon.systemd import ServiceManager
@@ -68,7 +68,11 @@ async def serve(store: ConfigStore) -> None:
         loop.add_signal_handler(number, service.stop)
     loop.add_signal_handler(signal.SIGHUP, service.reload)
     sys.setswitchinterval(SWITCH_S)
-    await service.run()
+    try:
+        await service.run()
+    finally:  # a reload that is asked for now must not end in the signal's usual way
+        loop.remove_signal_handler(signal.SIGHUP)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
 class Service:
@@ -76,8 +80,9 @@ class Service:
 
     def __init__(self, store: ConfigStore) -> None:
         self._in_use = ConfigInUse(store)
-        self._config = config = self._in_use.config
-        self._instance = store.path.stem
+        config = self._in_use.config
+        self._file_stem = store.path.stem
+        self._instance = as_json_text(self._file_stem)
         self._arrived = asyncio.Event()
         loop = asyncio.get_running_loop()
         self._recording = RecordingSwitch()
@@ -101,7 +106,8 @@ class Service:
         self._flow = FlowWatch()
         self._health: Health | None = None  # as reported last
         self._name = config.name
-        self._reloading: asyncio.Task[None] | None = None
+        self._reload_wanted = asyncio.Event()
+        self._ready = False
         self._fatal: OperatorError | None = None
         self._stopping = False
         self._started_utc_ns = time.time_ns()
@@ -139,8 +145,11 @@ class Service:
 
     def reload(self) -> None:
         """Read the configuration again, and take what can change while all goes on; from the event loop."""
-        if self._reloading is None or self._reloading.done():
-            self._reloading = self._tasks.create_task(self._reload(), name="reloading")
+        self._reload_wanted.set()
+
+    @property
+    def _config(self) -> Config:
+        return self._in_use.config
 
     @property
     def daemon_boot_id(self) -> str:
@@ -214,6 +223,12 @@ class Service:
         self._outlet.set_rate(path, rate_hz)
         self._course.limit_rates(limits_hz)
 
+    async def _keep_reloading(self) -> None:
+        while True:
+            await self._reload_wanted.wait()
+            self._reload_wanted.clear()  # the file may change again while it is read
+            await self._reload()
+
     async def _reload(self) -> None:
         self._manager.reloading()
         found = await self._in_use.reload()
@@ -227,7 +242,8 @@ class Service:
             if self._recordings is not None:
                 await self._recordings.adopt(config, self._in_use.sha256)
         self._say_measuring()
-        self._manager.ready(self._sentence())
+        if self._ready:
+            self._manager.ready(self._sentence())
 
     def _make_offline(self, reason: str) -> State:
         now_ns = time.time_ns()
@@ -293,11 +309,12 @@ class Service:
 
     def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
         """Return what runs beside the reading of the board, by name, until cancelled."""
-        socket = runtime_directory(self._instance) / SOCKET_NAME
+        socket = runtime_directory(self._file_stem) / SOCKET_NAME
         helpers = {
             "health": self._keep_reporting(),
             "decoding": self._course.measuring.run(),
             "watchdog": self._keep_watch(),
+            "reloading": self._keep_reloading(),
             "status": StatusServer(socket, self._status).run(),
         }
         if (listen := self._config.metrics.listen) is not None:
@@ -306,12 +323,11 @@ class Service:
 
     async def _keep_watch(self) -> None:
         """Tell the service manager when it may count on this daemon, and as long as it may."""
-        ready = False
         while True:
             link = self._course.link
             state = link.state if link is not None else "starting"
-            if not ready and (self._course.frames or state in DECLARED_WAITING):
-                ready = True
+            if not self._ready and (self._course.frames or state in DECLARED_WAITING):
+                self._ready = True
                 self._manager.ready(self._sentence())
             if self._flow.healthy(self._course.frames, state, self._reader.turns):
                 self._manager.alive()

@@ -59,6 +59,9 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
     present = in_use(path)
     assert present.status.in_use == "last_good"
     assert present.remark.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
+    path.write_text(GOOD + "worse = 1\n")
+    await present.reload()
+    assert present.remark.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
     path.write_text(GOOD + "[measurement]\nstep_ms = 2\n")
     await present.reload()
     assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == ("", "file", 2.0)
@@ -68,3 +71,14 @@ def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
     path.write_text(GOOD + "wrong = 1\n")
     with pytest.raises(ConfigError, match="wrong: unknown key"):
         in_use(path)
+
+
+async def test_a_file_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "h\udcff.toml"
+    path.write_text(GOOD)
+    present = in_use(path)
+    path.write_text("wrong")
+    await present.reload()
+    status = present.status.model_dump_json()
+    assert "/h?.toml" in status
+    assert present.remark.encode().startswith(b"its changed configuration cannot be used: ")

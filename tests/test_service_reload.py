@@ -1,13 +1,15 @@
 """A running daemon whose configuration file changes, and one that finds its file broken."""
 
 import asyncio
+import contextlib
+import functools
 import os
 import signal
 import sys
 from pathlib import Path
 
 from brokers import Mosquitto
-from observer import observe
+from observer import DEADLINE_S, observe
 from service_bench import Bench
 
 from resonator_daemon.acquisition.recording_file import open_recording
@@ -79,6 +81,89 @@ async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_b
         kinds = [type(event).__name__ for event in recording.events()]
     assert kinds.index("Opened") < kinds.index("Received")
     assert recording.damage is None
+
+
+async def test_a_file_that_changes_while_it_is_read_is_read_again(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard:
+        service = bench.service(link="tcp://127.0.0.1:9")
+        path = bench.folder / "board.toml"
+        good = path.read_text()
+        async with bench.running(service):
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+            path.write_text(good + "wrong = 1\n")
+            service.reload()
+            in_use, reload = service._in_use, service._in_use.reload
+            begun = asyncio.Event()
+
+            async def slowly() -> object:
+                begun.set()
+                found = await reload()
+                path.write_text(good)
+                service.reload()
+                in_use.reload = reload  # type: ignore[method-assign]
+                return found
+
+            in_use.reload = slowly  # type: ignore[method-assign, assignment]
+            await begun.wait()
+            said = functools.partial(heard.payloads, "resonator/hand/state/daemon")
+            await heard.until(lambda: any("cannot be used" in state["reason"] for state in said()))
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+
+
+async def test_a_reload_that_waits_for_the_reader_does_not_hold_up_the_end(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = bench.service()
+        path = bench.folder / "board.toml"
+        async with asyncio.timeout(DEADLINE_S), bench.running(service):
+            await heard.until_count("resonator/hand/forces", 3)
+            service._reader.steer = lambda key, order: None  # type: ignore[method-assign]  # never obeyed
+            path.write_text(path.read_text() + "[measurement]\nwindow_ms = 20\n")
+            service.reload()
+            await heard.until(lambda: bool(service._steering._asked))
+
+
+async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_does(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard:
+        service = bench.service(name=None)
+        path = bench.folder / "board.toml"
+        async with bench.running(service):
+            path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+            reloaded = asyncio.Event()
+            say, service._say_measuring = service._say_measuring, reloaded.set  # type: ignore[method-assign]
+            service.reload()
+            await reloaded.wait()
+            service._say_measuring = say  # type: ignore[method-assign]
+            async with bench.emulated():
+                await heard.until_last("resonator/EMU-0001/state/link", state="online")
+                await heard.until(
+                    lambda: (
+                        bool(states := heard.payloads("resonator/EMU-0001/health")) and bool(states[-1]["recording"])
+                    )
+                )
+
+
+async def test_a_reload_at_the_end_is_ignored(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service(link="tcp://127.0.0.1:9")
+    async with observe(mosquitto.url) as heard:
+        command = (RESONATORD, "run", "--config", bench.folder / "board.toml")
+        process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason="measuring")
+        process.send_signal(signal.SIGTERM)
+        ended = asyncio.create_task(process.communicate())
+        while not ended.done():
+            with contextlib.suppress(ProcessLookupError):
+                process.send_signal(signal.SIGHUP)
+            await asyncio.wait([ended], timeout=0.01)
+        _, said = await ended
+    assert (process.returncode, b"Traceback" in said) == (0, False)
 
 
 async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosquitto: Mosquitto) -> None:
