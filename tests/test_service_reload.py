@@ -120,7 +120,7 @@ async def test_a_reload_that_waits_for_the_reader_does_not_hold_up_the_end(
         path = bench.folder / "board.toml"
         async with asyncio.timeout(DEADLINE_S), bench.running(service):
             await heard.until_count("resonator/hand/forces", 3)
-            service._reader.steer = lambda key, order: None  # type: ignore[method-assign]  # never obeyed
+            service._steering._send = lambda key, order: None  # type: ignore[method-assign]  # never obeyed
             path.write_text(path.read_text() + "[measurement]\nwindow_ms = 20\n")
             service.reload()
             await heard.until(lambda: bool(service._steering._asked))
