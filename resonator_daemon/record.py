@@ -119,8 +119,9 @@ class _Sitting:
     """One recording, from its beginning to its end."""
 
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
-        self._recorder = Recorder(options.place, origin(config, None, None, config_sha256))
-        self._course = _course(config, self._recorder) if options.derived else None
+        boot_id = secrets.token_hex(8)
+        self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256))
+        self._course = _course(config, boot_id, self._recorder) if options.derived else None
         self._arrived = threading.Event()
         self._reader = BoardReader(
             config.link, config.plate, self._arrived.set, step_frames=(64,), tap=self._recorder.put
@@ -219,14 +220,14 @@ class _Sitting:
         sys.stderr.flush()
 
 
-def _course(config: Config, recorder: Recorder) -> "BoardCourse":
+def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
     """Return what measures, and has it recorded; what that imports takes half a second."""
     from resonator_daemon.board_course import BoardCourse
     from resonator_daemon.decoding.in_order import DecodingInOrder
     from resonator_daemon.recorded_messages import RecordedMessages
 
     messages = RecordedMessages(recorder, derived=True)
-    return BoardCourse(config, secrets.token_hex(8), messages.take, make_stage=DecodingInOrder)
+    return BoardCourse(config, boot_id, messages.take, make_stage=DecodingInOrder)
 
 
 def _progress(account: LinkAccount, recorder: Recorder) -> str:

@@ -65,6 +65,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
 def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
+    path.write_text(f'name = "hand"\n{path.read_text()}')
     with emulated(EmulatorOptions("quartz16", pty=port)):
         record(path, RecordOptions(output, 1.6, max_minutes=0.01, derived=True), as_json=True)
     told = json.loads(capsys.readouterr().out)
@@ -74,10 +75,13 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, caps
     assert not output.exists()
     received = 0
     topics: dict[str, int] = {}
+    boots: set[str] = set()
     for file in files:
         with open_recording(str(file)) as recording:
             received += sum(len(event.data) for event in recording.events() if isinstance(event, Received))
             assert recording.damage is None
+            assert recording.header["name"] == "hand"  # under which a replay publishes
+            boots.add(recording.header["daemon_boot_id"])
             assert recording.plate_text is not None
             assert load_plate_text(recording.plate_text, file).name == "quartz16"
         with file.open("rb") as opened:
@@ -85,8 +89,10 @@ def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, caps
                 if schema is not None:
                     if channel.topic not in topics:
                         validate(json.loads(message.data), json.loads(schema.data))
+                        boots.add(json.loads(message.data).get("daemon_boot_id", ""))
                     topics[channel.topic] = topics.get(channel.topic, 0) + 1
     assert received == told["bytes_received"]
+    assert len(boots) == 1
     assert topics["forces"] > 200
     assert {"info", "state/link", "state/sensor"} <= topics.keys()
     assert topics["info"] == len(files)
