@@ -1,6 +1,7 @@
 """Help with the configuration file: its JSON Schema, and what each key is."""
 
 import json
+import textwrap
 from collections.abc import Iterator
 from difflib import get_close_matches
 from typing import Any, Final, NamedTuple
@@ -13,6 +14,7 @@ from resonator_daemon.config import Config
 from resonator_daemon.reload import takes_live
 
 _UNITS: Final = {"ms": "milliseconds", "minutes": "minutes", "mb": "megabytes, 10^6 bytes"}
+_ROOM_MIN: Final = 20  # columns for text: a terminal that is narrower wraps by itself
 _LIMITS: Final = {
     "exclusiveMinimum": "above {}",
     "minimum": "at least {}",
@@ -85,21 +87,31 @@ def explained(path: str) -> tuple[Key, ...]:
     return found
 
 
-def key_list(keys: tuple[Key, ...]) -> str:
-    """Return a line for each key."""
-    width = max(len(key.path) for key in keys)
-    return "".join(f"{key.path:<{width}}  {key.meaning}\n" for key in keys)
+def key_list(keys: tuple[Key, ...], columns: int | None) -> str:
+    """Return a line for each key, wrapped to so many columns, or not at all."""
+    longest = max(len(key.path) for key in keys)
+    return "".join(_wrapped(f"{key.path:<{longest}}  ", key.meaning, columns) for key in keys)
 
 
-def explanation(key: Key) -> str:
-    """Return what there is to know of a key, in a few lines."""
+def explanation(key: Key, columns: int | None) -> str:
+    """Return what there is to know of a key, in a few lines, wrapped to so many columns, or not at all."""
     rows = [("type", f"{key.kind}, in {key.unit}" if key.unit else key.kind)]
     rows += [("default", "none: it must be given")] if key.required else []
     rows += [("default", key.default)] if key.default else []
     rows += [("range", key.limits)] if key.limits else []
     rows += [("example", f"{key.path.rpartition('.')[2]} = {example}") for example in key.examples]
     rows += [("reload", "takes it" if key.live else "does not take it: restart the daemon")]
-    return "\n".join([f"{key.path}: {key.meaning}", *(f"  {name:<8} {text}" for name, text in rows)]) + "\n"
+    lines = [_wrapped("", f"{key.path}: {key.meaning}", columns)]
+    return "".join(lines + [_wrapped(f"  {name:<8} ", text, columns) for name, text in rows])
+
+
+def _wrapped(head: str, text: str, columns: int | None) -> str:
+    """Return the text behind its head, lines beyond the first as far to the right."""
+    if columns is None:
+        return f"{head}{text}\n"
+    room = max(columns - len(head), _ROOM_MIN)
+    parts = textwrap.wrap(text, room, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(f"{head if not at else ' ' * len(head)}{part}" for at, part in enumerate(parts)) + "\n"
 
 
 def _keys(table: dict[str, Any], tables: dict[str, Any], path: str) -> Iterator[Key]:

@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from resonator_daemon.config import example_config
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.printable import printable
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=
@@ -49,6 +50,8 @@ class Action(StrEnum):
 
     WRITTEN = "written"
     UPDATED = "updated"
+    WOULD_WRITE = "would_write"
+    WOULD_UPDATE = "would_update"
     UNCHANGED = "unchanged"
     KEPT = "kept"  # somebody changed it
 
@@ -71,7 +74,7 @@ class Placed:
 
 
 def install(prefix: Path | None, *, dry_run: bool, as_json: bool) -> None:
-    """Put all in place, and tell on stdout what was done.
+    """Put all in place, and tell on stdout what was done; with `as_json` also what could not be.
 
     Parameters
     ----------
@@ -85,33 +88,65 @@ def install(prefix: Path | None, *, dry_run: bool, as_json: bool) -> None:
     InstallError
         It may not or cannot write there, there is no systemd, or services could not reach this program.
     """
-    program = _program()
-    running = _may_run_commands(prefix, dry_run)
-    placed = [_judge(path, content) for path, content in _contents(prefix or Path("/"), program)]
-    if not dry_run:
-        for file in placed:
-            _write(file)
-    commands = [(command, _run(command) if running else None) for command in _due(prefix is None)]
+    try:
+        done = _install(prefix, dry_run)
+    except InstallError as error:
+        if as_json:
+            told = {"code": "install", "message": str(error), "hint": "docs/service.md"}
+            _print(json.dumps({"verb": "install", "ok": False, "error": told}))
+        raise
+    failed = [f"{' '.join(command)}: {said}" for command, said in done.commands if said]
     if as_json:
-        _tell_json(program, placed, commands, dry_run)
+        _tell_json(done, dry_run, ok=not failed)
     else:
-        _tell(placed, commands, prefix, dry_run)
-    if failed := [f"{' '.join(command)}: {said}" for command, said in commands if said]:
+        _tell(done, prefix)
+    if failed:
         raise InstallError(*failed)
 
 
-def _program() -> Path:
-    """Return the command that units start: of the environment that this runs in."""
+@dataclass(frozen=True)
+class _Done:
+    """What was done, or would be.
+
+    Attributes
+    ----------
+    commands
+        With what went wrong, "" where nothing did, None where it was not run.
+    warning
+        Why the services cannot start, "" where they can.
+    """
+
+    program: Path
+    warning: str
+    placed: list[Placed]
+    commands: list[tuple[tuple[str, ...], str | None]]
+
+
+def _install(prefix: Path | None, dry_run: bool) -> _Done:
     program = Path(sys.executable).with_name("resonatord")
     if not program.exists():
         raise InstallError(f"{program} is missing: install resonatord into this Python's environment with pip or pipx")
-    for hidden in _HIDDEN:
-        if PurePosixPath(os.path.realpath(program)).is_relative_to(hidden):
-            raise InstallError(
-                f"{program} is below {hidden}, which services do not see; install it elsewhere: python3 -m venv "
-                "/opt/resonatord && /opt/resonatord/bin/pip install resonatord"
-            )
-    return program
+    hidden = _hidden(program)
+    if hidden and prefix is None and not dry_run:
+        raise InstallError(hidden)
+    running = _may_run_commands(prefix, dry_run)
+    placed = [_judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program)]
+    for file in placed:
+        _write(file)
+    commands = [(command, _run(command) if running else None) for command in _due(prefix is None)]
+    return _Done(program, hidden, placed, commands)
+
+
+def _hidden(program: Path) -> str:
+    """Return why services cannot start this program, or ""."""
+    real = PurePosixPath(os.path.realpath(program))
+    hidden = next((place for place in _HIDDEN if real.is_relative_to(place)), None)
+    if hidden is None:
+        return ""
+    return (
+        f"{program} is below {hidden}, which services do not see; install it elsewhere: python3 -m venv "
+        "/opt/resonatord && /opt/resonatord/bin/pip install resonatord (in a checkout: pip install .)"
+    )
 
 
 def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
@@ -142,22 +177,23 @@ def _sealed(text: str) -> str:
     return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
 
-def _judge(path: Path, content: str) -> Placed:
+def _judge(path: Path, content: str, dry_run: bool) -> Placed:
+    write, update = (Action.WOULD_WRITE, Action.WOULD_UPDATE) if dry_run else (Action.WRITTEN, Action.UPDATED)
     try:
         there = path.read_bytes().decode(errors="replace")
     except FileNotFoundError:
-        return Placed(path, content, Action.WRITTEN)
+        return Placed(path, content, write)
     except OSError as error:
         raise InstallError(f"{path}: {error.strerror}") from error
     if there == content:
         return Placed(path, content, Action.UNCHANGED)
     intact = there == _sealed(_SEAL.sub("", there))
-    return Placed(path, content, Action.UPDATED if intact else Action.KEPT)
+    return Placed(path, content, update if intact else Action.KEPT)
 
 
 def _write(file: Placed) -> None:
     """Write whole files only: an interrupted one is begun again by the next run."""
-    if file.action in (Action.UNCHANGED, Action.KEPT):
+    if file.action not in (Action.WRITTEN, Action.UPDATED):
         return
     new = file.path.with_name(f".{file.path.name}.new")
     try:
@@ -189,18 +225,18 @@ def _run(command: tuple[str, ...]) -> str:
     return said if done.returncode else ""
 
 
-def _tell(
-    placed: list[Placed], commands: list[tuple[tuple[str, ...], str | None]], prefix: Path | None, dry_run: bool
-) -> None:
-    would = {Action.WRITTEN: "would be written", Action.UPDATED: "would be updated"} if dry_run else {}
-    for file in placed:
-        said = would.get(file.action, str(file.action))
+def _tell(done: _Done, prefix: Path | None) -> None:
+    words = {Action.WOULD_WRITE: "would be written", Action.WOULD_UPDATE: "would be updated"}
+    for file in done.placed:
+        said = words.get(file.action, str(file.action))
         if file.action is Action.KEPT:
             said = "kept: it was changed here; `resonatord install --prefix DIR` writes the new one elsewhere"
         _print(f"{file.path}: {said}")
-    for command, failed in commands:
+    for command, failed in done.commands:
         _print(f"{' '.join(command)}: {failed or ('would be run' if failed is None else 'done')}")
-    if prefix is None:
+    if done.warning:
+        sys.stderr.write(f"warning: {printable(done.warning)}\n")
+    elif prefix is None:
         _print(f"next: copy {_EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME")
 
 
@@ -208,16 +244,17 @@ def _print(text: str) -> None:
     sys.stdout.write(f"{text}\n")
 
 
-def _tell_json(
-    program: Path, placed: list[Placed], commands: list[tuple[tuple[str, ...], str | None]], dry_run: bool
-) -> None:
+def _tell_json(done: _Done, dry_run: bool, *, ok: bool) -> None:
     told = {
-        "program": str(program),
+        "verb": "install",
+        "ok": ok,
+        "program": str(done.program),
+        "warning": done.warning or None,
         "dry_run": dry_run,
-        "files": [{"path": str(file.path), "action": file.action} for file in placed],
+        "files": [{"path": str(file.path), "action": file.action} for file in done.placed],
         "commands": [
             {"command": " ".join(command), "done": failed == "", "error": failed or None}
-            for command, failed in commands
+            for command, failed in done.commands
         ],
     }
     _print(json.dumps(told))

@@ -50,8 +50,8 @@ class _Families:
         labels = {"name": status.name or "", "version": status.version}
         yield self._gauge("resonatord_info", "1; the name it publishes under, and its version", 1, **labels)
         last_good = config.in_use == "last_good"
-        yield self._gauge("resonatord_config_last_good", "1 while an earlier configuration is in use", last_good)
-        yield self._gauge("resonatord_config_problems", "Problems of the configuration file", len(config.problems))
+        yield self._gauge("resonatord_config_last_good", "1 while it works by an earlier run's copy", last_good)
+        yield self._gauge("resonatord_config_problems", "Why the present file is not in use", len(config.problems))
         needs_restart = len(config.needs_restart)
         yield self._gauge("resonatord_config_needs_restart", "Changed keys that wait for a restart", needs_restart)
         loaded_s = config.loaded_t_ns * 1e-9

@@ -12,9 +12,12 @@ class ConfigStatus(Message):
 
     file: str = Field(description="that the daemon was started with")
     in_use: Literal["file", "last_good"] = Field(
-        description="`file`: its present content; `last_good`: an earlier one, because the present one has problems"
+        description="`file`: what it said when it was last read without problems; `last_good`: a copy kept from an "
+        "earlier run, because the file had problems at the start"
     )
-    problems: tuple[str, ...] = Field((), description="of the file, as `resonatord check` says them")
+    problems: tuple[str, ...] = Field(
+        (), description="of the file as it was last read, as `resonatord check` says them; not empty: it is not in use"
+    )
     loaded_t_ns: Int64 = Field(description="UTC, when what is in use was read")
     needs_restart: tuple[str, ...] = Field(
         (), description="keys that the file has changed and that have an effect after a restart only"

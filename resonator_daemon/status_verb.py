@@ -14,9 +14,10 @@ from rich.text import Text
 
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.places import runtime_directories
+from resonator_daemon.printable import printable
 from resonator_daemon.status import Status
 from resonator_daemon.status_client import Answer, ask_all
-from resonator_daemon.view.status_block import one_line, status_block
+from resonator_daemon.view.status_block import status_block
 
 _PERIOD_S: Final = 1.0
 
@@ -31,7 +32,8 @@ def status(name: str | None, *, watch: bool, as_json: bool) -> ExitCode:
         if as_json:
             _print_json(answers)
         elif answers:
-            console.print(_page(answers), soft_wrap=not console.is_terminal)
+            columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
+            console.print(_page(answers, columns), soft_wrap=columns is None)
         if not answers:
             sys.stderr.write(f"resonatord: {_nobody(name)}\n")
         return ExitCode.DONE if answers and not any(answer.problem for answer in answers) else ExitCode.FAILED
@@ -41,31 +43,31 @@ def status(name: str | None, *, watch: bool, as_json: bool) -> ExitCode:
             if as_json:
                 _print_json(answers)
             else:
-                console.print(_page(answers) if answers else Text(_nobody(name)), Text(), soft_wrap=True)
+                console.print(_page(answers, None) if answers else Text(_nobody(name)), Text(), soft_wrap=True)
                 sys.stdout.flush()
             time.sleep(_PERIOD_S)
     with Live(console=console, screen=True, auto_refresh=False) as live:
         while True:
             answers = asyncio.run(ask_all(name))
-            live.update(_page(answers) if answers else Text(_nobody(name)), refresh=True)
+            live.update(_page(answers, console.width) if answers else Text(_nobody(name)), refresh=True)
             time.sleep(_PERIOD_S)
 
 
-def _page(answers: list[Answer]) -> Text:
+def _page(answers: list[Answer], columns: int | None) -> Text:
     now_ns = time.time_ns()
-    return Text("\n\n").join(_block(answer, now_ns) for answer in answers)
+    return Text("\n\n").join(_block(answer, now_ns, columns) for answer in answers)
 
 
-def _block(answer: Answer, now_ns: int) -> Text:
+def _block(answer: Answer, now_ns: int, columns: int | None) -> Text:
     problem = answer.problem
     if problem is None:
         try:
-            return status_block(Status.model_validate_json(json.dumps(answer.status)), now_ns)
+            return status_block(Status.model_validate_json(json.dumps(answer.status)), now_ns, columns)
         except ValidationError as error:
             version = (answer.status or {}).get("version", "unknown")
             keys = ", ".join(sorted({".".join(map(str, found["loc"])) for found in error.errors()}))
             problem = f"its version {version} says of itself what this one cannot read ({keys}); --json shows it"
-    return Text.assemble((answer.socket.parent.name, "bold"), "   ", (one_line(problem), "yellow"))
+    return Text.assemble((answer.socket.parent.name, "bold"), "   ", (printable(problem), "yellow"))
 
 
 def _print_json(answers: list[Answer]) -> None:
@@ -84,5 +86,5 @@ def _print_json(answers: list[Answer]) -> None:
 
 def _nobody(name: str | None) -> str:
     places = ", ".join(str(place) for place in runtime_directories())
-    who = "no daemon" if name is None else f"no daemon called {one_line(name)}"
+    who = "no daemon" if name is None else f"no daemon called {printable(name)}"
     return f"{who} runs on this computer, by what is in {places}; start one: resonatord run"

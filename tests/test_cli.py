@@ -60,7 +60,7 @@ def test_the_example_passes_its_own_check(config_path: Path) -> None:
     assert run.returncode == 0
     found = json.loads(run.stdout)
     assert found["ok"] is True
-    assert found["errors"] == []
+    assert (found["verb"], found["errors"]) == ("check", [])
     assert found["notes"] == []
     assert load_config(config_path).measurement.window_s == pytest.approx(0.01)
 

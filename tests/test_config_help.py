@@ -1,6 +1,7 @@
 """The schema and the explanations say of each key what the models check."""
 
 import json
+import sys
 import tomllib
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 
 from resonator_daemon.cli import main
 from resonator_daemon.config import Config, example_config
-from resonator_daemon.config_help import UnknownKeyError, config_keys, config_schema, explained
+from resonator_daemon.config_help import UnknownKeyError, config_keys, config_schema, explained, key_list
 from resonator_daemon.errors import ExitCode
 
 SCHEMA = config_schema()
@@ -123,8 +124,30 @@ def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert "default  none: it must be given" in plate
     assert "restart the daemon" in plate
     assert [line.split()[0] for line in run(capsys, "explain").splitlines()] == [key.path for key in config_keys()]
-    (key,) = json.loads(run(capsys, "explain", "mqtt.prefix", "--json"))["keys"]
+    said = json.loads(run(capsys, "explain", "mqtt.prefix", "--json"))
+    assert said["verb"] == "config explain"
+    (key,) = said["keys"]
     assert (key["path"], key["limits"], key["live"]) == ("mqtt.prefix", "at most 200 characters", False)
+
+
+@pytest.mark.parametrize("arguments", [[], ["mqtt"]])
+def test_a_terminal_gets_lines_that_fit_it(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = run(capsys, "explain", *arguments)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    wrapped = run(capsys, "explain", *arguments)
+    assert max(map(len, whole.splitlines())) > 80 >= max(map(len, wrapped.splitlines()))
+    assert wrapped.split() == whole.split()
+
+
+def test_a_long_line_goes_on_below_its_own_beginning() -> None:
+    (key,) = explained("mqtt.url")
+    lines = key_list((key,), 50).splitlines()
+    assert lines[0].startswith("mqtt.url  the broker: ")
+    assert len(lines) > 1
+    assert all(line.startswith(" " * 10) and line[10] != " " for line in lines[1:])
 
 
 def test_the_verb_refuses_an_unknown_key(capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,6 +33,7 @@ def installed(prefix: Path, capsys: pytest.CaptureFixture[str], *more: str) -> d
     """What an installation did with each file."""
     assert main(["install", "--prefix", str(prefix), "--json", *more]) == ExitCode.DONE
     told = json.loads(capsys.readouterr().out)
+    assert (told["verb"], told["ok"], told["warning"]) == ("install", True, None)
     assert told["program"] == str(PROGRAM)
     assert told["commands"] == []
     return {str(Path(file["path"]).relative_to(prefix)): file["action"] for file in told["files"]}
@@ -67,6 +68,8 @@ def test_a_changed_file_is_kept_and_an_old_one_is_not(tmp_path: Path, capsys: py
     as_changed, as_new = changed.read_text(), old.read_text()
     old.write_text(module._sealed("# rules of an earlier version\n"))
     gone.unlink()
+    would = {UNIT: "kept", "etc/udev/rules.d/70-resonatord.rules": "would_update", sorted(PLACES)[0]: "would_write"}
+    assert installed(tmp_path, capsys, "--dry-run") == dict.fromkeys(PLACES, "unchanged") | would
     actions = dict.fromkeys(PLACES, "unchanged")
     actions |= {UNIT: "kept", "etc/udev/rules.d/70-resonatord.rules": "updated", sorted(PLACES)[0]: "written"}
     assert installed(tmp_path, capsys) == actions
@@ -84,7 +87,7 @@ def test_a_file_of_others_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert installed(tmp_path, capsys, "--dry-run") == dict.fromkeys(PLACES, "written")
+    assert installed(tmp_path, capsys, "--dry-run") == dict.fromkeys(PLACES, "would_write")
     assert list(tmp_path.iterdir()) == []
     assert main(["install", "--prefix", str(tmp_path), "--dry-run"]) == ExitCode.DONE
     assert capsys.readouterr().out.count(": would be written\n") == len(PLACES)
@@ -137,12 +140,28 @@ def test_a_target_that_takes_no_files(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.parametrize("directory", ["/home", "/root", "/tmp"])
 def test_a_program_that_services_cannot_see(
-    directory: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    directory: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(os.path, "realpath", lambda path: f"{directory}/user/venv/bin/resonatord")
-    line = refusal(capsys, "--prefix", str(tmp_path))
-    assert f"is below {directory}, which services do not see; install it elsewhere: python3 -m venv /opt/" in line
+    monkeypatch.setattr(module, "_may_run_commands", lambda *_: pytest.fail("nothing is installed from there"))
+    said = f"is below {directory}, which services do not see; install it elsewhere: python3 -m venv /opt/"
+    assert said in refusal(capsys)
+    assert main(["install", "--json"]) == ExitCode.FAILED
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verb"], told["ok"]) == ("install", False)
+    assert said in told["error"]["message"]
+
+
+def test_a_program_that_services_cannot_see_may_look_and_prepare(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(os.path, "realpath", lambda path: "/root/venv/bin/resonatord")
+    assert main(["install", "--prefix", str(tmp_path), "--dry-run", "--json"]) == ExitCode.DONE
+    assert "is below /root, which services do not see" in json.loads(capsys.readouterr().out)["warning"]
     assert list(tmp_path.iterdir()) == []
+    assert main(["install", "--prefix", str(tmp_path)]) == ExitCode.DONE
+    assert capsys.readouterr().err.startswith("warning: ")
+    assert files_in(tmp_path) == PLACES
 
 
 def test_a_command_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

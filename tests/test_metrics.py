@@ -117,6 +117,25 @@ def test_a_configuration_that_is_not_the_files_shows() -> None:
     assert found[of("resonatord_config_load_time_seconds")] == 5
 
 
+@pytest.mark.parametrize(
+    ("change", "fires"),
+    [
+        ({}, False),
+        ({"problems": ("refused at the reload",)}, True),
+        ({"in_use": "last_good", "problems": ("refused at the start",)}, True),
+        ({"needs_restart": ("link",)}, True),
+    ],
+)
+def test_the_shipped_alert_tells_of_a_file_that_is_not_in_use(change: dict[str, Any], fires: bool) -> None:
+    (rule,) = re.findall(r"- alert: ConfigurationNotInUse\n +expr: (.+)", (DOCS / "monitoring.md").read_text())
+    config = status_samples.status().config.model_copy(update=change)
+    found = metrics(status_samples.status(config=config))
+    terms = [re.fullmatch(r"(\w+) (==|>) (\d+)", term) for term in rule.split(" or ")]
+    values = [(found[of(term[1])], term[2], float(term[3])) for term in terms if term]
+    assert len(values) == len(terms)
+    assert any(value > limit if sign == ">" else value == limit for value, sign, limit in values) is fires
+
+
 def test_what_is_down_is_zero_and_not_left_out() -> None:
     down = status_samples.status(
         link=status_samples.state(Condition.LOST),

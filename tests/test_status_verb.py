@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -14,6 +15,7 @@ from typing import Any
 
 import pytest
 import status_samples
+from rich.console import Console
 
 from resonator_daemon import status_client, status_verb
 from resonator_daemon.cli import main
@@ -214,6 +216,26 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         assert words in page
     assert str(status_samples.NOW_NS)[:10] not in page
     assert "\x1b" not in page
+
+
+async def test_in_a_terminal_long_lines_go_on_below_their_beginning(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = ConfigStatus(
+        file="/etc/resonatord/left-index.toml",
+        in_use="file",
+        problems=("hand.toml:3: mqtt.url: got 3; must be text " + "that says where the broker is " * 5,),
+        loaded_t_ns=status_samples.NOW_NS,
+    )
+    monkeypatch.setattr(Console, "is_terminal", True)
+    monkeypatch.setenv("COLUMNS", "80")
+    async with daemons(status_samples.status(config=config)):
+        assert await run() == 0
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in capsys.readouterr().out.splitlines()]
+    assert max(map(len, lines)) <= 80
+    assert all(re.match(r"  (\w+ +|\s{11})\S", line) and line[12] == " " != line[13] for line in lines[1:])
+    text = " ".join(line[13:] for line in lines[1:])
+    assert "as it is now it cannot be used: hand.toml:3: mqtt.url: got 3; must be text" in text
 
 
 async def test_early_there_is_less_to_say(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,13 +4,16 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
+from rich.console import Console
 from rich.text import Text
 
+from resonator_daemon.printable import printable
 from resonator_daemon.publishing.payloads import Condition, Health, State
 from resonator_daemon.status import Status
 from resonator_daemon.view.words import UNKNOWN, duration, quantity
 
 _LABEL_WIDTH: Final = 11
+_ROOM_MIN: Final = 20  # columns for text: a terminal that is narrower wraps by itself
 _STYLES: Final = {
     Condition.ONLINE: "green",
     Condition.STARTING: "yellow",
@@ -21,19 +24,31 @@ _STYLES: Final = {
 }
 
 
-def status_block(status: Status, now_ns: int) -> Text:
-    """Return a block of lines, without a line break at its end; `now_ns` is UTC."""
-    title = one_line(status.name or "(its name comes from the board)")
-    about = f"process {status.pid}, resonatord {one_line(status.version)}, up {_age(status.started_t_ns, now_ns)}"
+def status_block(status: Status, now_ns: int, columns: int | None) -> Text:
+    """Return a block of lines, without a line break at its end.
+
+    Parameters
+    ----------
+    now_ns
+        UTC.
+    columns
+        Of the terminal: longer lines go on below their own beginning. None: they stay as they are.
+    """
+    title = printable(status.name or "(its name comes from the board)")
+    about = f"process {status.pid}, resonatord {printable(status.version)}, up {_age(status.started_t_ns, now_ns)}"
     lines = [Text.assemble((title, "bold"), f"   {about}")]
     for label, text in _lines(status, now_ns):
-        lines.append(Text(f"  {label:<{_LABEL_WIDTH}}").append_text(text))
+        head = Text(f"  {label:<{_LABEL_WIDTH}}")
+        parts = [text] if columns is None else _wrapped(text, max(columns - len(head), _ROOM_MIN))
+        lines.append(head.append_text(Text(f"\n{' ' * len(head)}").join(parts)))
     return Text("\n").join(lines)
 
 
-def one_line(said: object) -> str:
-    """Return what boards, brokers and files say without what moves a terminal's cursor or changes its look."""
-    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(said))
+def _wrapped(text: Text, width: int) -> list[Text]:
+    parts = list(text.wrap(Console(), width))
+    for part in parts:
+        part.rstrip()
+    return parts
 
 
 def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
@@ -62,7 +77,7 @@ def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
 def _state(state: State, now_ns: int) -> Text:
     text = Text.assemble((str(state.state), _STYLES.get(state.state, "red")))
     if state.reason:
-        text.append(f": {one_line(state.reason)}")
+        text.append(f": {printable(state.reason)}")
     if state.since_t_ns is not None:
         text.append(f" (for {_age(state.since_t_ns, now_ns)})")
     if state.boots is not None and state.boots > 1:
@@ -71,7 +86,7 @@ def _state(state: State, now_ns: int) -> Text:
         length_s = (outage.end_t_ns - outage.start_t_ns) * 1e-9
         text.append(
             f"; {_age(outage.end_t_ns, now_ns)} ago {duration(length_s)} without frames, "
-            f"{_count(outage.frames_lost)} lost: {one_line(outage.reason)}"
+            f"{_count(outage.frames_lost)} lost: {printable(outage.reason)}"
         )
     return text
 
@@ -80,7 +95,7 @@ def _lost(health: Health) -> Text:
     text = _by_cause(health.lost.model_dump(exclude={"publish_dropped"}), "nothing")
     others = {"parts of frames": health.parts_lost, "frames not decoded": health.frames_not_decoded}
     others |= {f"readings unusable ({cause})": count for cause, count in health.records_unusable.items()}
-    return text.append("".join(f"; {_count(count)} {one_line(what)}" for what, count in others.items() if count))
+    return text.append("".join(f"; {_count(count)} {printable(what)}" for what, count in others.items() if count))
 
 
 def _clock(health: Health) -> str:
@@ -90,7 +105,7 @@ def _clock(health: Health) -> str:
 
 
 def _broker(status: Status, now_ns: int) -> Text:
-    url, daemon = one_line(status.broker.url), status.daemon
+    url, daemon = printable(status.broker.url), status.daemon
     if not status.broker.connected:
         return Text.assemble(url, ", ", ("not connected", "red"))
     since_ns = daemon.connected_t_ns if daemon else None
@@ -112,7 +127,7 @@ def _recording(status: Status, now_ns: int) -> Text:
     if recording is None:
         return Text("off")
     size = f"{recording.file_bytes / 1e6:.1f} MB"
-    text = Text(f"{one_line(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
+    text = Text(f"{printable(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
     if recording.files > 1:
         text.append(f", {_count(recording.files)} files")
     if recording.files_removed:
@@ -120,27 +135,30 @@ def _recording(status: Status, now_ns: int) -> Text:
     if missing := recording.events_missing + recording.messages_missing:
         text.append(f"; {_count(missing)} pieces missing", "yellow")
     if recording.failure is not None:
-        text.append(f"; takes nothing more: {one_line(recording.failure)}", "red")
+        text.append(f"; takes nothing more: {printable(recording.failure)}", "red")
     return text
 
 
 def _config(status: Status, now_ns: int) -> Iterator[Text]:
     config = status.config
     if config.in_use == "file":
-        yield Text(f"{one_line(config.file)}, read {_age(config.loaded_t_ns, now_ns)} ago")
+        text = Text(f"{printable(config.file)}, read {_age(config.loaded_t_ns, now_ns)} ago")
+        if config.problems:
+            text.append("; as it is now it ").append("cannot be used", "red").append(":")
+        yield text
     else:
         read = f", read {_age(config.loaded_t_ns, now_ns)} ago"
-        yield Text.assemble(("the last good one", "red"), f"{read}; {one_line(config.file)} has problems:")
+        yield Text.assemble(("the last good one", "red"), f"{read}; {printable(config.file)} has problems:")
     for problem in config.problems:
-        yield Text(one_line(problem))
+        yield Text(printable(problem))
     if config.needs_restart:
         yield Text.assemble(
-            ("restart", "yellow"), f" for what has changed: {', '.join(map(one_line, config.needs_restart))}"
+            ("restart", "yellow"), f" for what has changed: {', '.join(map(printable, config.needs_restart))}"
         )
 
 
 def _by_cause(counts: Mapping[str, int], nothing: str) -> Text:
-    said = ", ".join(f"{_count(count)} {one_line(cause)}" for cause, count in counts.items() if count)
+    said = ", ".join(f"{_count(count)} {printable(cause)}" for cause, count in counts.items() if count)
     return Text(said, "yellow") if said else Text(nothing)
 
 
