@@ -20,6 +20,14 @@ DAY_NS = 86_400 * S
 EPOCH_NS = 60 * S  # a computer without a clock of its own, a minute after it was switched on
 LATE_2038_NS = 2**31 * S + DAY_NS
 YEAR_2105_NS = 2**32 * S + DAY_NS  # seconds do not fit into 32 bits, with a sign or without
+PRESSED = """[plate]
+ideal = true
+[[touches]]
+start_s = 0.5
+site = 7
+force_newton = 1.0
+hold_s = 600.0
+"""  # never let go, however long a busy computer takes
 
 
 class WallClock:
@@ -66,7 +74,7 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
     clock.set(EPOCH_NS)
     async with (
         observe(mosquitto.url, "resonator/hand/#") as observer,
-        bench.emulated(scenario="held"),
+        bench.emulated(scenario=bench.scenario(PRESSED)),
         bench.running(service(bench)) as running,
     ):
         files = []
@@ -85,7 +93,7 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
     links = observer.payloads("resonator/hand/state/link")
     if "stalled" not in {link["state"] for link in links}:  # the board of a busy machine is late, as without any jump
         assert account.clock_outliers == 0
-        assert {event["event"] for event in observer.payloads("resonator/hand/contacts/event")} <= {"onset"}
+        assert [event["event"] for event in observer.payloads("resonator/hand/contacts/event")] == ["onset"]
         assert not [link for link in links if link["last_outage"]]
     assert files == sorted(files)
     assert files[-1] > files[0] > 0

@@ -14,7 +14,7 @@ import aiomqtt
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.load import Load
-from resonator_daemon.publishing import connection
+from resonator_daemon.publishing import connection, refusals
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import full_topic
@@ -167,6 +167,13 @@ async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
 
 
 def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:
+    if not probe.accepted.is_set() and refusals.SILENT in said:
+        yield ACCEPTS.fault(
+            said.removesuffix("; trying again"),
+            "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it",
+        )
+        yield ROUND_TRIP.not_checked("the broker does not answer")
+        return
     if not probe.accepted.is_set():
         yield ACCEPTS.fault(
             said.removesuffix("; trying again"),

@@ -65,11 +65,10 @@ def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
 
 
 def _config(config: Mapping[str, Any]) -> Iterator[Finding]:
-    if config.get("in_use") == "last_good":
-        problems = "; ".join(str(problem) for problem in config.get("problems", ()))
-        yield CONFIG.fault(
-            f"it works by the last good one: {problems}", f"mend {config.get('file')} (resonatord check), then reload"
-        )
+    problems = "; ".join(str(problem) for problem in config.get("problems") or ())
+    if problems or config.get("in_use") == "last_good":
+        works = "works by the last good one" if config.get("in_use") == "last_good" else "refused the changed file"
+        yield CONFIG.fault(f"it {works}: {problems}", f"mend {config.get('file')} (resonatord check), then reload")
     elif config.get("needs_restart"):
         keys = ", ".join(str(key) for key in config["needs_restart"])
         yield CONFIG.warning(f"{keys} in the file are not in effect yet", "restart the daemon")

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Recording
 from resonator_daemon.doctor.finding import Area, Check, Finding
 
@@ -23,13 +24,23 @@ class _Room(NamedTuple):
     trouble: str  # why nothing can be written, empty where it can
 
 
-def check_disk(state_directory: Path, recording: Recording | None) -> Iterator[Finding]:
-    """Yield whether there is room where a daemon writes; None: without a configuration nothing is recorded."""
+def check_disk(state_directory: Path, recording: Recording | None, name: str | None) -> Iterator[Finding]:
+    """Yield whether there is room where a daemon writes.
+
+    Parameters
+    ----------
+    state_directory
+        Of the daemon.
+    recording
+        None: without a configuration nothing is recorded.
+    name
+        Of the daemon, which its recordings have; None where only the board knows it: then none of them are known.
+    """
     yield _judge(STATE, state_directory, _STATE_MB, "what waits for a broker is kept in memory alone")
     if recording is None:
         return
     yield _judge(RECORDINGS, recording.directory, float(recording.keep_free_mb), "nothing is recorded")
-    yield _budget(recording)
+    yield _budget(recording, name)
 
 
 def _judge(check: Check, directory: Path, needed_mb: float, consequence: str) -> Finding:
@@ -46,11 +57,11 @@ def _judge(check: Check, directory: Path, needed_mb: float, consequence: str) ->
     )
 
 
-def _budget(recording: Recording) -> Finding:
+def _budget(recording: Recording, name: str | None) -> Finding:
     room = _room(recording.directory)
     if room.trouble:
         return BUDGET.not_checked("the directory cannot be written")
-    taken_mb = _taken_mb(recording.directory)
+    taken_mb = _taken_mb(recording.directory, name) if name is not None else 0.0
     attainable_mb = room.free_mb + taken_mb - recording.keep_free_mb
     evidence = (
         f"recordings may take {recording.budget_mb:g} MB; with the {taken_mb:.0f} MB they take now, the disk has "
@@ -84,9 +95,10 @@ def _room(directory: Path) -> _Room:
     return _Room(system.f_bavail * system.f_frsize / _MB, "")
 
 
-def _taken_mb(directory: Path) -> float:
+def _taken_mb(directory: Path, name: str) -> float:
+    """Return what a daemon's own recordings take: others do not give way to it."""
     sizes = []
-    for file in directory.glob("*.mcap"):
+    for file in Series(directory, name).files() if directory.is_dir() else ():
         try:
             sizes.append(file.stat().st_size)
         except OSError:

@@ -33,6 +33,7 @@ def add_options(
         "--broker",
         action="append",
         default=[],
+        type=_broker,
         metavar="URL",
         help="look at this broker, too: mqtt://host:port; repeat it for several",
     )
@@ -43,9 +44,17 @@ def add_options(
 def doctor_as_asked(options: argparse.Namespace) -> ExitCode:
     """Look at what the command line names."""
     from resonator_daemon.doctor.run import DoctorOptions, doctor
-    from resonator_daemon.view.watch import broker_at
 
     if options.link is None and options.config is None and not options.broker:
         options.refuse("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
-    brokers = tuple(broker_at(url, "resonator") for url in options.broker)
-    return doctor(DoctorOptions(options.config, options.link, options.seconds, brokers, options.json))
+    return doctor(DoctorOptions(options.config, options.link, options.seconds, tuple(options.broker), options.json))
+
+
+def _broker(url: str) -> object:
+    from resonator_daemon.errors import OperatorError
+    from resonator_daemon.view.watch import broker_at
+
+    try:
+        return broker_at(url, "resonator")
+    except OperatorError as error:
+        raise argparse.ArgumentTypeError(str(error).removeprefix("--url: ")) from None

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.printable import printable
 
 WIDTH: Final = 80
 _MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}
@@ -55,10 +56,34 @@ class Report:
 
     def as_text(self) -> str:
         lines = [line for area in Area for line in self._lines_of(area)]
-        return "\n".join([*lines, *self._ending()]) + "\n"
+        return "\n".join([*lines, *self._not_checked_together(), *self._ending()]) + "\n"
+
+    @property
+    def _shared_reasons(self) -> dict[str, list[str]]:
+        """Why several things were not checked, each reason with the titles of these."""
+        titles: dict[str, list[str]] = {}
+        for finding in self.findings:
+            if finding.outcome is Outcome.NOT_CHECKED:
+                titles.setdefault(finding.evidence, []).append(finding.title)
+        return {reason: of_it for reason, of_it in titles.items() if len(of_it) > 1}
+
+    def _not_checked_together(self) -> Iterator[str]:
+        """Yield what is said once for many."""
+        shared = self._shared_reasons
+        if not shared:
+            return
+        yield "not checked"
+        for reason, titles in shared.items():
+            yield from _wrapped(f"  {_MARKS[Outcome.NOT_CHECKED]:<{_MARK_WIDTH}}", f"{reason}: {', '.join(titles)}")
+        yield ""
 
     def _lines_of(self, area: Area) -> Iterator[str]:
-        of_area = [finding for finding in self.findings if finding.area is area]
+        together = self._shared_reasons
+        of_area = [
+            finding
+            for finding in self.findings
+            if finding.area is area and not (finding.outcome is Outcome.NOT_CHECKED and finding.evidence in together)
+        ]
         if not of_area:
             return
         yield area.value
@@ -86,18 +111,13 @@ class Report:
         yield from _wrapped("verdict: ", f"{self.verdict}{others}; first: {self.cause.title}: {self.cause.evidence}")
 
 
-def printable(text: str) -> str:
-    """Return words of boards, brokers and processes without what would steer a terminal."""
-    return "".join(sign if sign.isprintable() else " " for sign in text)
-
-
 def _as_json(finding: Finding) -> dict[str, Any]:
     return {key: value.value if isinstance(value, Area | Outcome) else value for key, value in asdict(finding).items()}
 
 
 def _wrapped(head: str, text: str) -> Iterable[str]:
     return textwrap.wrap(
-        printable(text),
+        printable(" ".join(text.split())),
         WIDTH,
         initial_indent=head,
         subsequent_indent=" " * len(head),

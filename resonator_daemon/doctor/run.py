@@ -34,11 +34,11 @@ from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
-from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon
+from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, works_by
 from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.places import state_directory
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 
@@ -64,16 +64,18 @@ def doctor(options: DoctorOptions) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    ConfigError
         The configuration cannot be used: there is nothing to hold the board against.
     """
     try:
         examination = _Examination(options)
-    except OperatorError as error:
+    except ConfigError as error:
+        runs = "" if options.config_path is None else asyncio.run(works_by(options.config_path))
+        refusal = ConfigError(*error.messages, *filter(None, [runs]))
         if options.json:
-            told = {"code": "config", "message": str(error), "hint": "resonatord check"}
+            told = {"code": "config", "message": str(refusal), "hint": "resonatord check"}
             sys.stdout.write(json.dumps({"verb": "doctor", "ok": False, "error": told}) + "\n")
-        raise
+        raise refusal from error
     report = Report(list(examination.findings()))
     sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.as_text())
     return report.exit_code
@@ -96,7 +98,7 @@ class _Examination:
             yield from self._board(self._link)
         self._say("clock, disk, service")
         yield from check_clock(self._host)
-        yield from check_disk(state_directory(), config.recording if config else None)
+        yield from check_disk(state_directory(), config.recording if config else None, config.name if config else None)
         yield from check_service(self._options.config_path, self._host)
         for broker in self._brokers():
             self._say(f"broker {broker.host}:{broker.port}")
@@ -112,7 +114,8 @@ class _Examination:
         if heard:
             yield from (finding for finding in of_port if finding.id != HOLDER.id)
             yield from heard
-            yield from not_checked(_AFTER_INQUIRY, _DAEMON_HAS_IT)
+            said = {finding.id for finding in heard}
+            yield from not_checked((check for check in _AFTER_INQUIRY if check.id not in said), _DAEMON_HAS_IT)
             return
         yield from of_port
         if any(finding.outcome is Outcome.FAULT for finding in of_port):
@@ -162,7 +165,7 @@ class _Examination:
         try:
             opened = open_link(link)
         except LinkUnavailableError as error:
-            yield link_checks.OPENS.fault(str(error), "do what it says; docs/links.md")
+            yield link_checks.OPENS.fault(str(error), link_checks.remedy_of_opening(link))
             yield from not_checked((link_checks.ANSWERS, *_AFTER_INQUIRY), "the link cannot be opened")
             return
         try:

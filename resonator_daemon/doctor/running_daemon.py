@@ -4,6 +4,7 @@ import asyncio
 import os
 from collections.abc import Collection, Mapping
 from contextlib import aclosing
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.status_client import Answer, ask_all
 
 _HEARD: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
+_NS_MAX: Final = 2**63
 _LOOK_S, _HEAR_S = 2.0, 4.0  # the broker has the states, health comes each second
 
 
@@ -31,6 +33,27 @@ async def find_daemon(link: LinkTarget, config_path: Path | None, pids: Collecti
         elif answer.status.get("pid") in pids or _has(answer.status, link, config_path):
             return answer
     return None
+
+
+async def works_by(config_path: Path) -> str:
+    """Return what configuration a daemon goes on with whose file cannot be used; empty where none runs."""
+    for answer in await ask_all(config_path.stem):
+        config = (answer.status or {}).get("config")
+        if not isinstance(config, dict) or answer.status is None or answer.socket.parent.name != config_path.stem:
+            continue
+        copy = "an earlier run's copy of it" if config.get("in_use") == "last_good" else "this file as it was"
+        return (
+            f"a daemon runs all the same (pid {answer.status.get('pid')}), by {copy}, {_read(config)}; "
+            f"see: resonatord status {config_path.stem}"
+        )
+    return ""
+
+
+def _read(config: Mapping[str, Any]) -> str:
+    loaded_t_ns = config.get("loaded_t_ns")
+    if not isinstance(loaded_t_ns, int) or not 0 <= loaded_t_ns < _NS_MAX:
+        return "it does not say when"
+    return datetime.fromtimestamp(loaded_t_ns // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
 
 
 def same_link(one: LinkTarget, other: LinkTarget) -> bool:

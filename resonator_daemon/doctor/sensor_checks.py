@@ -112,7 +112,10 @@ def _at_rest(
                 unit="N",
             )
     if touched.any():
-        return AT_REST.ok(f"touched in {touched.sum()} of {readings} readings, which the checks below leave out")
+        return AT_REST.warning(
+            f"touched in {touched.sum()} of {readings} readings, which the checks below leave out",
+            f"where nobody meant to touch it: {remedy}",
+        )
     return AT_REST.ok("nothing touches it")
 
 
@@ -171,7 +174,8 @@ def _tones(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
         return TONES.not_checked("no channel hears them")
     worst = int(np.argmax(off / hearing.band))
     return TONES.ok(
-        f"all {len(off)} in band, the furthest {1e6 * off[worst]:.1f} ppm off of {1e6 * hearing.band[worst]:.1f} ppm",
+        f"{'the only one is' if len(off) == 1 else f'all {len(off)} are'} in band: at most {1e6 * off[worst]:.1f} ppm "
+        f"off (limit {1e6 * hearing.band[worst]:.1f})",
         value=1e6 * float(off[worst]),
         limit=1e6 * float(hearing.band[worst]),
         unit="ppm",
@@ -205,7 +209,7 @@ def _noise(shift: Floats, std: Floats, plate: Plate, hearing: Hearing) -> Findin
     outcome = graded(worst, _NOISE_WARNING, _NOISE_FAULT)
     residuals = plate.calibration.residuals
     if residuals and plate.signals != SKIN_SIGNALS:
-        rms = np.sqrt(np.nanmean(seen) / (6 * len(steps)))
+        rms = np.sqrt(seen.sum() / (6 * count.sum()))
         newton = float(rms / np.abs(plate.tones.sensitivity).mean())
         evidence += f"; {1e3 * newton:.2g} mN, the calibration record left {1e3 * max(residuals):.2g} mN"
         if newton > _RESIDUAL_WARNING * max(residuals) and outcome is Outcome.OK:
@@ -247,8 +251,8 @@ def _cross_talk(pair_noise: Floats) -> Finding:
     alike = 1.0 / max(float(mean[pair]), 1e-6)
     first, second = PAIRS[pair]
     evidence = (
-        f"channels {first + 1} and {second + 1} are the most alike: they differ by 1/{max(alike, 1.0):.1f} of their "
-        f"noise, in the square (limit 1/{_ALIKE_WARNING:g})"
+        f"channels {first + 1} and {second + 1} are the most alike: their difference has {100 / max(alike, 1.0):.0f} % "
+        f"of the variance that noise of their own would give (limit {100 / _ALIKE_WARNING:.0f} %)"
     )
     return CROSS_TALK.judged(
         graded(alike, _ALIKE_WARNING, _ALIKE_FAULT),

@@ -16,15 +16,21 @@ from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FIL
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config_text import plate_text, settings_text
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.exporting.new_file import ExportFailedError, check_new
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
+from resonator_daemon.new_file import check_new, interruptible
 from resonator_daemon.playback.course import Moment, Playback
 from resonator_daemon.playback.progress import Progress
-from resonator_daemon.playback.said import printable
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.playback.span import Span, find_span
+from resonator_daemon.printable import printable
 from resonator_daemon.publishing.units import UNITS
+
+
+class ExportFailedError(OperatorError):
+    """What is read could not be written."""
+
+    exit_code = ExitCode.FAILED
 
 
 class NotExportableError(OperatorError):
@@ -68,7 +74,8 @@ def export_as_asked(options: argparse.Namespace) -> ExitCode:
     asked = target(options)
     try:
         try:
-            told, wrong = _export(options, asked)
+            with interruptible("what was written is removed"):
+                told, wrong = _export(options, asked)
         except LinkUnavailableError as error:
             raise NotExportableError(printable(str(error))) from error
     except OperatorError as error:
@@ -80,11 +87,11 @@ def export_as_asked(options: argparse.Namespace) -> ExitCode:
         sys.stdout.write(json.dumps({"verb": "export", "ok": not wrong, **told}) + "\n")
     else:
         for path, size_bytes in told["files"].items():
-            sys.stderr.write(f"{path}: {size_bytes / 1e3:.0f} kB\n")
+            sys.stderr.write(f"{printable(path)}: {size_bytes / 1e3:.0f} kB\n")
         counts = ", ".join(f"{count} of {topic}" for topic, count in told["rows"].items())
         sys.stderr.write(f"{told['frames']} frames gave {counts or 'nothing'}\n")
     for sentence in wrong:
-        sys.stderr.write(f"resonatord: {options.file}: {printable(sentence)}\n")
+        sys.stderr.write(f"resonatord: {printable(f'{options.file}: {sentence}')}\n")
     return ExitCode.FAILED if wrong else ExitCode.DONE
 
 
@@ -107,7 +114,7 @@ def _export(options: argparse.Namespace, asked: Target) -> tuple[dict[str, Any],
             "damage": playback.damage,
             "took_seconds": round(time.monotonic() - begun_s, 3),
         }
-        return told, _what_is_wrong(playback, output, asked)
+        return told, _what_is_wrong(playback, output, asked, span)
 
 
 def _written(
@@ -192,7 +199,7 @@ def _tables(config: Config, asked: Target, metadata: Mapping[str, str]) -> Outpu
     return TableOutput(made, asked.topics, config.plate)
 
 
-def _what_is_wrong(playback: Playback, output: Output, asked: Target) -> Sequence[str]:
+def _what_is_wrong(playback: Playback, output: Output, asked: Target, span: Span) -> Sequence[str]:
     wrong = []
     if playback.damage is not None:
         wrong.append(f"the file is {playback.damage}; all before that was exported")
@@ -201,7 +208,7 @@ def _what_is_wrong(playback: Playback, output: Output, asked: Target) -> Sequenc
     if playback.refused:
         wrong.append(f"the board was refused: {'; '.join(playback.refused)}")
     if not output.rows:
-        wrong.append(f"it gives no messages of {', '.join(asked.topics)}")
+        wrong.append(f"it gives no messages of {', '.join(asked.topics)}{span.words}")
     return wrong
 
 

@@ -50,6 +50,8 @@ class Target:
 def target(options: argparse.Namespace) -> Target:
     """Return what is to be written; ends the program with the code for usage where options do not go together."""
     output: Path = options.output
+    if str(output) == "-":
+        options.refuse("--output - would be stdout, and files are written; name one (resonatord replay --to - prints)")
     if options.format is None and output.suffix not in _OF_SUFFIX:
         endings = ", ".join(_OF_SUFFIX)
         options.refuse(f"--output {str(output)!r} ends in none of {endings}; name such a file, or give --format")

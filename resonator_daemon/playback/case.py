@@ -3,14 +3,18 @@
 import gzip
 import hashlib
 import json
+import os
 import shutil
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, ValidationError
 
 from resonator_daemon.errors import ConfigError
+from resonator_daemon.new_file import part_is_there, part_of
 from resonator_daemon.playback.course import Playback
 from resonator_daemon.playback.lines import payload_json
 from resonator_daemon.playback.outputs import OutputFailedError
@@ -123,21 +127,35 @@ def save_case(recording: Path, directory: Path) -> Outcome:
     LinkUnavailableError, ConfigError
         The recording cannot be replayed with what it carries, or the directory is there already.
     OutputFailedError
-        It cannot be written.
+        It cannot be written; nothing is left of it.
     """
-    if directory.exists():
-        raise ConfigError(f"{directory} is there already, and nothing is overwritten; name another directory")
+    _check_free(directory)
     with open_playback(recording):
         pass  # it can be replayed
+    part = part_of(directory)
     try:
-        directory.mkdir(parents=True)
-        shutil.copyfile(recording, directory / RECORDING_FILE)
-        with open_playback(directory / RECORDING_FILE) as playback:  # whose name messages have
-            outcome = play_whole(playback)
-        write_expected(outcome, directory)
+        part.mkdir(parents=True)
+    except FileExistsError as error:
+        raise part_is_there(part) from error
     except OSError as error:
-        raise OutputFailedError(f"{directory}: {error.strerror}; what was written stays") from error
+        raise OutputFailedError(f"{directory} cannot be made: {error.strerror}") from error
+    try:
+        shutil.copyfile(recording, part / RECORDING_FILE)
+        with open_playback(part / RECORDING_FILE) as playback:  # whose name messages have
+            outcome = play_whole(playback)
+        write_expected(outcome, part)
+        _check_free(directory)
+        os.rename(part, directory)
+    except OSError as error:
+        raise OutputFailedError(f"{directory}: {error.strerror}; what was written is removed") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
     return outcome
+
+
+def _check_free(directory: Path) -> None:
+    if os.path.lexists(directory):
+        raise ConfigError(f"{directory} is there already, and nothing is overwritten; name another directory")
 
 
 def write_expected(outcome: Outcome, directory: Path) -> None:
@@ -153,12 +171,40 @@ def _line(said: Said) -> str:
     return f'{head[:-1]}, "payload": {said.payload}}}'
 
 
+class _Head(BaseModel):
+    """What the first line is to have; all of it but these two is the summary."""
+
+    model_config = ConfigDict(strict=True)
+
+    format: Literal[1]
+    sha256: str
+    messages: dict[str, NonNegativeInt]
+    every: dict[str, PositiveInt]
+
+
+class ExpectedMessage(BaseModel):
+    """A message that a replay is to give, as `Said` is one that it gave."""
+
+    model_config = ConfigDict(strict=True)
+
+    topic: str
+    number: NonNegativeInt
+    now_ns: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")]
+    payload: dict[str, Any]
+
+
 class Expected(NamedTuple):
     """What a case says that its recording becomes."""
 
     summary: dict[str, Any]
     sha256: str
-    messages: list[dict[str, Any]]
+    messages: list[ExpectedMessage]
+
+    @property
+    def every(self) -> Mapping[str, int]:
+        """By topic: each so manieth message is kept."""
+        every: Mapping[str, int] = self.summary["every"]
+        return every
 
 
 def read_expected(directory: Path) -> Expected:
@@ -172,11 +218,16 @@ def read_expected(directory: Path) -> Expected:
     path = directory / EXPECTED_FILE
     try:
         lines = _objects(path)
-        head = next(lines)
-        if head["format"] != FORMAT:
-            raise ConfigError(f"{path} has format {head['format']!r}, this version reads {FORMAT}; save the case anew")
-        summary = {key: value for key, value in head.items() if key not in ("format", "sha256")}
-        return Expected(summary, str(head["sha256"]), list(lines))
+        told = next(lines)
+        if told["format"] != FORMAT:
+            raise ConfigError(f"{path} has format {told['format']!r}, this version reads {FORMAT}; save the case anew")
+        head = _Head.model_validate(told)
+        summary = {key: value for key, value in told.items() if key not in ("format", "sha256")}
+        return Expected(summary, head.sha256, [ExpectedMessage.model_validate(line) for line in lines])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "line"
+        raise ConfigError(f"{path} cannot be read ({key}: {first['msg']}); save the case anew") from error
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror or error}; cases are made by replay --save-case") from error
     except (ValueError, EOFError, KeyError, TypeError, StopIteration, RecursionError) as error:

@@ -12,8 +12,8 @@ from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.playback.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
 from resonator_daemon.playback.comparing import ABSENT, Difference, Scales, payload_differences, summary_differences
-from resonator_daemon.playback.said import printable
 from resonator_daemon.playback.source import open_playback
+from resonator_daemon.printable import printable
 
 _TOLD: Final = 5  # differences of a case; the rest is counted
 _VALUE_LENGTH: Final = 60
@@ -35,7 +35,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one case; `to_the_bit`: all messages are equal, those that are not kept, too."""
+    """What came of one case; `messages`: those compared; `to_the_bit`: all are equal, those that are not kept, too."""
 
     case: str
     messages: int
@@ -84,14 +84,14 @@ def check_case(directory: Path, expected: Expected) -> Verdict:
     """Replay a case and compare; a recording that cannot be replayed any more is a difference."""
     try:
         with open_playback(directory / RECORDING_FILE) as playback:
-            outcome = play_whole(playback, expected.summary.get("every", {}))
+            outcome = play_whole(playback, expected.every)
     except (LinkUnavailableError, ConfigError) as error:
         finding = Finding("recording", None, Difference("replay", "possible", str(error)))
         return Verdict(directory.name, 0, to_the_bit=False, differences=1, first=(finding,))
     findings = _findings(expected, outcome)
     return Verdict(
         directory.name,
-        len(outcome.kept),
+        len(expected.messages),
         expected.sha256 == outcome.sha256,
         len(findings),
         tuple(findings[:_TOLD]),
@@ -101,20 +101,23 @@ def check_case(directory: Path, expected: Expected) -> Verdict:
 def _findings(expected: Expected, outcome: Outcome) -> list[Finding]:
     scales = Scales()
     for message in expected.messages:
-        scales.take(message["topic"], message["payload"])
+        scales.take(message.topic, message.payload)
     got = {(said.topic, said.number): said for said in outcome.kept}
     findings = []
     for message in expected.messages:
-        topic, now_ns = message["topic"], int(message["now_ns"])
-        said = got.get((topic, message["number"]))
+        now_ns = int(message.now_ns)
+        said = got.pop((message.topic, message.number), None)
         if said is None:
-            differences = [Difference(f"message {message['number']}", "one", ABSENT)]
+            differences = [Difference(f"message {message.number}", "one", ABSENT)]
         else:
             differences = [Difference("(made)", now_ns, said.now_ns)] if said.now_ns != now_ns else []
             payload = json.loads(said.payload)
-            differences += payload_differences(topic, message["payload"], payload, scales)
+            differences += payload_differences(message.topic, message.payload, payload, scales)
         at_s = (now_ns - outcome.begun_ns) * 1e-9
-        findings += [Finding(topic, at_s, difference) for difference in differences]
+        findings += [Finding(message.topic, at_s, difference) for difference in differences]
+    for said in got.values():
+        at_s = (said.now_ns - outcome.begun_ns) * 1e-9
+        findings.append(Finding(said.topic, at_s, Difference(f"message {said.number}", ABSENT, "one")))
     summary = (Finding("summary", None, found) for found in summary_differences(expected.summary, outcome.summary))
     return list(chain(findings, summary))
 

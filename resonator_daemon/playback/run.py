@@ -7,6 +7,7 @@ import math
 import sys
 import time
 from collections import Counter
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +15,7 @@ from typing import Any, Final
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.config import Config, Mqtt, load_config, plate_name
 from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.new_file import interruptible
 from resonator_daemon.playback.broker import AtBroker, NameTakenError
 from resonator_daemon.playback.case import save_case
 from resonator_daemon.playback.checking import check_cases
@@ -22,9 +24,9 @@ from resonator_daemon.playback.options import DEFAULT_URL, check_options
 from resonator_daemon.playback.outputs import Lines, Output, OutputFailedError
 from resonator_daemon.playback.pacing import AtOnce, AtSpeed, Pacing, StepByStep
 from resonator_daemon.playback.progress import Progress
-from resonator_daemon.playback.said import printable
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.playback.span import NoSuchMarkError, Span, find_span
+from resonator_daemon.printable import printable
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.requests import BrokerUnreachableError
 from resonator_daemon.publishing.topics import Topic
@@ -53,7 +55,7 @@ class Tally:
     messages: Counter[str] = field(default_factory=Counter)
     first_ns: int | None = None  # of recorded time
     last_ns: int = 0
-    ended_early: bool = False
+    found: bool = False  # whether anything is in the part that was asked for
 
     @property
     def recorded_s(self) -> float:
@@ -90,11 +92,13 @@ def _replay(options: argparse.Namespace) -> ExitCode:
     config = load_config(options.config) if options.config is not None else None
     begun_s = time.monotonic()
     if options.save_case is not None:
-        case = save_case(path, options.save_case)
+        with interruptible("no case is made"):
+            case = save_case(path, options.save_case)
         told = {"case": str(options.save_case), **case.summary}
         wrong = _what_is_wrong(case.differences, case.damage)
     else:
-        told, wrong = asyncio.run(_play_out(options, path, config))
+        with interruptible("what was written stays") if options.to is not None else nullcontext():
+            told, wrong = asyncio.run(_play_out(options, path, config))
     took_s = time.monotonic() - begun_s
     if "seconds" in told:
         told |= {"took_seconds": round(took_s, 3), "speed": round(told["seconds"] / took_s, 2)}
@@ -102,9 +106,9 @@ def _replay(options: argparse.Namespace) -> ExitCode:
         sys.stdout.write(json.dumps({"verb": "replay", "ok": not wrong, "file": str(path), **told}) + "\n")
     else:
         messages = sum(told["messages"].values())
-        sys.stderr.write(f"{path}: {told['frames']} frames, {messages} messages in {took_s:.1f} s\n")
+        sys.stderr.write(f"{printable(str(path))}: {told['frames']} frames, {messages} messages in {took_s:.1f} s\n")
     for sentence in wrong:
-        sys.stderr.write(f"resonatord: {path}: {printable(sentence)}\n")
+        sys.stderr.write(f"resonatord: {printable(f'{path}: {sentence}')}\n")
     return ExitCode.FAILED if wrong else ExitCode.DONE
 
 
@@ -147,7 +151,8 @@ async def _play_out(options: argparse.Namespace, path: Path, config: Config | No
             "damage": playback.damage,
             "refused": list(playback.refused),
         }
-        return told, _what_is_wrong(playback.differences, playback.damage)
+        wrong = _what_is_wrong(playback.differences, playback.damage)
+        return told, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
 
 
 async def play(playback: Playback, span: Span, pacing: Pacing, output: Output, progress: Progress) -> Tally:
@@ -157,7 +162,6 @@ async def play(playback: Playback, span: Span, pacing: Pacing, output: Output, p
     for moment in playback.moments():
         progress.at(playback.read_bytes)
         if span.is_over(moment.now):
-            tally.ended_early = True
             break
         if span.is_before(moment.now):
             retained |= {published.topic: published for published in moment.messages if published.topic.retained}
@@ -168,10 +172,10 @@ async def play(playback: Playback, span: Span, pacing: Pacing, output: Output, p
         if retained:
             moment = Moment(moment.now, (*retained.values(), *moment.messages))
             retained = {}
+        tally.found = True
         try:
             await pacing.wait_for(moment)
         except EOFError:  # nobody is left to press Enter
-            tally.ended_early = True
             break
         for published in moment.messages:
             await output.put(published)

@@ -6,7 +6,7 @@ from pathlib import Path
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording_file import Mark, open_recording
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.playback.said import printable
+from resonator_daemon.printable import printable
 
 
 class NoSuchMarkError(OperatorError):
@@ -34,6 +34,14 @@ class Span:
 
     def is_over(self, now: HostTime) -> bool:
         return self.until_ns is not None and now.monotonic_ns >= self.until_ns
+
+    @property
+    def words(self) -> str:
+        """Which part it is, in seconds after the beginning; empty of the whole."""
+        return self._word("from", self.from_ns) + self._word("until", self.until_ns)
+
+    def _word(self, word: str, at_ns: int | None) -> str:
+        return "" if at_ns is None else f" {word} {(at_ns - self.begun.monotonic_ns) * 1e-9:.10g} s"
 
 
 def find_span(path: Path, start: str | None, end: str | None) -> Span:

@@ -1,6 +1,7 @@
 """Brokers that are well, refuse, are not there, are slow, or wait for acknowledgements."""
 
 import asyncio
+import socket
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
+from resonator_daemon.publishing import connection
 
 HOST = Host(Path("/none"))  # which tells of no load
 
@@ -73,3 +75,14 @@ async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatc
         await asyncio.wait(ways)  # the gate's, which it has cancelled
     assert finding.outcome in (Outcome.FAULT, Outcome.WARNING)
     assert "Nagle" not in finding.evidence
+
+
+async def test_who_takes_connections_and_says_nothing_is_no_matter_of_accounts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(broker_checks, "_ACCEPT_S", 0.3)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        findings = await found(f"mqtt://127.0.0.1:{silent.getsockname()[1]}")
+    assert findings["broker.accepts"].outcome is Outcome.FAULT
+    assert "accepts connections and does not answer as an MQTT broker" in findings["broker.accepts"].evidence
+    assert "mqtt.url" in findings["broker.accepts"].remedy
+    assert "account" not in findings["broker.accepts"].remedy

@@ -57,6 +57,19 @@ def test_a_report_fits_the_terminal_and_cannot_steer_it() -> None:
     assert "\r" not in text
 
 
+def test_a_reason_that_many_share_is_said_once() -> None:
+    findings = [
+        WIRE.not_checked("a daemon has it"),
+        PLATE.not_checked("a daemon has it"),
+        HOST.not_checked("no systemd"),
+    ]
+    text = Report([*findings, WIRE.ok("a daemon has it")]).as_text()
+    assert "not checked\n  -        a daemon has it: wire, plate\n" in text
+    assert text.count("a daemon has it") == 2  # and where it is no reason
+    assert "software\n  -        host: no systemd\n" in text
+    assert "sensor\n" not in text
+
+
 async def test_a_board_and_a_broker_that_are_well(
     tmp_path: Path, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +131,9 @@ def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], mon
         assert asked(capsys, address)[1]["cause"] == "board.answers"
     code, report = asked(capsys, address)
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
+    findings = report["findings"]
+    assert isinstance(findings, list)
+    assert "is switched on and in the network (ping 127.0.0.1)" in findings[0]["remedy"]
 
 
 def test_what_a_daemon_has_is_not_taken_from_it(
@@ -145,6 +161,9 @@ def test_what_a_daemon_has_is_not_taken_from_it(
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
     assert (found["daemon.runs"], found["daemon.config"], found["daemon.sensor"]) == ("ok", "fault", "fault")
     assert found["sensor.noise"] == "not_checked"
+    findings = report["findings"]
+    assert isinstance(findings, list)
+    assert len(findings) == len(found)  # none is said twice, of the daemon's word and of what it hides
 
 
 def test_a_port_that_this_process_holds_without_a_daemon_is_said_to_be_held(
@@ -165,6 +184,10 @@ def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.
     with pytest.raises(SystemExit) as ended:
         main(["doctor"])
     assert ended.value.code == 2
+    with pytest.raises(SystemExit) as ended:
+        main(["doctor", "--broker", "http://x"])
+    assert ended.value.code == 2
+    assert "argument --broker: got 'http://x'; must be mqtt://host:port" in capsys.readouterr().err
     path = configuration(tmp_path, "nothing")
     code, said = asked(capsys, "--config", path)
     assert (code, said["ok"]) == (78, False)

@@ -56,7 +56,7 @@ def recording(directory: Path, **keys: float) -> Recording:
 
 
 def test_a_disk_with_room_is_well(tmp_path: Path) -> None:
-    findings = list(check_disk(tmp_path / "made" / "later", recording(tmp_path / "recordings")))
+    findings = list(check_disk(tmp_path / "made" / "later", recording(tmp_path / "recordings"), "hand"))
     assert [finding.outcome for finding in findings] == [Outcome.OK] * 3
     assert not (tmp_path / "made").exists()
 
@@ -69,20 +69,21 @@ def test_too_little_room_is_a_fault_and_a_budget_beyond_the_disk_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk_of(monkeypatch, 60)
-    little = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, keep_free_mb=20.0, budget_mb=50.0))}
+    of = recording(tmp_path, keep_free_mb=20.0, budget_mb=50.0)
+    little = {f.id: f.outcome for f in check_disk(tmp_path, of, "hand")}
     assert little == {
         "disk.state": Outcome.OK,
         "disk.recordings": Outcome.OK,
         "disk.budget": Outcome.WARNING,
     }
     disk_of(monkeypatch, 40)
-    less = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, keep_free_mb=41.0))}
+    less = {f.id: f.outcome for f in check_disk(tmp_path, recording(tmp_path, keep_free_mb=41.0), "hand")}
     assert less["disk.state"] is less["disk.recordings"] is Outcome.FAULT
 
 
 def test_a_directory_that_cannot_be_written_is_a_fault(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    findings = {finding.id: finding for finding in check_disk(tmp_path / "file", recording(Path("/proc/none")))}
+    findings = {finding.id: finding for finding in check_disk(tmp_path / "file", recording(Path("/proc/none")), "hand")}
     assert "is a file" in findings["disk.state"].evidence
     assert findings["disk.recordings"].outcome is Outcome.FAULT
     assert findings["disk.budget"].outcome is Outcome.NOT_CHECKED
@@ -91,9 +92,17 @@ def test_a_directory_that_cannot_be_written_is_a_fault(tmp_path: Path) -> None:
 def test_recordings_that_are_there_count_for_the_budget(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     disk_of(monkeypatch, 60)
     room = recording(tmp_path, keep_free_mb=20.0, budget_mb=42.0)
-    assert {f.id: f.outcome for f in check_disk(tmp_path, room)}["disk.budget"] is Outcome.WARNING
-    (tmp_path / "old.mcap").write_bytes(bytes(2_000_000))
-    assert {f.id: f.outcome for f in check_disk(tmp_path, room)}["disk.budget"] is Outcome.OK
+
+    def budget(name: str | None = "hand") -> Outcome:
+        return {f.id: f.outcome for f in check_disk(tmp_path, room, name)}["disk.budget"]
+
+    assert budget() is Outcome.WARNING
+    for others in ("old.mcap", "foot-20260101T000000.000Z.mcap", "hand-left-20260101T000000.000Z.mcap"):
+        (tmp_path / others).write_bytes(bytes(2_000_000))  # which do not give way
+    assert budget() is Outcome.WARNING
+    (tmp_path / "hand-20260101T000000.000Z.mcap").write_bytes(bytes(2_000_000))
+    assert budget() is Outcome.OK
+    assert budget(None) is Outcome.WARNING
 
 
 def test_without_systemd_or_for_a_configuration_of_ones_own_no_unit_is_asked_for(computer: MadeUpHost) -> None:

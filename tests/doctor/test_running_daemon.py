@@ -131,6 +131,33 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
 
 
 @pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"in_use": "file", "loaded_t_ns": 10**18}, "(pid 77), by this file as it was, read 2001-09-09 01:46:40 UTC;"),
+        ({"in_use": "last_good"}, "(pid 77), by an earlier run's copy of it, it does not say when;"),
+        (5, None),
+    ],
+)
+def test_a_bad_file_does_not_hide_that_a_daemon_runs(
+    config: object,
+    said: str | None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "hand.toml"
+    file.write_text('plate = "quartz16"\n')
+    for instance in ("foot", "hand"):
+        answering(monkeypatch, STATUS | {"config": config}, Path(f"/r/{instance}/status.sock"))
+        assert main(["doctor", "--config", str(file), "--json"]) == 78
+        out, err = capsys.readouterr()
+        told = [line for line in err.splitlines() if "a daemon runs all the same" in line]
+        assert len(told) == (instance == "hand" and said is not None)
+        assert all(said is not None and said in line and line.endswith("resonatord status hand") for line in told)
+        assert json.loads(out)["error"]["message"].count("a daemon runs") == len(told)
+
+
+@pytest.mark.parametrize(
     ("one", "other", "same"),
     [
         ("serial:/dev/null?baud=9600", "serial:/dev/./null?baud=4000000", True),
@@ -178,6 +205,8 @@ def test_a_daemon_that_is_well_has_nothing_wrong() -> None:
     ("change", "id", "outcome"),
     [
         ({"config": {"in_use": "last_good", "problems": ["x"]}}, "daemon.config", Outcome.FAULT),
+        ({"config": {"in_use": "file", "problems": ["x"]}}, "daemon.config", Outcome.FAULT),
+        ({"config": {"in_use": "file", "problems": ["x"], "needs_restart": ["link"]}}, "daemon.config", Outcome.FAULT),
         ({"config": {"in_use": "file", "needs_restart": ["link"]}}, "daemon.config", Outcome.WARNING),
         ({"link": {"state": "lost", "reason": "x"}}, "daemon.link", Outcome.FAULT),
         ({"link": {"state": "lost", "reason": "x"}, "sensor": {"state": "x"}}, "daemon.sensor", Outcome.NOT_CHECKED),

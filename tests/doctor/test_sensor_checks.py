@@ -1,6 +1,7 @@
 """Plate and counter: an emulated plate that is well, and its frames changed to what broken ones would send."""
 
 import dataclasses
+import re
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,21 @@ def test_noise_above_what_the_calibration_left_is_a_warning(calm: Sitting, quart
         assert bad(judged(calm, quartz16.model_copy(update={"calibration": record}))) == expected
 
 
+def test_tones_that_are_not_heard_do_not_make_the_noise_smaller(comb: Sitting, comb16: Plate) -> None:
+    record = comb16.calibration.model_copy(update={"residuals": (1.0,)})
+    plate = comb16.model_copy(update={"calibration": record})
+
+    def told(heard: int) -> str:
+        def deaf(_reading: Reading, number: int) -> np.ndarray:
+            shift = np.full((len(comb16.tones.f0_hz), CHANNEL_COUNT), (-1) ** number * 1e-8)
+            shift[heard:] = np.nan
+            return shift
+
+        return judged(changed(comb, shift=deaf), plate)["sensor.noise"].evidence.split("; ")[1]
+
+    assert told(heard=4) == told(heard=16)
+
+
 @pytest.mark.parametrize(("share", "outcome"), [(0.3, Outcome.WARNING), (0.001, Outcome.FAULT)])
 def test_two_channels_that_are_too_much_alike_hear_each_other(
     calm: Sitting, quartz16: Plate, share: float, outcome: Outcome
@@ -146,8 +162,23 @@ def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Sit
     assert findings["sensor.noise"].outcome is Outcome.NOT_CHECKED
     released = changed(calm, touched=lambda _reading, number: number == 0)
     assert bad(judged(released, quartz16)) == {"sensor.at_rest": Outcome.WARNING}
-    later = changed(calm, touched=lambda _reading, number: number == 3)
-    assert bad(judged(later, quartz16)) == {}
+    later = judged(changed(calm, touched=lambda _reading, number: number == 3), quartz16)
+    assert bad(later) == {"sensor.at_rest": Outcome.WARNING}
+    assert later["sensor.at_rest"].evidence.startswith("touched in 1 of ")
+
+
+def test_figures_that_are_well_are_said_in_words_that_can_be_read(
+    calm: Sitting, comb: Sitting, quartz16: Plate, comb16: Plate
+) -> None:
+    findings = judged(changed(calm, pair_noise=np.array([1, 1, 1, 0.9, 1, 1.0])), quartz16)
+    assert re.fullmatch(
+        r"the only one is in band: at most \S+ ppm off \(limit \S+\)", findings["sensor.tones"].evidence
+    )
+    assert judged(comb, comb16)["sensor.tones"].evidence.startswith("all 16 are in band: ")
+    assert findings["sensor.cross_talk"].evidence == (
+        "channels 2 and 3 are the most alike: their difference has 90 % of the variance that noise of their own would "
+        "give (limit 50 %)"
+    )
 
 
 @pytest.mark.parametrize(

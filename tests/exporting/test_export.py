@@ -1,8 +1,10 @@
 """`resonatord export` as a user meets it: files, one line where something is wrong, and the exit code."""
 
 import json
+import os
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +19,7 @@ from resonator_daemon.cli import main
 from resonator_daemon.playback.course import Playback
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
+SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP], strict=True))
 
 
 def export(*arguments: object) -> int:
@@ -112,7 +115,7 @@ def test_nothing_is_overwritten(form: str, tmp_path: Path, capsys: pytest.Captur
 def test_what_another_export_is_writing_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "out.npz.part").write_text("theirs")
     assert export(recording("touches"), "--output", tmp_path / "out.npz") == 78
-    assert "out.npz.part is there: another export is writing it, or was killed" in capsys.readouterr().err
+    assert "out.npz.part is there: it is being written, or what wrote it was killed" in capsys.readouterr().err
     assert [path.read_text() for path in tmp_path.iterdir()] == ["theirs"]
 
 
@@ -132,17 +135,20 @@ def test_a_disk_that_is_full_keeps_nothing(form: str, tmp_path: Path, capsys: py
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_an_interrupt_leaves_nothing(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_leaves_nothing(
+    form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     whole = Playback.moments
 
     def interrupted(playback: Playback) -> Any:
         for number, moment in enumerate(whole(playback)):
             if number == 100:
-                raise KeyboardInterrupt
+                os.kill(os.getpid(), SIGNALS[form])
             yield moment
 
     monkeypatch.setattr(Playback, "moments", interrupted)
-    export(recording("touches"), *output(tmp_path, form))
+    assert export(recording("touches"), *output(tmp_path, form)) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: what was written is removed\n"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -183,6 +189,7 @@ def test_a_missing_library_is_named(
             ("--output", "out.csv", "--topics", "forces,decoded"),
             "'decoded': csv takes forces, contacts, contacts/event",
         ),
+        (("--output", "-", "--format", "csv"), "--output - would be stdout, and files are written; name one"),
         (("--output", "out.npz", "--topics", "force"), "'force': npz takes forces, "),
         (("--output", "out.csv", "--topics", ""), "--topics '': csv takes "),
         (("--output", "out.mcap", "--ros2", "--format", "mcap"), "not allowed with argument --ros2"),

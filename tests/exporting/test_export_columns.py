@@ -51,3 +51,8 @@ def test_values_are_those_of_the_message() -> None:
     patch = Patch.model_construct(moment_newton_m=(1.0, 2.0, 3.0), id=None)
     assert (get["moment_z_newton_m"](patch), get["moment_x_newton_m"](patch), get["id"](patch)) == (3.0, 1.0, None)
     assert "patches" not in {source.column.name for source in sources(DecodedSummary, skip=("patches",))}
+
+
+def test_the_components_of_a_vector_that_is_missing_are_missing() -> None:
+    get = {source.column.name: source.get for source in sources(Patch)}
+    assert get["moment_y_newton_m"](Patch.model_construct(moment_newton_m=None)) is None

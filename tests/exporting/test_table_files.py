@@ -11,11 +11,13 @@ import pyarrow.parquet as pq
 import pytest
 from export_bench import METADATA, Played, played, write
 
+from resonator_daemon.exporting.columns import Column
 from resonator_daemon.exporting.csv_file import CsvFormat
 from resonator_daemon.exporting.npz_file import NpzFormat
 from resonator_daemon.exporting.parquet_file import ParquetFormat
 from resonator_daemon.exporting.table_output import TableOutput
 from resonator_daemon.exporting.tables import WITH_TABLE
+from resonator_daemon.publishing.topics import DECODED
 from resonator_daemon.publishing.units import NO_UNIT, unit_of
 
 OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
@@ -187,3 +189,11 @@ def test_topics_that_nobody_asked_for_have_no_files(tmp_path: Path) -> None:
     write(output, played("touches").moments)
     assert [file.name for file in tmp_path.iterdir()] == ["contacts-event.csv"]
     assert output.rows == {"contacts/event": 6}
+
+
+def test_an_array_that_is_missing_is_null_in_parquet(tmp_path: Path) -> None:
+    made = ParquetFormat(place(tmp_path, ".parquet"), METADATA)
+    table = made.open_table(DECODED, [Column("traction_pascal", "float32 array", True, (2, 2))])
+    table.write([[np.arange(4, dtype=np.float32).reshape(2, 2), None]])
+    made.close()
+    assert pq.read_table(tmp_path / "decoded.parquet")["traction_pascal"].to_pylist() == [[0.0, 1.0, 2.0, 3.0], None]

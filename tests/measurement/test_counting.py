@@ -224,3 +224,9 @@ def test_a_line_of_any_length_keeps_its_frequency_exactly(span_bits):
     ]
     assert frequency_hz(sums, REFERENCE_HZ) == pi_frequency_hz(sums, REFERENCE_HZ) == REFERENCE_HZ * (977 / interval)
     assert lambda_frequency_hz(halves, REFERENCE_HZ) == REFERENCE_HZ * (977 / interval)
+
+
+@pytest.mark.parametrize("interval", [1 << 28, 1 << 30, (1 << 32) - 1])
+def test_stamps_may_lie_as_far_apart_as_the_counter_tells(interval):
+    ticks = [WRAP - 5 + k * interval for k in range(12)]
+    assert merge(split(ticks, [4] * 3, 0, 10))[:7] == sums_of(ticks, 0, 10)[:7]

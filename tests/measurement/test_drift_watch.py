@@ -90,3 +90,11 @@ def test_an_emulated_plate(environment_kelvin: tuple[tuple[float, float], ...], 
         for moment in bench.play(16.0)
     ]
     assert any(told) is drifts
+
+
+def test_with_time_that_goes_backwards_it_begins_anew() -> None:
+    drift = DriftWatch()
+    told = [drift.update((1e-6 * n, 0.0), NAN, 100.0 + n * STEP_S) for n in range(100)]
+    assert told[-1]
+    assert drift.update((1.0, 0.0), NAN, 0.0) == ""
+    assert not any(drift.update((1.0 + 1e-13 * n, 0.0), NAN, n * STEP_S) for n in range(1, 100))

@@ -32,6 +32,7 @@ def test_what_other_processors_round_is_none(change: dict[str, Any]) -> None:
         ({"b": "two"}, Difference("b", "one", "two")),
         ({"n": 0.0}, Difference("n", None, 0.0)),
         ({"f": [2.1e-6, 2.0]}, Difference("f[0]", 0.0, 2.1e-6)),
+        ({"f": [0.0, 2.0, 3.0]}, Difference("f[]", "2 elements", "3 elements")),
         ({"f": [0.0]}, Difference("f[]", "2 elements", "1 elements")),
         ({"g": [{"x": 1e-9 + 4.1e-15}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, 1e-9 + 4.1e-15)),
         ({"g": [{}, {"x": 4e-9}]}, Difference("g[0].x", 1e-9, ABSENT)),
@@ -40,6 +41,13 @@ def test_what_other_processors_round_is_none(change: dict[str, Any]) -> None:
 )
 def test_what_is_one(change: dict[str, Any], found: Difference) -> None:
     assert differences(EXPECTED | change) == [found]
+
+
+def test_the_largest_value_of_a_field_sets_its_scale_in_whatever_order_they_come() -> None:
+    for values in ([0.0, 2.0], [2.0, 0.0], [-2.0, 1.0, 0.5]):
+        scales = Scales()
+        scales.take("forces", {"f": values})
+        assert scales.tolerance("forces.f[]") == pytest.approx(2e-6)
 
 
 def test_another_version_says_the_same() -> None:

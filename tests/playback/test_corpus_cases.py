@@ -4,6 +4,7 @@ import gzip
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from resonator_daemon.cli import main
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.playback.case import EXPECTED_FILE, play_whole, read_expected, save_case
 from resonator_daemon.playback.checking import Verdict, check_case, check_cases
@@ -48,7 +50,7 @@ def test_the_corpus_has_what_may_befall_a_board() -> None:
         seen |= {("lost", cause) for cause, count in expected.summary["frames_lost"].items() if count}
         seen |= {("damaged", expected.summary["damaged"])}
         for message in expected.messages:
-            payload = message["payload"]
+            payload = message.payload
             seen |= {(key, payload[key]) for key in ("state", "status", "event") if key in payload}
     assert seen >= {("lost", cause) for cause in ("link_gap", "damaged", "board_overflow")}
     assert seen >= {("state", state) for state in ("waiting", "stalled", "lost", "refused", "pressed_at_start")}
@@ -120,6 +122,62 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
     assert (told["ok"], told["cases"][0]["differences"]) == (False, 1)
 
 
+def retold(folder: Path, change: Callable[[list[dict[str, Any]]], object]) -> Path:
+    """A case with other lines in what it expects."""
+    case = folder / "refused"
+    shutil.copytree(CORPUS / "refused", case)
+    with gzip.open(case / EXPECTED_FILE, "rt") as file:
+        lines = [json.loads(line) for line in file]
+    change(lines)
+    with gzip.open(case / EXPECTED_FILE, "wt") as file:
+        file.writelines(json.dumps(line) + "\n" for line in lines)
+    return case
+
+
+def test_a_message_that_is_made_at_another_time_is_found(tmp_path: Path) -> None:
+    def later(lines: list[dict[str, Any]]) -> None:
+        lines[2]["now_ns"] = str(int(lines[2]["now_ns"]) + 1)
+
+    (finding,) = check(retold(tmp_path, later)).first
+    assert (finding.topic, finding.difference.key) == ("state/sensor", "(made)")
+
+
+def test_messages_that_are_missing_in_a_case_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = retold(tmp_path, lambda lines: lines.__delitem__(slice(1, None)))
+    assert check_cases([case], as_json=False) is ExitCode.FAILED
+    said = capsys.readouterr().out
+    assert said.startswith("DIFFERS refused: 6 differences\n        state/link at ")
+    assert ' s: message 0: expected "nothing", got "one"\n' in said
+    assert check(case).messages == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lines: lines[1].pop("number"), "number: Field required"),
+        (lambda lines: lines[1].pop("payload"), "payload: Field required"),
+        (lambda lines: lines[1].update(payload=[]), "payload: Input should be a valid dictionary"),
+        (lambda lines: lines[1].update(topic=["x"]), "topic: "),
+        (lambda lines: lines[1].update(now_ns="soon"), "now_ns: "),
+        (lambda lines: lines.insert(1, []), "line: "),
+        (lambda lines: lines[0]["every"].update({"state/link": 0}), "every.state/link: "),
+        (lambda lines: lines[0].update(every=5), "every: "),
+        (lambda lines: lines[0].pop("messages"), "messages: Field required"),
+        (lambda lines: lines[0].update(format=2), "has format 2, this version reads 1"),
+    ],
+)
+def test_a_case_that_was_edited_badly_is_said_in_one_line(
+    tmp_path: Path,
+    change: Callable[[list[dict[str, Any]]], object],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["replay", "--check", str(retold(tmp_path, change))]) == 78
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert line.endswith("; save the case anew")
+
+
 def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> None:
     case = tmp_path / "refused"
     shutil.copytree(CORPUS / "refused", case)
@@ -164,3 +222,17 @@ def test_replays_are_equal_to_the_bit(case: str) -> None:
         with open_playback(CORPUS / case / "recording.mcap") as playback:
             digests.add(play_whole(playback).sha256)
     assert len(digests) == 1
+
+
+def test_a_case_that_is_interrupted_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pause()
+
+    monkeypatch.setattr("resonator_daemon.playback.case.write_expected", interrupted)
+    recording = CORPUS / "refused" / "recording.mcap"
+    assert main(["replay", str(recording), "--save-case", str(tmp_path / "case")]) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: no case is made\n"
+    assert list(tmp_path.iterdir()) == []
