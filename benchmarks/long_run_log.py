@@ -44,6 +44,7 @@ _HARD: Final = (
 _BROKER: Final = (Cause.BROKER_DEAD, Cause.BROKER_FROZEN)
 
 KNOWN: Final[tuple[tuple[str, tuple[Cause, ...]], ...]] = (
+    (r"INFO ended by SIG(TERM|INT)", (Cause.STOP,)),
     (r"INFO metrics at http://\S+/metrics", (Cause.START,)),
     (r"INFO link starting: .*", (Cause.START, *_HARD)),
     (r"INFO link online: .*", (Cause.START, *_HARD)),

@@ -6,6 +6,7 @@ import io
 import json
 import logging
 import os
+import shutil
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -13,6 +14,7 @@ from typing import Any
 from resonator_daemon.arguments import Verb, make_parser
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.journal import error_prefix, set_up_logging
+from resonator_daemon.printable import printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except OperatorError as error:
         for message in error.messages:
-            sys.stderr.write(f"{error_prefix()}resonatord: {message}\n")
+            sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
         return error.exit_code
     except KeyboardInterrupt:
         return ExitCode.DONE
@@ -43,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{error_prefix()}resonatord: {what}; set LC_ALL=C.UTF-8\n")
         return ExitCode.CONFIG
     except OSError as error:  # as where stdout is on a full disk
-        sys.stderr.write(f"resonatord: {error}\n")
+        sys.stderr.write(f"resonatord: {printable(error)}\n")
         return ExitCode.FAILED
 
 
@@ -69,12 +71,14 @@ def _check(options: argparse.Namespace) -> ExitCode:
     except OperatorError as error:
         findings = error.messages
     if options.json:
-        _print_json({"file": str(options.file), "ok": not findings, "errors": findings, "notes": notes})
+        _print_json(
+            {"verb": "check", "file": str(options.file), "ok": not findings, "errors": findings, "notes": notes}
+        )
     else:
         for line in findings:
-            sys.stderr.write(f"resonatord: {line}\n")
+            sys.stderr.write(f"resonatord: {printable(line)}\n")
         for line in notes:
-            sys.stderr.write(f"note: {line}\n")
+            sys.stderr.write(f"note: {printable(line)}\n")
         if not findings:
             sys.stderr.write(f"{options.file}: no errors\n")
     return ExitCode.CONFIG if findings else ExitCode.DONE
@@ -85,7 +89,7 @@ def _config_example(options: argparse.Namespace) -> None:
 
     text = example_config()
     if options.json:
-        _print_json({"example": text})
+        _print_json({"verb": "config example", "example": text})
     else:
         sys.stdout.write(text)
 
@@ -104,9 +108,11 @@ def _config_explain(options: argparse.Namespace) -> None:
     except UnknownKeyError as error:
         options.refuse(str(error))
     if options.json:
-        _print_json({"keys": [key._asdict() for key in keys]})
+        _print_json({"verb": "config explain", "keys": [key._asdict() for key in keys]})
     else:
-        sys.stdout.write("\n".join(explanation(key) for key in keys) if options.key else key_list(keys))
+        columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+        told = "\n".join(explanation(key, columns) for key in keys) if options.key else key_list(keys, columns)
+        sys.stdout.write(told)
 
 
 def _emulate(options: argparse.Namespace) -> None:

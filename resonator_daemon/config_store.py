@@ -3,6 +3,7 @@
 import hashlib
 import logging
 import os
+import stat
 import tempfile
 import time
 from contextlib import suppress
@@ -141,7 +142,9 @@ class ConfigStore:
             self._told = None
 
     def _read(self) -> _Copy:
-        with self._copy.open("rb") as file:
+        with open(self._copy, "rb", opener=_open_at_once) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe gives nothing, or waits for ever
+                raise OSError(f"{self._copy} is no regular file; remove it")
             return _Copy.model_validate_json(file.read(_MAX_COPY_BYTES))
 
     def _kept(self, copy: _Copy) -> bool:
@@ -191,6 +194,10 @@ def _checked(config: Config, path: Path) -> Config:
 
 def _sha256(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def _told(error: OSError | ValidationError) -> str:

@@ -1,11 +1,13 @@
-"""Serves the metrics to Prometheus over HTTP, one request after the other."""
+"""Serves the metrics to Prometheus over HTTP, a few requests at a time, none for longer than a second."""
 
 import asyncio
+import contextlib
 import logging
 import socket
 import socketserver
 from collections.abc import Callable
-from typing import Any, Final
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, NoReturn
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
@@ -14,8 +16,10 @@ from resonator_daemon.config import Listen
 from resonator_daemon.metrics import StatusCollector
 from resonator_daemon.status import Status
 
-_REQUEST_S: Final = 1.0  # without a byte of a request
-_PAUSE_S: Final = 0.05  # between requests: who asks without end cannot slow the daemon
+_REQUEST_S: Final = 1.0  # from the first byte of a request to the last one of its answer
+_TOGETHER: Final = 8  # connections that are served, in a thread each; the others wait for the end of one
+_WAITING: Final = 64
+_PAUSE_S: Final = 0.05  # between connections: who asks without end cannot slow the daemon
 _AGAIN_S: Final = 5.0
 
 log = logging.getLogger(__name__)
@@ -30,7 +34,7 @@ class MetricsServer:
         Where.
     collect
         Takes stock; called on the event loop's thread, once for each connection. The request itself is read and
-        answered in a thread.
+        answered in a thread of its own.
     """
 
     def __init__(self, listen: Listen, collect: Callable[[], Status]) -> None:
@@ -42,21 +46,32 @@ class MetricsServer:
         """Answer until cancelled."""
         while True:
             try:
-                server = await asyncio.to_thread(_Server, self._listen)  # a host's name may take its time
+                with await asyncio.to_thread(_Server, self._listen) as server:  # a host's name may take its time
+                    self._say(None)
+                    await self._answer_all(server)
             except OSError as error:
                 self._say(error.strerror or str(error))
                 await asyncio.sleep(_AGAIN_S)
-                continue
-            self._say(None)
-            with server:
-                await self._answer_all(server)
 
-    async def _answer_all(self, server: "_Server") -> None:
-        while True:
-            await _readable(server.socket)
-            server.collector.status = self._collect()
-            await asyncio.to_thread(server.handle_request)
-            await asyncio.sleep(_PAUSE_S)
+    async def _answer_all(self, server: "_Server") -> NoReturn:
+        loop, room = asyncio.get_running_loop(), asyncio.Semaphore(_TOGETHER)
+        threads = ThreadPoolExecutor(_TOGETHER, thread_name_prefix="metrics")
+        refused: OSError | None = None
+        try:
+            async with asyncio.TaskGroup() as answers:
+                while refused is None:
+                    await room.acquire()
+                    try:
+                        request, address = await loop.sock_accept(server.socket)
+                    except OSError as error:
+                        refused = error  # as without file descriptors
+                        continue
+                    server.collector.status = self._collect()
+                    answers.create_task(_answer(server, threads, room, request, address))
+                    await asyncio.sleep(_PAUSE_S)
+        finally:
+            threads.shutdown(wait=False)
+        raise refused
 
     def _say(self, problem: str | None) -> None:
         if problem is not None and problem != self._said:
@@ -71,9 +86,9 @@ class MetricsServer:
 
 
 class _Server(WSGIServer):
-    """A server of one thread, whose requests end by themselves."""
+    """Has the address; connections are accepted for it."""
 
-    timeout = 0  # of handle_request, for a client that has left meanwhile
+    request_queue_size = _WAITING
 
     def __init__(self, listen: Listen) -> None:
         self.address_family = socket.getaddrinfo(listen.host, listen.port, type=socket.SOCK_STREAM)[0][0]
@@ -81,7 +96,7 @@ class _Server(WSGIServer):
         registry = CollectorRegistry()
         registry.register(self.collector)
         super().__init__((listen.host, listen.port), _Handler)
-        self.socket.setblocking(False)  # a client that left between select and accept is not waited for
+        self.socket.setblocking(False)
         self.set_app(make_wsgi_app(registry))
 
     def server_bind(self) -> None:
@@ -90,27 +105,35 @@ class _Server(WSGIServer):
         self.server_name, self.server_port = str(self.server_address[0]), self.server_address[1]
         self.setup_environ()
 
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        log.debug("a request for metrics from %s came to nothing", client_address)
+    def answer(self, request: socket.socket, client_address: Any) -> None:
+        """Read a request and answer it; blocks until then, or until the connection is shut."""
+        try:
+            self.finish_request(request, client_address)
+        except OSError:
+            log.debug("a request for metrics from %s came to nothing", client_address)
+        finally:
+            self.shutdown_request(request)
 
 
 class _Handler(WSGIRequestHandler):
-    timeout = _REQUEST_S
-
     def log_message(self, format: str, *args: Any) -> None:
         """Say nothing of single requests."""
 
 
-async def _readable(watched: socket.socket) -> None:
+async def _answer(
+    server: _Server, threads: ThreadPoolExecutor, room: asyncio.Semaphore, request: socket.socket, address: object
+) -> None:
     loop = asyncio.get_running_loop()
-    ready = loop.create_future()
-
-    def arrived() -> None:
-        if not ready.done():
-            ready.set_result(None)
-
-    loop.add_reader(watched.fileno(), arrived)
+    request.setblocking(True)
+    deadline = loop.call_later(_REQUEST_S, _shut, request)
     try:
-        await ready
+        await loop.run_in_executor(threads, server.answer, request, address)
     finally:
-        loop.remove_reader(watched.fileno())
+        deadline.cancel()
+        _shut(request)  # the thread ends when this task is cancelled, too
+        room.release()
+
+
+def _shut(connection: socket.socket) -> None:
+    with contextlib.suppress(OSError):  # its thread may have closed it
+        connection.shutdown(socket.SHUT_RDWR)

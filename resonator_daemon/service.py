@@ -65,7 +65,7 @@ async def serve(store: ConfigStore) -> None:
     service = Service(store)
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, service.stop)
+        loop.add_signal_handler(number, service.stop, f"ended by {number.name}")
     loop.add_signal_handler(signal.SIGHUP, service.reload)
     sys.setswitchinterval(SWITCH_S)
     try:
@@ -138,8 +138,10 @@ class Service:
         if self._fatal is not None:
             raise self._fatal
 
-    def stop(self) -> None:
+    def stop(self, why: str = "ended") -> None:
         """End `run`; from the event loop."""
+        if not self._stopping:
+            log.info("%s", why)
         self._stopping = True
         self._arrived.set()
 

@@ -9,6 +9,7 @@ from typing import Final
 
 from resonator_daemon.config import Client, load_client, parse_link
 from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.printable import printable
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, reach, request
 from resonator_daemon.publishing.subscriber import subscribe
@@ -54,18 +55,13 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
     if as_json:
         sys.stdout.write(json.dumps(answer) + "\n")
     elif done:
-        sys.stdout.write(f"{_printable(answer.get('did', 'done'))}\n")
+        sys.stdout.write(f"{printable(answer.get('did', 'done'))}\n")
     if not done:
         refusal = answer.get("error")
         reasons = refusal if isinstance(refusal, dict) else {}
-        parts = [_printable(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
+        parts = [printable(reasons[key]) for key in ("message", "hint") if reasons.get(key)]
         sys.stderr.write(f"resonatord: not tared: {'; '.join(parts) or 'refused'}\n")
     return ExitCode.DONE if done else ExitCode.FAILED
-
-
-def _printable(said: object) -> str:
-    """Return what a daemon, or whoever answers in its place, has said, without what no terminal can write."""
-    return str(said).encode(errors="replace").decode()
 
 
 async def _ask(config: Client) -> dict[str, object]:

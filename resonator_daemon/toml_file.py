@@ -10,11 +10,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
 from resonator_daemon.errors import ConfigError
 from resonator_daemon.toml_advice import advice
+from resonator_daemon.toml_limits import excess
 
 KeyPath = tuple[int | str, ...]
 Model = TypeVar("Model", bound="Table")
@@ -27,11 +29,12 @@ MAX_BYTES: Final = 10_000_000  # the most tones that fit into a frame are 8 MB o
 MAX_FINDINGS: Final = 100
 
 _LONGEST_SHOWN: Final = 120
+_DEEPEST_SHOWN: Final = 5
 _LONGEST_REASON: Final = 300
 _LONGEST_HEAD: Final = 1000  # of a line, in which a key or header is looked for: longer ones are values, or no TOML
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 _HEADER = re.compile(r"\s*(\[\[?)([A-Za-z0-9_.\-\s]+)\]\]?\s*(#.*)?")
-_ASSIGNMENT = re.compile(r"""\s*["']?([A-Za-z0-9_-]+)["']?(\s*\.[\w.\s-]+)?\s*=""")
+_ASSIGNMENT = re.compile(r"""\s*+["']?([A-Za-z0-9_-]++)["']?(\s*+\.[\w.\s-]++)?\s*+=""")  # linear: + gives nothing back
 _NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?[0-9][0-9_.]*(?:[eE][-+]?[0-9]+)?)\s*[A-Za-zµ/%]*\s*")
 _USER_INFO = re.compile(r"//.*@")
 
@@ -90,8 +93,10 @@ def parse_toml(text: str, path: Path) -> TomlFile:
     Raises
     ------
     ConfigError
-        It is not TOML.
+        It is not TOML, or holds more than the parser can take in a few seconds.
     """
+    if (much := excess(text)) is not None:
+        raise ConfigError(f"{named(path)}:{'' if much.line is None else f'{much.line}:'} {much.sentence}")
     try:
         return TomlFile(path, text, tomllib.loads(text))
     except (ValueError, RecursionError) as error:  # ValueError: also of numbers and dates that Python cannot hold
@@ -150,14 +155,16 @@ def named(path: Path) -> str:
     return text if text.isprintable() else repr(text)
 
 
-def shown(value: object) -> str:
-    """Return a value as a message shows it: on one line, not too long, without a password."""
+def shown(value: object, depth: int = 0) -> str:
+    """Return a value as a message shows it: on one line, not too long or deep, without a password."""
     if isinstance(value, dict):
         return "a table"
     if isinstance(value, int) and value.bit_length() > 100:  # Python refuses to print thousands of digits
         return "a huge number"
+    if isinstance(value, list | tuple) and depth == _DEEPEST_SHOWN:
+        return "[...]"
     if isinstance(value, list | tuple):
-        text = f"[{', '.join(shown(item) for item in value[:10])}{', ...' if len(value) > 10 else ''}]"
+        text = f"[{', '.join(shown(item, depth + 1) for item in value[:10])}{', ...' if len(value) > 10 else ''}]"
     else:
         text = _USER_INFO.sub("//***@", repr(value))
     return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 3]}..."
@@ -178,7 +185,7 @@ def _sentence(model: type[BaseModel], error: ErrorDetails) -> str:
             allowed = error["ctx"]["expected"].replace("'", "").replace(" or ", ", ").split(", ")
             return f"{where}: got {shown(value)}; {nearest(value, allowed)}"
         case "string_type" if isinstance(value, int | float) and not isinstance(value, bool):
-            return f'{where}: got {shown(value)}; must be text: put it in quotes, as "{shown(value)}"'
+            return f"{where}: got {shown(value)}; must be text: {_as_text(model, path, value)}"
         case "bool_type":
             return f"{where}: got {shown(value)}; must be true or false, without quotes"
         case "tuple_type":
@@ -202,13 +209,36 @@ def _shown_key(key: int | str) -> str:
 
 def _meaning(model: type[BaseModel], path: KeyPath) -> str:
     """Return what a key is, with an example, where its model says so."""
-    *parents, last = path
-    table = dict(_tables(model)).get(tuple(key for key in parents if isinstance(key, str)))
-    field = table.model_fields.get(str(last)) if table else None
+    field = _field(model, path)
     if field is None or field.description is None:
         return "a value"
-    example = f", as {last} = {json.dumps(field.examples[0], ensure_ascii=False)}" if field.examples else ""
-    return field.description + example
+    example = _example(model, path)
+    return field.description + (f", as {example}" if example else "")
+
+
+def _as_text(model: type[BaseModel], path: KeyPath, value: object) -> str:
+    """Return how to write a number as the text that the key wants: in quotes, where it can be one of its values."""
+    field, quoted = _field(model, path), f'put it in quotes, as "{shown(value)}"'
+    if field is None or not field.examples:
+        return quoted
+    wanted: Any = Annotated[field.annotation, Field(), *field.metadata]  # Field(): some have no metadata
+    try:
+        TypeAdapter(wanted).validate_python(str(value))
+    except ValidationError:
+        return f"as {_example(model, path)}"
+    return quoted
+
+
+def _example(model: type[BaseModel], path: KeyPath) -> str:
+    """Return a line of a file with the key, where its model has an example; "" where it has none."""
+    field = _field(model, path)
+    return f"{path[-1]} = {json.dumps(field.examples[0], ensure_ascii=False)}" if field and field.examples else ""
+
+
+def _field(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:
+    *parents, last = path
+    table = dict(_tables(model)).get(tuple(key for key in parents if isinstance(key, str)))
+    return table.model_fields.get(str(last)) if table else None
 
 
 def _nearest_key(model: type[BaseModel], path: KeyPath) -> str:

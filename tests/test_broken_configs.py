@@ -76,6 +76,7 @@ BROKEN = [
     ("name with a tab", TOP + 'name = "left\\tindex"\n', ":3: name: got 'left\\tindex'", "nor control character"),
     ("name with a dollar", TOP + 'name = "$left"\n', ":3: name: got '$left'", "no leading $"),
     ("empty name", TOP + 'name = ""\n', ":3: name: got ''", "not empty"),
+    ("number for a URL", TOP + "[mqtt]\nurl = 3\n", ":4: mqtt.url: got 3", 'as url = "mqtt://127.0.0.1:1883"'),
     ("number for a name", TOP + "name = 42\n", ":3: name: got 42", 'put it in quotes, as "42"'),
     ("name of decoders", TOP + 'name = "decoder"\n', ":3: name: got 'decoder'", "choose another"),
     ("name that is a place", TOP + 'name = ".."\n', ":3: name: got '..'", "choose another"),

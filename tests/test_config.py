@@ -246,6 +246,7 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
 )
 def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> None:
     (message,) = refusals(tmp_path, f'plate = "quartz16"\nlink = {link}\n')
+    assert "password" not in message  # there is none in a link
     got = link.replace('"', "'")
     assert message.startswith(f"2: link: got {got}; {expected}")
 

@@ -4,6 +4,7 @@ import errno
 import logging
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -183,3 +184,34 @@ def test_codes_that_overlap_are_a_problem_of_the_file(path: Path) -> None:
     with pytest.raises(ConfigError, match="can be mistaken for each other"):
         load_checked(path)
     assert "can be mistaken for each other" in store(path).load().problems[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (os.mkfifo, "is no regular file; remove it"),
+        (lambda copy: copy.symlink_to("/dev/zero"), "is no regular file; remove it"),
+        (lambda copy: copy.mkdir(), "Is a directory"),
+    ],
+)
+def test_a_copy_that_is_no_file_is_refused_and_stops_nothing(
+    path: Path, make: Callable[[Path], None], said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    store(path).load()
+    (copy,) = copies(path)
+    copy.unlink()
+    make(copy)
+    assert store(path).load().in_use == "file"
+    assert said in caplog.text
+    path.write_text("name = 5\n")
+    assert refused(path)[-1].endswith(f"{said}; no last good copy")
+
+
+def test_a_plate_that_changes_alone_is_kept_anew(path: Path) -> None:
+    store(path).load()
+    plate = load_plate("quartz16")
+    changed = plate.model_copy(update={"force_max_newton": 0.5 * plate.force_max_newton})
+    (path.parent / "own.toml").write_text(plate_text(changed))
+    assert store(path).load().in_use == "file"
+    (path.parent / "own.toml").unlink()
+    assert store(path).load().config.plate.force_max_newton == changed.force_max_newton

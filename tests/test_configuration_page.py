@@ -6,6 +6,7 @@ import configuration_tables
 
 from resonator_daemon.config_help import config_keys
 from resonator_daemon.toml_file import MAX_BYTES
+from resonator_daemon.toml_limits import LONGEST_WORD, MAX_DEPTH, MAX_KEYS, MAX_LINES, MAX_NAMES, MAX_VALUES
 
 PAGE = configuration_tables.PAGE.read_text()
 
@@ -18,6 +19,10 @@ def test_example_and_keys_are_those_of_the_models() -> None:
 def test_the_limit_it_names_is_the_limit() -> None:
     assert "longer than 10 MB" in PAGE
     assert MAX_BYTES == 10e6
+    assert (MAX_DEPTH, LONGEST_WORD) == (8, 1000)
+    limits = {"keys": MAX_KEYS, "other values": MAX_VALUES, "lines": MAX_LINES, "names in headers": MAX_NAMES}
+    for what, limit in limits.items():
+        assert f"{limit:,} {what}".replace(",", " ") in PAGE
 
 
 def test_every_link_of_the_page_leads_somewhere() -> None:

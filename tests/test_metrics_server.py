@@ -1,9 +1,12 @@
 """The metrics over HTTP, asked by a plain client."""
 
 import asyncio
+import contextlib
+import errno
 import gzip
 import http.client
 import logging
+import os
 import socket
 import threading
 from collections.abc import AsyncIterator, Callable
@@ -127,8 +130,7 @@ async def test_a_port_that_is_taken_is_said_once_and_served_when_it_is_free(
 async def test_clients_that_hang_or_leave_or_talk_nonsense_are_survived_in_silence(
     address: Listen, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert metrics_server._Handler.timeout == 1.0
-    monkeypatch.setattr(metrics_server._Handler, "timeout", 0.02)
+    monkeypatch.setattr(metrics_server, "_REQUEST_S", 0.2)
     async with serving(address):
         assert (await ask(address)).status == 200
         with (
@@ -141,6 +143,78 @@ async def test_clients_that_hang_or_leave_or_talk_nonsense_are_survived_in_silen
             socket.create_connection((address.host, address.port)).close()
             assert (await ask(address)).status == 200
     assert capfd.readouterr() == ("", "")
+
+
+async def test_idle_connections_keep_nobody_waiting(address: Listen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_server, "_REQUEST_S", 2 * DEADLINE_S)
+    async with serving(address):
+        assert (await ask(address)).status == 200
+        idle = [socket.create_connection((address.host, address.port)) for _ in range(metrics_server._TOGETHER - 1)]
+        assert (await ask(address)).status == 200
+        for connection in idle:
+            connection.close()
+
+
+async def test_who_sends_a_byte_now_and_then_is_cut_off(address: Listen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_server, "_REQUEST_S", 0.1)
+    monkeypatch.setattr(metrics_server, "_TOGETHER", 1)
+    async with serving(address):
+        assert (await ask(address)).status == 200
+        _, dripping = await asyncio.open_connection(address.host, address.port)
+
+        async def drip() -> None:
+            with contextlib.suppress(ConnectionError):
+                while True:
+                    dripping.write(b"G")
+                    await dripping.drain()
+                    await asyncio.sleep(0.01)
+
+        task = asyncio.create_task(drip())
+        assert (await ask(address)).status == 200
+        await task  # ends because it is cut off
+        dripping.close()
+
+
+async def test_connections_at_once_are_bounded(address: Listen, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics_server, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(metrics_server, "_REQUEST_S", 2 * DEADLINE_S)
+    monkeypatch.setattr(metrics_server, "_TOGETHER", 3)
+    stocks_taken = 0
+
+    def collect() -> Status:
+        nonlocal stocks_taken
+        stocks_taken += 1
+        return status_samples.status()
+
+    async with serving(address, collect):
+        assert (await ask(address)).status == 200
+        idle = [socket.create_connection((address.host, address.port)) for _ in range(6)]
+        while stocks_taken < 1 + 3:  # noqa: ASYNC110 - of another thread
+            await asyncio.sleep(0.001)
+        for _ in range(20):
+            await asyncio.sleep(0.001)
+        assert stocks_taken == 1 + 3
+        for connection in idle:
+            connection.close()
+        assert (await ask(address)).status == 200
+
+
+async def test_without_room_for_another_connection_it_is_said_and_tried_again(
+    address: Listen, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(metrics_server, "_AGAIN_S", 0.001)
+    loop = asyncio.get_running_loop()
+    accept, refusals = loop.sock_accept, iter(range(3))
+
+    async def sock_accept(listening: socket.socket) -> tuple[socket.socket, object]:
+        if next(refusals, None) is not None:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return await accept(listening)
+
+    monkeypatch.setattr(loop, "sock_accept", sock_accept)
+    async with serving(address):
+        assert (await ask(address)).status == 200
+    assert "Too many open files" in caplog.text
 
 
 async def test_the_port_is_free_afterwards(address: Listen) -> None:

@@ -2,18 +2,21 @@
 
 import fcntl
 import json
+import os
+import signal
 from pathlib import Path
 from random import Random
 
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
 
 from resonator_daemon import cli
 from resonator_daemon.acquisition import recording
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.acquisition.recording_file import Mark, Origin, open_recording
-from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent
+from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent, encode
 from resonator_daemon.plate import load_plate
 from resonator_daemon.repair import RepairError, repaired
 
@@ -88,6 +91,10 @@ def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEven
     for cut in (first, first + 1, len(whole) - 1, *Random(2).sample(range(first, len(whole)), 30)):
         path.write_bytes(whole[:cut])
         before = read(path)[0]
+        if not before:
+            with pytest.raises(RepairError, match="has no event that can be read; no copy is made"):
+                repaired(path, copy)
+            continue
         done = repaired(path, copy)
         assert read(copy) == (before, None)
         assert before == written[: done.events]
@@ -212,7 +219,117 @@ def test_a_disk_without_room_leaves_no_half_of_a_copy(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("resonator_daemon.repair.os.fsync", full)
+    monkeypatch.setattr("resonator_daemon.new_file.os.fsync", full)
     with pytest.raises(RepairError, match=r"copy\.mcap cannot be written: No space left on device"):
         repaired(path, tmp_path / "copy.mcap")
     assert not (tmp_path / "copy.mcap").exists()
+
+
+def raw_recording(path: Path, messages: list[tuple[str, bytes]], **texts: bytes) -> None:
+    """A file as somebody else may have made it: messages by topic, attachments by the stems of their names."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.LZ4)
+        writer.start("resonatord", "")
+        writer.add_metadata("recording", ORIGIN.metadata)
+        for name, text in texts.items():
+            writer.add_attachment(0, 0, f"{name}.toml", "application/toml", text)
+        channels = {topic: writer.register_channel(topic, "", 0) for topic in ("wire", "marks")}
+        for number, (topic, data) in enumerate(messages):
+            writer.add_message(channels[topic], 2 * number, data, number)
+        writer.finish()
+
+
+CLOSED = encode(Closed(HostTime(0, 0, 0)))
+
+
+def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, copy = tmp_path / "run.mcap", tmp_path / "copy.mcap"
+    messages = [("wire", CLOSED), ("wire", b"\xff" * 20), ("marks", b"null"), ("wire", CLOSED)]
+    raw_recording(path, messages, plate=b"a = 1", settings=b"\xff")
+    assert cli.main(["repair", str(path), "--output", str(copy)]) == 0
+    events, damage = read(copy)
+    assert damage is None
+    assert [type(event) for event in events] == [Closed, Skipped, Closed]
+    assert events[1] == Skipped(events[2].now, 1, 24)
+    said = capsys.readouterr().err
+    assert "run.mcap: 3 entries that cannot be read are left out; 1 events are missing; " in said
+    assert said.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
+    assert repaired(copy, tmp_path / "again.mcap").was_whole
+
+
+def test_without_any_event_there_is_no_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.mcap"
+    raw_recording(path, [("wire", b"?")])
+    assert cli.main(["repair", str(path)]) == 1
+    assert capsys.readouterr().err == f"resonatord: {path} has no event that can be read; no copy is made\n"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_damaged_chunk_and_a_damaged_index_cost_that_chunk_alone(
+    made: tuple[Path, list[WireEvent]], tmp_path: Path
+) -> None:
+    path, written = made
+    whole = path.read_bytes()
+    begin, size = chunks(path)[3]
+    channel = whole.rindex(b"wire")  # in the index: its channels come after everything else that names one
+    for place in (channel, channel - 8, channel - 6):  # topic, number of the channel, of its schema
+        bent = bytearray(whole)
+        bent[place] ^= 1
+        path.write_bytes(bent)
+        assert repaired(path, tmp_path / "copy.mcap").events == len(written)
+        bent[begin + size // 2] ^= 4
+        path.write_bytes(bent)
+        done = repaired(path, tmp_path / "copy.mcap")
+        assert (done.holes, done.events + done.events_missing) == (1, len(written))
+        assert done.events_missing < 7
+        (tmp_path / "copy.mcap").unlink()
+
+
+def test_an_index_with_a_wrong_check_sum_is_not_believed(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, _ = made
+    begin, _ = chunks(path)[0]  # which says what the channels are
+    bent = bytearray(path.read_bytes())
+    bent[bent.index(b"wire", begin)] ^= 4
+    bent[bent.rindex(b"wire") - 6] ^= 1
+    path.write_bytes(bent)
+    with pytest.raises(RepairError, match="has no event that can be read"):
+        repaired(path, tmp_path / "copy.mcap")
+
+
+def test_an_index_behind_a_chunk_costs_nothing(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
+    path, written = made
+    begin, size = chunks(path)[1]
+    bent = bytearray(path.read_bytes())
+    assert bent[begin + size] == 7  # a message index
+    bent[begin + size + 9 + 2 + 2] ^= 1  # the length of its array
+    path.write_bytes(bent)
+    assert read(path) == (written, None)
+    assert repaired(path, tmp_path / "copy.mcap").was_whole
+
+
+def test_a_repair_that_is_interrupted_leaves_nothing(
+    made: tuple[Path, list[WireEvent]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: int) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+        signal.pause()
+
+    path, _ = made
+    path.write_bytes(path.read_bytes()[:-1])
+    monkeypatch.setattr("resonator_daemon.new_file.os.fsync", interrupted)
+    assert cli.main(["repair", str(path)]) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: no copy is made\n"
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_what_a_file_says_does_not_steer_a_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "two\nlines.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("resonatord", "")
+        writer.add_metadata("recording", {**ORIGIN.metadata, "format": "\x1b[2J"})
+        writer.finish()
+    assert cli.main(["repair", str(path)]) == 1
+    said = capsys.readouterr().err
+    assert "two\ufffdlines.mcap has format \ufffd[2J, this version reads" in said
+    assert said.removesuffix("\n").isprintable()

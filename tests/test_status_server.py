@@ -159,6 +159,26 @@ async def test_a_file_in_the_way_is_left_alone_and_said_once(
         await until(lambda: listens(path))
 
 
+@pytest.mark.parametrize("target", ["nowhere", "other.sock"])
+async def test_a_link_in_the_sockets_place_is_left_alone_and_said(
+    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, target: str
+) -> None:
+    """The daemon makes none: what somebody has put there on purpose is theirs to remove."""
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
+    path.parent.mkdir()
+    path.symlink_to(tmp_path / target)
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(tmp_path / "other.sock"))
+        async with serving(path):
+            await until(lambda: bool(caplog.records))
+            assert f"{path} is in the way and no socket; remove it" in caplog.text
+            assert path.is_symlink()
+            assert not (tmp_path / "nowhere").exists()
+            path.unlink()
+            await until(lambda: path.exists() and listens(path))
+    assert (tmp_path / "other.sock").is_socket()
+
+
 async def test_those_who_hang_keep_nobody_waiting(path: Path) -> None:
     async with serving(path):
         await until(lambda: listens(path))

@@ -164,4 +164,4 @@ def test_what_no_terminal_can_write_is_printed_without(
     config = tmp_path / "operator.toml"
     config.write_text('name = "left"\n')
     assert tare_module.tare(config, as_json=False) == 0
-    assert capsysbinary.readouterr().out == b"a?b\n"
+    assert capsysbinary.readouterr().out == "a\N{REPLACEMENT CHARACTER}b\n".encode()

@@ -2,12 +2,15 @@
 
 import logging
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import Arrival, LinkChange, Outage
 
 log = logging.getLogger(__name__)
+
+STATES: Final = frozenset({"waiting", "starting", "online", "stalled", "lost", "refused"})
+"""All that is said of a link."""
 
 
 class StateStanding(NamedTuple):

@@ -1,17 +1,22 @@
 """Messages of an MCAP file in their order, without what reading it record by record would make of each."""
 
 import struct
+import zlib
 from collections.abc import Collection, Iterator
 from io import BytesIO
 from typing import Final
 
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import CRCValidationError, StreamReader
 
 _RECORD: Final = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; its data follow
+
+MAX_CHUNK_BYTES: Final = 16 << 20
+"""Of a chunk's records: those that are written have 256 KiB and what fills them, an event of 256 KiB or a message."""
 
 
 class ChunkReader(StreamReader):
@@ -49,9 +54,33 @@ def messages(records: Iterator[McapRecord], topics: Collection[str]) -> Iterator
             yield of_channel[record.channel_id], record
 
 
+def chunk_data(chunk: Chunk) -> bytes:
+    """Return the records of a chunk, never more than MAX_CHUNK_BYTES of them.
+
+    Raises
+    ------
+    ValueError, RuntimeError
+        It is compressed otherwise than recordings are, is larger, or is not what its check sum or its size say.
+    """
+    size_bytes = chunk.uncompressed_size
+    if size_bytes > MAX_CHUNK_BYTES:
+        raise ValueError(f"a chunk has {size_bytes} bytes, at most {MAX_CHUNK_BYTES} are read")
+    if chunk.compression == "lz4":
+        data: bytes = LZ4FrameDecompressor().decompress(chunk.data, max_length=size_bytes + 1)
+    elif not chunk.compression:
+        data = chunk.data
+    else:
+        raise ValueError(f"a chunk is compressed by {chunk.compression!r}, recordings are by lz4")
+    if len(data) != size_bytes:
+        raise ValueError(f"a chunk says that it has {size_bytes} bytes, and has others")
+    if chunk.uncompressed_crc and (crc := zlib.crc32(data)) != chunk.uncompressed_crc:
+        raise CRCValidationError(chunk.uncompressed_crc, crc, chunk)
+    return data
+
+
 def _of_chunk(chunk: Chunk, topics: Collection[str], of_channel: dict[int, str]) -> Iterator[tuple[str, Message]]:
-    stream, size_bytes = get_chunk_data_stream(chunk, validate_crc=True)
-    data = stream.read(size_bytes)
+    data = chunk_data(chunk)
+    size_bytes = len(data)
     end = 0
     while end < size_bytes:
         opcode, length = _RECORD.unpack_from(data, end)

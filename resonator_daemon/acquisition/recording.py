@@ -13,20 +13,18 @@ from resonator_daemon.acquisition.frames import BoardOnline
 from resonator_daemon.acquisition.host_time import HostTime, read_host_time
 from resonator_daemon.acquisition.recording_budget import Room, Say, Series, say_nothing
 from resonator_daemon.acquisition.recording_file import Mark, Origin
+from resonator_daemon.acquisition.recording_items import EVENT_BYTES, Item, State, size_bytes
 from resonator_daemon.acquisition.recording_writer import Published, RecordingWriter
 from resonator_daemon.acquisition.wire_events import Received, Sent, Skipped, Standing, WireEvent
 from resonator_daemon.errors import OperatorError
 
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
-_EVENT_BYTES = 300  # of memory, beside its data
-_STANDING_BYTES = 10_000  # most of it vertices of the clock's hulls
 _PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
 _BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
 FLUSH_S = 0.8  # with a batch, and what writing takes, less than the second that is promised
 _RETRY_S = 10.0
-
-_Item = WireEvent | Mark | BoardOnline | Published
+_NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
 
 
 class RecordingCounts(NamedTuple):
@@ -74,7 +72,7 @@ class Recorder:
         self._say = say
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
-        self._items: deque[_Item] = deque()
+        self._items: deque[Item] = deque()
         self._waiting_bytes = 0
         self._missing_events = self._missing_bytes = 0  # since the last event that fitted
         self._events = 0
@@ -84,6 +82,7 @@ class Recorder:
         self._closing = threading.Event()
         self._board: BoardOnline | None = None  # those of the thread: what each file begins with
         self._states: dict[str, Published] = {}
+        self._begun_utc_ns = 0  # of the last file, as its name says
         self._retry_s = 0.0
         self._syncing: list[threading.Thread] = []
         self._file: RecordingWriter | None = None
@@ -132,11 +131,11 @@ class Recorder:
 
     def put(self, event: WireEvent) -> None:
         """Have an event written; never waits. A `Standing` is written at the beginning of a file only."""
-        size_bytes = _size_bytes(event)
+        taken_bytes = size_bytes(event)
         with self._lock:
             if self._missing_events:
-                size_bytes += _EVENT_BYTES  # the word of them comes first
-            fits = self._waiting_bytes + size_bytes <= self._queue_bytes
+                taken_bytes += EVENT_BYTES  # the word of them comes first
+            fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
             if fits and (self._failure is None or self._resumes):
                 self._tell_missing(event.now)
                 self._append(event)
@@ -151,7 +150,7 @@ class Recorder:
     def mark(self, mark: Mark) -> bool:
         """Have written what somebody said at that time; return whether there is room for it. Never waits."""
         with self._lock:
-            fits = self._failure is None and self._waiting_bytes + _size_bytes(mark) <= self._queue_bytes
+            fits = self._failure is None and self._waiting_bytes + size_bytes(mark) <= self._queue_bytes
             if fits:
                 self._append(mark)
             return fits
@@ -172,7 +171,7 @@ class Recorder:
         """
         message = Published(topic_path, t_ns, payload, json_schema)
         with self._lock:
-            if self._waiting_bytes + _size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE:
+            if self._waiting_bytes + size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE:
                 self._append(message)
             else:
                 self._count(messages_missing=1)
@@ -180,7 +179,7 @@ class Recorder:
     def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
         """Like `put_message`, of a topic whose last message counts: the files that follow begin with it, too."""
         with self._lock:
-            self._append(_State(topic_path, t_ns, payload, json_schema))
+            self._append(State(topic_path, t_ns, payload, json_schema))
 
     def name_board(self, board: BoardOnline) -> None:
         """Have written which board it is, for whoever looks at the file."""
@@ -192,9 +191,9 @@ class Recorder:
         self._closing.set()
         self._thread.join()
 
-    def _append(self, item: _Item) -> None:
+    def _append(self, item: Item) -> None:
         self._items.append(item)
-        self._waiting_bytes += _size_bytes(item)
+        self._waiting_bytes += size_bytes(item)
 
     def _tell_missing(self, now: HostTime) -> None:
         if self._missing_events:
@@ -231,7 +230,7 @@ class Recorder:
         for thread in self._syncing:
             thread.join()
 
-    def _write(self, items: deque[_Item]) -> None:
+    def _write(self, items: deque[Item]) -> None:
         events = missing = messages = messages_missing = 0
         for item in items:
             written = self._write_one(item)
@@ -249,15 +248,15 @@ class Recorder:
         with self._lock:
             self._events += events
             self._count(events_missing=missing, messages=messages, messages_missing=messages_missing)
-            self._waiting_bytes -= sum(map(_size_bytes, items))
+            self._waiting_bytes -= sum(map(size_bytes, items))
 
-    def _write_one(self, item: _Item) -> bool:
+    def _write_one(self, item: Item) -> bool:
         """Write one item; return whether it is in a file."""
         try:
             match item:
                 case BoardOnline():
                     self._board = item
-                case _State():
+                case State():
                     self._states[item.topic] = item
                 case Standing():
                     self._turn_over(item)
@@ -300,6 +299,8 @@ class Recorder:
         if isinstance(self._place, Path):
             file = RecordingWriter(self._place, self._origin, utc_ns)
         else:
+            # Names tell what is oldest, also where the host's clock was set back.
+            utc_ns = self._begun_utc_ns = max(utc_ns, self._begun_utc_ns + _NAMES_APART_NS)
             if self._room is not None:
                 self._room.check(again=self._failure is not None)
                 self._room.begin()
@@ -319,6 +320,9 @@ class Recorder:
             return
         try:
             self._file.flush()
+            if self._file.is_gone:
+                self._leave()
+                return
             if self._room is not None:
                 self._room.keep_budget(self._file)
                 self._room.check(again=False)
@@ -328,6 +332,12 @@ class Recorder:
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
         self._take_stock()
+
+    def _leave(self) -> None:
+        """End a file that nobody will find; the next begins as soon as it can."""
+        self._end_file(wait=False)
+        self._fail(f"{self._path} was removed, moved or replaced")
+        self._retry_s = 0.0
 
     def _take_stock(self) -> None:
         with self._lock:
@@ -376,23 +386,3 @@ class Recorder:
         if first:
             again = "; it is tried again" if self._resumes else ""
             self._say(logging.WARNING, self._failure + again)
-
-
-class _State(Published):
-    """A message of a topic whose last one counts."""
-
-
-def _size_bytes(item: _Item) -> int:
-    match item:
-        case Received() | Sent():
-            return _EVENT_BYTES + len(item.data)
-        case Mark():
-            return _EVENT_BYTES + len(item.text)
-        case Published():
-            return _EVENT_BYTES + len(item.payload)
-        case Standing():
-            return _STANDING_BYTES
-        case BoardOnline():
-            return 0
-        case _:
-            return _EVENT_BYTES

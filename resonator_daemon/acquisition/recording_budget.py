@@ -5,6 +5,7 @@ import logging
 import os
 import re
 import shutil
+import stat
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -28,6 +29,9 @@ Say = Callable[[int, str], None]
 
 def say_nothing(_level: int, _text: str) -> None:
     """Take a line that nobody wants to read."""
+
+
+_Version = tuple[int, int, int]
 
 
 class NoRoomError(OperatorError):
@@ -82,7 +86,7 @@ class Series:
         """
         try:
             self.directory.mkdir(parents=True, exist_ok=True)
-            while (path := self.path(utc_ns)).exists():  # the host's clock was set back
+            while os.path.lexists(path := self.path(utc_ns)):  # of a time before the host's clock was set back
                 utc_ns += _MS_NS
         except OSError as error:
             raise OperatorError(f"{self.directory} cannot be made: {error.strerror}") from error
@@ -120,6 +124,7 @@ class Room:
         self._say = say
         self._others_bytes: int | None = None  # None: not counted yet
         self._told: set[Path] = set()
+        self._ours: dict[Path, tuple[_Version, bool]] = {}  # whether a file says that it is of this name
         self.files_removed = 0
 
     def check(self, *, again: bool) -> None:
@@ -167,9 +172,22 @@ class Room:
         self._others_bytes = total_bytes - own.size_bytes
 
     def _sizes(self, own: Path) -> Iterator[tuple[Path, int]]:
+        known, self._ours = self._ours, {}
         for path in self._series.files():
-            if path != own and path.is_file() and not path.is_symlink():
-                yield path, path.stat().st_size
+            if path == own:
+                continue
+            try:
+                info = path.lstat()
+                if not stat.S_ISREG(info.st_mode):
+                    continue
+                version = (info.st_ino, info.st_size, info.st_mtime_ns)
+                before = known.get(path)
+                ours = before[1] if before is not None and before[0] == version else self._is_ours(str(path))
+            except OSError:
+                continue  # gone meanwhile, or nobody's business
+            self._ours[path] = version, ours
+            if ours:
+                yield path, info.st_size
 
     def _remove(self, path: Path) -> bool:
         """Remove a recording of this name that nobody writes; return whether it was one, and is gone."""

@@ -82,6 +82,16 @@ class RecordingWriter:
         """What is written, without the chunk that is being filled."""
         return self._file.tell()
 
+    @property
+    def is_gone(self) -> bool:
+        """Whether nobody finds it under its name any more: it, or its directory, was removed, moved or replaced."""
+        mine = os.fstat(self._file.fileno())
+        try:
+            there = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            return True
+        return (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino)
+
     def write(self, event: WireEvent) -> None:
         now = event.now
         self._writer.add_message(self._wire, now.utc_ns, encode(event), now.monotonic_ns)

@@ -4,9 +4,10 @@ import json
 import struct
 from typing import NamedTuple
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from resonator_daemon.acquisition.host_time import HostTime
+from resonator_daemon.acquisition.link_state import STATES
 from resonator_daemon.acquisition.standing import CourseStanding
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
@@ -143,6 +144,7 @@ _KINDS: tuple[type[WireEvent], ...] = (
     Locate,
     Steered,
 )
+_TOLD = 60  # of what cannot be read
 _STANDING = TypeAdapter(CourseStanding)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
@@ -161,7 +163,7 @@ def encode(event: WireEvent) -> bytes:
             text = json.dumps(_STANDING.dump_python(event.course, mode="json"), ensure_ascii=False)
             return head + text.encode(errors="replace")  # reasons may name paths that are no text
         case Said() | Lost() | Refused() | Skipped() | Steered():
-            return head + json.dumps(event[1:]).encode()
+            return head + json.dumps(event[1:], ensure_ascii=False).encode(errors="replace")
 
 
 def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
@@ -187,16 +189,35 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
     if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed or kind is Locate:
         return kind(now)
     if kind is Standing:
-        return Standing(now, _STANDING.validate_json(body))
+        return Standing(now, _standing(body))
     match kind, json.loads(body):
-        case (_, [str() as state, str() as reason]) if kind is Said:
-            return Said(now, state, reason)
+        case (_, [str() as state, str() as reason]) if kind is Said and state in STATES:
+            return Said(now, state, _text(reason))
         case (_, [str() as reason]) if kind is Lost:
-            return Lost(now, reason)
+            return Lost(now, _text(reason))
         case (_, [list() as problems, bool() as other_protocol]) if kind is Refused:
-            return Refused(now, tuple(str(problem) for problem in problems), other_protocol)
+            return Refused(now, tuple(_text(str(problem)) for problem in problems), other_protocol)
         case (_, [str() as key, str() as order]) if kind is Steered:
-            return Steered(now, key, order)
-        case (_, [int() as events, int() as size_bytes]) if kind is Skipped:
+            return Steered(now, _text(key), _text(order))
+        case (_, [int() as events, int() as size_bytes]) if kind is Skipped and _counts(events, size_bytes):
             return Skipped(now, events, size_bytes)
-    raise ValueError(f"{kind.__name__} cannot be read from {body!r}")
+    raise ValueError(f"{kind.__name__} cannot be read from {body[:_TOLD]!r}")
+
+
+def _standing(body: bytes) -> CourseStanding:
+    try:
+        standing = _STANDING.validate_json(body)
+    except ValidationError as error:
+        raise ValueError(f"Standing cannot be read: {error.errors()[0]['msg']}") from error
+    if standing.state.state not in ("", *STATES):
+        raise ValueError(f"{standing.state.state[:_TOLD]!r} is no state of a link")
+    return standing
+
+
+def _text(text: str) -> str:
+    text.encode()  # a ValueError of half a pair of surrogates, which JSON can hold and nothing else
+    return text
+
+
+def _counts(*numbers: int) -> bool:
+    return all(0 <= number < 2**63 for number in numbers)

@@ -6,7 +6,7 @@ import logging
 import socket
 import threading
 from collections.abc import Awaitable, Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 
 import aiomqtt
 
@@ -36,6 +36,7 @@ log = logging.getLogger(__name__)
 _library_log = logging.getLogger(f"{__name__}.aiomqtt")
 _library_log.setLevel(logging.CRITICAL)  # it logs each failure where it happens; here it is once per change
 
+_Result = TypeVar("_Result")
 OnPublished = Callable[[int, object, bool], None]
 OnMessage = Callable[[Incoming], None]
 OnDenied = Callable[[str, str], None]
@@ -193,7 +194,17 @@ class BrokerClient(aiomqtt.Client):
         except OSError as error:
             raise refusals.of_opening(error, self._broker) from None
 
+    async def _wait_for(self, fut: Awaitable[_Result], timeout: float | None) -> _Result:  # noqa: ASYNC109 - theirs
+        try:
+            return await super()._wait_for(fut, timeout)
+        except aiomqtt.MqttError:
+            if fut is self._connected and self._connected.cancelled():
+                raise aiomqtt.MqttError(refusals.SILENT) from None
+            raise
+
     def _on_disconnect(self, client: Any, userdata: Any, flags: Any, reason: Any, properties: Any = None) -> None:
+        if self._connected.cancelled():  # the broker's word came too late, or nobody waits for it any more
+            return
         if not self._connected.done():  # else the library would wait for an answer that cannot come
             self._connected.set_exception(refusals.of_silent_end(reason.value, self.version, self._broker))
         super()._on_disconnect(client, userdata, flags, reason, properties)

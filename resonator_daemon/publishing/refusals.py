@@ -11,6 +11,7 @@ from resonator_daemon.broker_files import UnusableFileError
 from resonator_daemon.mqtt_settings import Mqtt
 
 UNSUPPORTED_VERSION: Final = 132
+SILENT: Final = "it accepts connections and does not answer as an MQTT broker; see mqtt.url"
 
 _PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
 _REFUSED_CLIENTS: Final = (134, 135, 138)  # bad name or password, not authorized, banned

@@ -1,7 +1,9 @@
 import io
 import struct
+import tracemalloc
 import zlib
 
+import lz4.frame
 import pytest
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -9,7 +11,7 @@ from mcap.records import Chunk, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.acquisition.mcap_messages import ChunkReader, messages
+from resonator_daemon.acquisition.mcap_messages import MAX_CHUNK_BYTES, ChunkReader, chunk_data, messages
 
 TOPICS = ("wanted", "second")
 
@@ -73,3 +75,31 @@ def test_a_record_that_is_not_whole_in_its_chunk_is_damage(cut):
     chunk = Chunk("", data, 0, 0, zlib.crc32(data), len(data))
     with pytest.raises((ValueError, struct.error)):
         list(messages(iter([chunk]), TOPICS))
+
+
+@pytest.mark.parametrize("declared_bytes", [1000, MAX_CHUNK_BYTES, 8 * MAX_CHUNK_BYTES])
+def test_a_chunk_that_expands_without_end_is_damage_and_takes_no_memory(declared_bytes):
+    bomb = lz4.frame.compress(bytes(8 * MAX_CHUNK_BYTES))
+    assert len(bomb) < MAX_CHUNK_BYTES // 10
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=r"a chunk (has|says that it has) \d+ bytes"):
+            chunk_data(Chunk("lz4", bomb, 0, 0, 0, declared_bytes))
+        assert tracemalloc.get_traced_memory()[1] < 3 * MAX_CHUNK_BYTES
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("compression", ["zstd", "br\x1b[31motli"])
+def test_a_compression_that_recordings_have_not_is_damage(compression):
+    with pytest.raises(ValueError, match=r"a chunk is compressed by .*, recordings are by lz4") as caught:
+        chunk_data(Chunk(compression, b"garbage", 0, 0, 0, 7))
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize(("compression", "data"), [("lz4", lz4.frame.compress(b"12345")), ("", b"12345")])
+def test_a_chunk_has_the_size_that_it_says(compression, data):
+    assert chunk_data(Chunk(compression, data, 0, 0, 0, 5)) == b"12345"
+    for other_bytes in (4, 6):
+        with pytest.raises(ValueError, match=f"says that it has {other_bytes} bytes"):
+            chunk_data(Chunk(compression, data, 0, 0, 0, other_bytes))

@@ -47,7 +47,7 @@ from resonator_daemon.plate import load_plate
 
 EVENTS: list[WireEvent] = [
     Said(at(0), "starting", "the link is being opened"),
-    Said(at(1), "waiting", "/dev/tty\udcff: no such file — yet"),
+    Said(at(1), "waiting", "/dev/ttyÿ: no such file — yet"),
     Opened(at(2)),
     Sent(at(3), b"\x01\0"),
     Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),

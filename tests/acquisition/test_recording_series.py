@@ -15,6 +15,7 @@ import pytest
 from recording_bench import PLATE, at, read, record, standing
 
 from resonator_daemon.acquisition import recording, recording_budget, recording_writer
+from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.acquisition.recording_budget import NoRoomError, Room, Series
 from resonator_daemon.acquisition.recording_file import Origin, open_recording
@@ -173,16 +174,16 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
     notes = tmp_path / "left-notes.mcap"
     notes.write_bytes(bytes(20_000))
     (tmp_path / "left-20200101T000000.000Z.mcap").symlink_to(other)
-    room = Room(Series(tmp_path, "left", budget_bytes=75_000), lambda *line: said.append(line))
+    room = Room(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     room.keep_budget(own)
-    assert [path.exists() for path in old] == [False, False, True, True]  # 20 kB are foreign and cannot go
+    assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
     assert other.exists()
     assert foreign.exists()
     assert notes.exists()
     assert own.path.exists()
     assert room.files_removed == 2
-    assert said == [(logging.INFO, f"{path} was removed: recordings exceeded 0.075 MB") for path in old[:2]]
+    assert said == [(logging.INFO, f"{path} was removed: recordings exceeded 0.055 MB") for path in old[:2]]
     own.abandon()
 
 
@@ -370,3 +371,56 @@ def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, m
         recorder.put(standing(at(1)))
     assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
     assert len(Series(tmp_path, "left").files()) == 1
+
+
+@pytest.mark.parametrize("how", ["removed", "moved", "replaced"])
+def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_path: Path, how: str) -> None:
+    said: list[tuple[int, str]] = []
+    directory = tmp_path / "recordings"
+    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        first = recorder.path
+        if how == "removed":
+            shutil.rmtree(directory)
+        else:
+            directory.rename(tmp_path / "elsewhere")
+        if how == "replaced":
+            directory.mkdir()
+            first.write_bytes(b"theirs")
+        wait_until(lambda: recorder.failure is not None)
+        recorder.put(standing(at(1)))
+        wait_until(lambda: recorder.failure is None)
+        second = recorder.path
+        recorder.put(Opened(at(2)))
+    assert read(second) == ([standing(at(1)), Opened(at(2))], None)
+    if how == "moved":
+        assert read(tmp_path / "elsewhere" / first.name) == ([standing(at(0))], None)
+    if how == "replaced":
+        assert first.read_bytes() == b"theirs"
+    gone = (
+        f"{first} was removed, moved or replaced: nothing more is recorded; what was written stays; it is tried again"
+    )
+    assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
+
+
+def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None:
+    back_ns = at(0).utc_less_monotonic_ns - 10**15
+    begun = [at(0), HostTime(2 * 10**9, back_ns, 0), HostTime(3 * 10**9, back_ns, 0)]
+    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
+        for now in begun:
+            recorder.put(standing(now))
+    assert [events[0].now for events in contents(tmp_path)] == begun
+
+
+def test_between_tries_there_is_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 3600.0)
+    blocked = tmp_path / "disk"
+    blocked.touch()
+    with Recorder(Series(blocked, "left", resumes=True), LEFT) as recorder:
+        blocked.unlink()
+        recorder.put(standing(at(1)))
+        recorder.put(Received(at(1), b"x"))
+        wait_until(lambda: recorder.skipped_events == 1)
+        assert recorder.failure is not None
+    assert not blocked.exists()

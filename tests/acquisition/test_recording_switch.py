@@ -31,8 +31,9 @@ from resonator_daemon.acquisition.wire_events import Closed, Opened, Received, S
 from resonator_daemon.config import LinkTarget, SerialLink, parse_link
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.plate import Plate, load_plate
-from simulators.emulator import EmulatorOptions
+from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
+from simulators.faults.script import Script
 
 SKIN = load_plate("skin32")
 SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
@@ -155,17 +156,24 @@ def test_recordings_follow_each_other_and_each_stands_by_itself(tmp_path: Path) 
         assert switch.current is None
     one, two = (frames(check_replay(it.arrivals, path)) for path in paths)
     assert one[0].index == 0
-    assert one[-1].index + 300 < two[0].index
+    assert one[-1].index < two[0].index
 
 
-@pytest.mark.parametrize("fault", ["unplug_at_s=1.2,unplug_for_s=0.3", "reboot_at_s=1.2"])
+def have_happen(emulator: Emulator, fault: str) -> None:
+    """Have something happen to the board now, whatever time it is on a busy computer."""
+    now_s = emulator._elapsed_s(emulator._now_ticks())
+    emulator._script = Script(parse_faults(f"{fault}_at_s={now_s:.3f}"), seed=1)
+
+
+@pytest.mark.parametrize("fault", ["unplug_for_s=0.3,unplug", "reboot"])
 def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> None:
-    options, link = pseudo_terminal(tmp_path / "board", fault)
+    options, link = pseudo_terminal(tmp_path / "board")
     path = tmp_path / "run.mcap"
-    with emulated(options), listening(link) as (it, switch):
+    with emulated(options) as emulator, listening(link) as (it, switch):
         it.wait_for_frames(500)
         switch.start(path, Origin(PLATE, str(link)))
         began_with = frames(it.arrivals)[-1].index
+        have_happen(emulator, fault)
         it.wait_for(lambda arrivals: any(gap.first_index > began_with for gap in gaps(arrivals)))
         wait_for_frames(it, 300)
         switch.stop()

@@ -21,10 +21,11 @@ from resonator_daemon.acquisition.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import Origin
+from resonator_daemon.acquisition.recording_file import Origin, open_recording
 from resonator_daemon.acquisition.replay import Pace
 from resonator_daemon.acquisition.wire_events import (
     Closed,
+    Goodbye,
     Lost,
     Opened,
     Overrun,
@@ -37,11 +38,13 @@ from resonator_daemon.acquisition.wire_events import (
     WireEvent,
 )
 from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, parse_link
+from resonator_daemon.config_text import load_plate_text
 from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
 SKIN = load_plate("skin32")
+CORPUS = Path(__file__).parents[1] / "corpus"
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
 
 
@@ -208,6 +211,19 @@ def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent
     assert differences == 1
     assert f"the recording {path.name} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
     assert said in last_reason(arrivals)
+
+
+def test_an_order_of_events_that_no_daemon_has_is_a_difference(tmp_path: Path) -> None:
+    with open_recording(str(CORPUS / "touches" / "recording.mcap")) as recording:
+        plate = load_plate_text(recording.plate_text or "", Path("plate.toml"))
+        events = list(recording.events())
+    place = next(i for i, event in enumerate(events) if isinstance(event, Received) and len(event.data) > 100)
+    bent = [*events[:place], Goodbye(events[place].now), *events[place:]]
+    path = tmp_path / "run.mcap"
+    record(path, bent, plate)
+    arrivals, _, differences = replayed(path, plate)
+    assert differences > 0
+    assert f"replay differs from it in {differences} places, first " in last_reason(arrivals)
 
 
 def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:

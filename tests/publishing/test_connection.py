@@ -12,7 +12,9 @@ import pytest
 from brokers import Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
 
+from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import connection, topics
+from resonator_daemon.publishing.connection import BrokerClient
 
 
 @pytest.fixture
@@ -134,7 +136,9 @@ async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog:
     async with scripted_broker() as (url, script), publishing(url) as left:
         script.mute = True
         await until(lambda: len(script.connections) > 2)
-        assert said(caplog) == ["Operation timed out; trying again"]
+        assert said(caplog) == [
+            "it accepts connections and does not answer as an MQTT broker; see mqtt.url; trying again"
+        ]
         script.mute = False
         await until(lambda: left.connected)
 
@@ -144,6 +148,27 @@ async def test_closing_while_a_broker_does_not_answer_takes_no_time() -> None:
         script.mute = True
         async with asyncio.timeout(1), publishing(url):
             await until(lambda: bool(script.connections))
+
+
+async def test_an_attempt_that_is_cancelled_ends_in_silence(caplog: pytest.LogCaptureFixture) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        closing = asyncio.get_running_loop().create_future()
+        client = BrokerClient(Mqtt(url=f"mqtt://127.0.0.1:{silent.getsockname()[1]}"), aiomqtt.ProtocolVersion.V5)
+        opening = asyncio.create_task(connection._open(client, closing))
+        taken, _ = await asyncio.to_thread(silent.accept)
+        with taken:
+            assert await asyncio.to_thread(taken.recv, 1)
+            for _ in range(20):  # until it waits for the broker's word
+                await asyncio.sleep(0.001)
+            closing.set_result(None)
+            assert await opening is None
+            attempts = asyncio.all_tasks() - {asyncio.current_task()}
+            assert attempts
+            for attempt in attempts:
+                attempt.cancel()  # as at the end of the program
+            await asyncio.wait(attempts)
+            await asyncio.sleep(0)  # what is done upon their end
+    assert caplog.records == []
 
 
 async def test_the_reason_that_the_broker_gives_for_ending_the_connection(caplog: pytest.LogCaptureFixture) -> None:

@@ -1,0 +1,74 @@
+"""What a TOML text may hold at most: the parser takes time by the square of what is joined by dots, and minutes."""
+
+import re
+from typing import Final, NamedTuple
+
+# The largest plate, of 46 872 tones at as many sites, has 235 000 keys, 660 000 other values, 140 000 names in headers.
+MAX_DEPTH: Final = 8  # keys of configurations and plates have 4 at most
+MAX_KEYS: Final = 300_000
+MAX_VALUES: Final = 1_000_000
+MAX_LINES: Final = 1_000_000
+MAX_NAMES: Final = 150_000
+
+LONGEST_WORD: Final = 1000  # a bare name or a number: the parser takes 100 bytes for each of its digits
+
+_SHOWN: Final = 40
+_NAME: Final = r"""(?:[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\[^\n])*+"|'[^'\n]*+')"""
+_JOINED: Final = rf"{_NAME}(?:[ \t]*+\.[ \t]*+{_NAME})"
+_NUMBER: Final = r"[0-9+-][0-9_]*+(?:\.[0-9eE_+-]*+)?"
+_TOKEN: Final = re.compile(
+    rf"""
+      "{{3}} (?: [^"\\] | \\. | "(?!"") )*+ "{{0,5}}  # text of several lines, which two more quotes may end
+    | '{{3}} (?: [^'] | '(?!'') )*+ '{{0,5}}
+    | \#[^\n]*+
+    | (?P<header> ^[ \t]*+ \[\[?+ [ \t]*+ (?! {_NUMBER}[ \t]*+[,\r\n\#] ) (?: {_JOINED}++ | {_NAME} ) )
+    | (?P<word> (?<![A-Za-z0-9_+-]) [A-Za-z0-9_+-]{{{LONGEST_WORD + 1}}} )
+    | (?P<dotted> (?<![A-Za-z0-9_.+-]) (?! {_NUMBER}[ \t]*+[],\r\n\#}}] ) {_JOINED}++ )
+    | "(?:[^"\\\n]|\\[^\n])*+"?
+    | '[^'\n]*+'?
+    """,
+    re.DOTALL | re.MULTILINE | re.VERBOSE,
+)
+_PART: Final = re.compile(_NAME)
+
+
+class Excess(NamedTuple):
+    """What is more than a TOML text may hold."""
+
+    line: int | None  # where it is in one place
+    sentence: str  # with the remedy
+
+
+def excess(text: str) -> Excess | None:
+    """Return the first thing that is too much for the parser; takes a tenth of the parser's time.
+
+    Signs in comments and texts count, too, where only their number is looked at.
+    """
+    for what, count, limit in (
+        ("lines", text.count("\n"), MAX_LINES),
+        ("keys", text.count("="), MAX_KEYS),
+        ("values", sum(text.count(sign) for sign in ",[{"), MAX_VALUES),
+    ):
+        if count > limit:
+            return Excess(None, f"about {count} {what}, and {limit} are read at most; name a file of settings")
+    names = 0
+    for token in _TOKEN.finditer(text):
+        if token.lastgroup is None:
+            continue
+        depth = len(_PART.findall(token[0]))
+        names += depth
+        if token.lastgroup == "word":
+            sentence = f"{_shown(token[0])}: {LONGEST_WORD} signs of a name or number are read at most; correct it"
+        elif depth > MAX_DEPTH:
+            sentence = f"{_shown(token[0])}: {depth} names joined by dots, and {MAX_DEPTH} are read at most; correct it"
+        elif names > MAX_NAMES:
+            sentence = f"more than {MAX_NAMES} names in [headers] and dotted keys up to here; name a file of settings"
+        else:
+            continue
+        return Excess(text.count("\n", 0, token.start()) + 1, sentence)
+    return None
+
+
+def _shown(token: str) -> str:
+    start = token.strip()[:_SHOWN]
+    return f"{start if start.isprintable() else ascii(start)}..."
