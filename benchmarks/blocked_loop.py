@@ -17,7 +17,7 @@ from emulated_board import emulated_board
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import RING_BYTES
 from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
-from resonator_daemon.config import load_config
+from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.service import Service
 
 
@@ -70,7 +70,7 @@ async def blocked(plate: str, link: str, folder: Path, seconds: float) -> tuple[
         f'name = "bench"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "mqtt://127.0.0.1:{port}"\n'
         '[decoding]\nmethod = "off"\n'
     )
-    service = _Watched(load_config(config))
+    service = _Watched(ConfigStore(config, config.parent / "last-good"))
     service.watch()
     task = asyncio.create_task(service.run())
     await service.reaches(100)

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from resonator_daemon.acquisition.frames import Arrival, Outage, SingleToneFrame
-from resonator_daemon.config import load_config
+from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.service import Service
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import FaultEvent, FaultPlan
@@ -111,7 +111,7 @@ async def _hang_up(times: int, folder: Path, random: np.random.Generator) -> Res
         f'[mqtt]\nurl = "mqtt://127.0.0.1:{port}"\n'
     )
     board = threading.Thread(target=emulator.run, name="emulator")
-    service = _Watched(load_config(config))
+    service = _Watched(ConfigStore(config, folder / "last-good"))
     service.watch()
     board.start()
     task = asyncio.create_task(service.run(), name="service")

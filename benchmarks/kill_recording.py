@@ -81,6 +81,9 @@ def _judge(path: Path, killed_ns: int, result: Result) -> None:
     try:
         with open_recording(str(path), load_plate("quartz16")) as opened:
             events = list(opened.events())
+        if not events:  # killed before its first flush
+            result.empty += 1
+            return
         done = repaired(path, copy)
         with open_recording(str(copy)) as opened:
             again = list(opened.events())
@@ -93,9 +96,6 @@ def _judge(path: Path, killed_ns: int, result: Result) -> None:
         copy.unlink(missing_ok=True)
     result.events += len(events)
     result.cut_bytes += done.cut_bytes
-    if not events:
-        result.empty += 1
-        return
     lost_s = (killed_ns - events[-1].now.monotonic_ns) * 1e-9
     result.lost_s.append(lost_s)
     if lost_s > LOSS_AT_MOST_S:

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from resonator_daemon import config
+from resonator_daemon import config_tables
 from resonator_daemon.publishing.payloads import WITH_ARRAYS
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, obeyed
@@ -68,7 +68,7 @@ def test_each_verb_answers_with_its_name() -> None:
 
 
 def test_the_configuration_allows_just_those_that_change_something() -> None:
-    assert set(get_args(config.Verb)) == {verb.name for verb in VERBS.values() if verb.changes}
+    assert set(get_args(config_tables.Verb)) == {verb.name for verb in VERBS.values() if verb.changes}
 
 
 def test_what_changes_nothing_is_always_obeyed() -> None:
