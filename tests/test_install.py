@@ -25,6 +25,15 @@ PLACES = {
 UNIT = "etc/systemd/system/resonatord@.service"
 
 
+HIDDEN = module._HIDDEN
+
+
+@pytest.fixture(autouse=True)
+def _seen_by_services(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wherever this checkout is."""
+    monkeypatch.setattr(module, "_HIDDEN", ())
+
+
 def files_in(prefix: Path) -> set[str]:
     return {str(path.relative_to(prefix)) for path in prefix.rglob("*") if path.is_file()}
 
@@ -142,6 +151,7 @@ def test_a_target_that_takes_no_files(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_program_that_services_cannot_see(
     directory: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(module, "_HIDDEN", HIDDEN)
     monkeypatch.setattr(os.path, "realpath", lambda path: f"{directory}/user/venv/bin/resonatord")
     monkeypatch.setattr(module, "_may_run_commands", lambda *_: pytest.fail("nothing is installed from there"))
     said = f"is below {directory}, which services do not see; install it elsewhere: python3 -m venv /opt/"
@@ -155,6 +165,7 @@ def test_a_program_that_services_cannot_see(
 def test_a_program_that_services_cannot_see_may_look_and_prepare(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    monkeypatch.setattr(module, "_HIDDEN", HIDDEN)
     monkeypatch.setattr(os.path, "realpath", lambda path: "/root/venv/bin/resonatord")
     assert main(["install", "--prefix", str(tmp_path), "--dry-run", "--json"]) == ExitCode.DONE
     assert "is below /root, which services do not see" in json.loads(capsys.readouterr().out)["warning"]

@@ -57,8 +57,8 @@ async def ask(address: Listen, **options: str) -> http.client.HTTPResponse:
     while True:
         try:
             return await asyncio.to_thread(request, address, **options)
-        except ConnectionRefusedError:
-            await asyncio.sleep(0.001)  # it is not up yet
+        except (ConnectionRefusedError, ConnectionResetError):
+            await asyncio.sleep(0.001)  # it is not up yet, or is just going down to come again
 
 
 async def test_prometheus_gets_its_text(address: Listen) -> None:

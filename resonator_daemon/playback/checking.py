@@ -11,9 +11,18 @@ from typing import Any, Final
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.playback.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
-from resonator_daemon.playback.comparing import ABSENT, Difference, Scales, payload_differences, summary_differences
+from resonator_daemon.playback.comparing import (
+    ABSENT,
+    DECODED_TOLERANCE,
+    TOLERANCE,
+    Difference,
+    Scales,
+    payload_differences,
+    summary_differences,
+)
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.printable import printable
+from resonator_daemon.publishing.topics import DECODED
 
 _TOLD: Final = 5  # differences of a case; the rest is counted
 _VALUE_LENGTH: Final = 60
@@ -99,7 +108,8 @@ def check_case(directory: Path, expected: Expected) -> Verdict:
 
 
 def _findings(expected: Expected, outcome: Outcome) -> list[Finding]:
-    scales = Scales()
+    decoded = any(message.topic == DECODED.path for message in expected.messages)
+    scales = Scales(DECODED_TOLERANCE if decoded else TOLERANCE)
     for message in expected.messages:
         scales.take(message.topic, message.payload)
     got = {(said.topic, said.number): said for said in outcome.kept}

@@ -5,6 +5,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 TOLERANCE: Final = 1e-6  # of the largest value that its field has in the case
+# What is decoded is worked out in single precision, and rounds otherwise where arrays lie otherwise in memory.
+DECODED_TOLERANCE: Final = 1e-3
 
 
 class Difference(NamedTuple):
@@ -23,7 +25,8 @@ _NOT_COMPARED: Final = {"info": ("daemon_version",)}  # of another version the s
 class Scales:
     """The largest magnitude of each field of floats, over all messages of a topic; elements of a list are one field."""
 
-    def __init__(self) -> None:
+    def __init__(self, tolerance: float = TOLERANCE) -> None:
+        self._tolerance = tolerance
         self._largest: dict[str, float] = {}
 
     def take(self, topic: str, payload: Any) -> None:
@@ -31,7 +34,7 @@ class Scales:
             self._largest[field] = max(self._largest.get(field, 0.0), abs(value))
 
     def tolerance(self, field: str) -> float:
-        return TOLERANCE * self._largest.get(field, 0.0)
+        return self._tolerance * self._largest.get(field, 0.0)
 
 
 def payload_differences(topic: str, expected: Any, got: Any, scales: Scales) -> Iterator[Difference]:
