@@ -52,7 +52,7 @@ KNOWN: Final[tuple[tuple[str, tuple[Cause, ...]], ...]] = (
     (r"WARNING link stalled: the port is open and no frame comes", _HARD),
     (r"WARNING link lost: unplugged \(.*", (Cause.GONE, Cause.OTHER_BOARD)),
     (r"WARNING link waiting: \S+ went away while it was opened .*", (Cause.GONE, Cause.OTHER_BOARD)),
-    (r"WARNING link waiting: no board answers.*", _HARD),
+    (r"WARNING link (waiting|stalled): no board answers.*", _HARD),
     (r"WARNING link refused: another board is on this link: .*", (Cause.OTHER_BOARD,)),
     (r"WARNING link lost: the board started anew, switched on", (Cause.GONE, Cause.OTHER_BOARD)),
     (r"WARNING link lost: the board started anew(, by its software)?", (Cause.REBOOT, Cause.BROWN_OUT)),
