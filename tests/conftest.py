@@ -1,5 +1,6 @@
 """What all tests share: a cache and a spool of their own, and brokers."""
 
+import logging
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
@@ -28,6 +29,26 @@ def _no_runtime_at_home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: p
     """Sockets of daemons go to a directory of each test's own, with a short name: their paths take 107 bytes."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+
+
+@pytest.fixture(autouse=True)
+def _logging_as_before() -> Iterator[None]:
+    """The level a verb sets for its process ends with the test; what loggers are set to otherwise stays as it was."""
+    root = logging.getLogger()
+    level, before = root.level, _own_loggers()
+    yield
+    root.setLevel(level)
+    after = _own_loggers()
+    assert {name: after[name] for name in before} == before
+
+
+def _own_loggers() -> dict[str, tuple[object, ...]]:
+    loggers = [log for log in logging.Logger.manager.loggerDict.values() if isinstance(log, logging.Logger)]
+    return {
+        log.name: (log.level, log.propagate, log.disabled, tuple(log.handlers))
+        for log in loggers
+        if log.name.startswith("resonator_daemon")
+    }
 
 
 @pytest.fixture

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import logging
 import secrets
 import socket
 import statistics
@@ -14,7 +13,7 @@ import aiomqtt
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.load import Load
-from resonator_daemon.publishing import connection, refusals
+from resonator_daemon.publishing import refusals
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import full_topic
@@ -134,22 +133,17 @@ def _delay_acknowledgements(client: BrokerClient) -> None:
         descriptor.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
-class _LastWord(logging.Handler):
-    """Keeps what the connection says of itself, in the place of the log."""
-
-    text = "no answer"
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.text = record.getMessage()
-
-
 async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
     probe, closing = _Probe(broker), asyncio.get_running_loop().create_future()
-    word = _LastWord()
-    propagate, connection.log.propagate = connection.log.propagate, False
-    connection.log.addHandler(word)
+    said = ["no answer"]
     keeping = asyncio.create_task(
-        keep_connected(broker, lambda version: probe.make_client(broker, version), probe.serve, closing)
+        keep_connected(
+            broker,
+            lambda version: probe.make_client(broker, version),
+            probe.serve,
+            closing,
+            tell=lambda _, text: said.append(text),
+        )
     )
     try:
         async with asyncio.timeout(_ACCEPT_S):
@@ -161,9 +155,7 @@ async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
     finally:
         closing.set_result(None)
         await keeping
-        connection.log.removeHandler(word)
-        connection.log.propagate = propagate
-    return list(_told(probe, word.text, load.busy()))
+    return list(_told(probe, said[-1], load.busy()))
 
 
 def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:

@@ -262,16 +262,23 @@ class BrokerClient(aiomqtt.Client):
             self._tell_message(Incoming(message.topic, message.payload, message.retain, response_topic, correlation))
 
 
+def _log_line(level: int, text: str) -> None:
+    log.log(level, "%s", text)
+
+
 async def keep_connected(
     broker: Mqtt,
     make_client: Callable[[aiomqtt.ProtocolVersion], BrokerClient],
     serve: Callable[[BrokerClient], Awaitable[None]],
     closing: asyncio.Future[None],
+    *,
+    tell: Callable[[int, str], None] = _log_line,
 ) -> None:
     """Connect, serve until the connection is lost, and again with a fresh client, until `closing` is done.
 
     `serve` is cancelled when the connection is over; it raises MqttError to give the connection up. Only with
-    `closing` the client takes its leave; in every other case the broker publishes its last will.
+    `closing` the client takes its leave; in every other case the broker publishes its last will. `tell(level, text)`
+    is called as the connection changes, once per change.
     """
     loop = asyncio.get_running_loop()
     pauses = Backoff(FIRST_PAUSE_S)
@@ -281,7 +288,7 @@ async def keep_connected(
     def say(level: int, text: str) -> None:
         nonlocal said
         if text != said:
-            log.log(level, "broker %s:%d: %s", broker.host, broker.port, text)
+            tell(level, f"broker {broker.host}:{broker.port}: {text}")
         said = text
 
     attempts = 0

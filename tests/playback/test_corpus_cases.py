@@ -187,7 +187,11 @@ def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> 
     assert "is no recording" in str(verdict.first[0].difference.got)
 
 
-@pytest.mark.parametrize("content", [b"", b"nothing", gzip.compress(b""), gzip.compress(b"[]\n"), None])
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"nothing", gzip.compress(b""), gzip.compress(b"[]\n"), None],
+    ids=["empty", "no gzip", "no line", "no header", "no file"],  # the bytes of gzip tell the time
+)
 def test_what_is_no_case_is_said(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / EXPECTED_FILE).write_bytes(content)
