@@ -49,11 +49,13 @@ class Bench:
         name: str | None = "hand",
         decoding: str = 'method = "fourier"',
         allow: tuple[str, ...] = (),
+        measurement: tuple[str, ...] = (),
     ) -> Service:
         config = self.folder / "board.toml"
         lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
         lines += [f'name = "{name}"'] if name else []
         lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
+        lines += ["[measurement]", *measurement]
         lines += ["[commands]", f"allow = {json.dumps(allow)}"]
         config.write_text("\n".join(lines) + "\n")
         return Service(ConfigStore(config, self.folder / "last-good"))
