@@ -17,8 +17,8 @@ from emulated_board import emulated_board
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import RING_BYTES
 from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
-from resonator_daemon.config_store import ConfigStore
-from resonator_daemon.service import Service
+from resonator_daemon.service.config_store import ConfigStore
+from resonator_daemon.service.daemon import Service
 
 
 @dataclass

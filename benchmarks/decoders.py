@@ -34,7 +34,7 @@ from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
-from resonator_daemon.surface_reports import SurfaceReporter
+from resonator_daemon.reporting.surface_reports import SurfaceReporter
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
 

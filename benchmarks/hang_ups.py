@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from resonator_daemon.acquisition.frames import Arrival, Outage, SingleToneFrame
-from resonator_daemon.config_store import ConfigStore
-from resonator_daemon.service import Service
+from resonator_daemon.service.config_store import ConfigStore
+from resonator_daemon.service.daemon import Service
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import FaultEvent, FaultPlan
 

@@ -13,8 +13,8 @@ from typing import Any
 
 from resonator_daemon.arguments import Verb, make_parser
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.journal import error_prefix, set_up_logging
-from resonator_daemon.printable import printable
+from resonator_daemon.host.journal import error_prefix, set_up_logging
+from resonator_daemon.host.printable import printable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -50,16 +50,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace) -> None:
-    from resonator_daemon.config_store import ConfigStore
-    from resonator_daemon.places import state_directory
-    from resonator_daemon.service import serve
+    from resonator_daemon.host.places import state_directory
+    from resonator_daemon.service.config_store import ConfigStore
+    from resonator_daemon.service.daemon import serve
 
     asyncio.run(serve(ConfigStore(options.config, state_directory() / "last-good")))
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.config_store import load_checked
-    from resonator_daemon.decoder_config import is_decoders_own, load_decoder_config
+    from resonator_daemon.config.decoder import is_decoders_own, load_decoder_config
+    from resonator_daemon.service.config_store import load_checked
 
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -95,13 +95,13 @@ def _config_example(options: argparse.Namespace) -> None:
 
 
 def _config_schema(options: argparse.Namespace) -> None:
-    from resonator_daemon.config_help import config_schema
+    from resonator_daemon.config.help import config_schema
 
     sys.stdout.write(json.dumps(config_schema(), indent=None if options.json else 2) + "\n")
 
 
 def _config_explain(options: argparse.Namespace) -> None:
-    from resonator_daemon.config_help import UnknownKeyError, explained, explanation, key_list
+    from resonator_daemon.config.help import UnknownKeyError, explained, explanation, key_list
 
     try:
         keys = explained(options.key)
@@ -267,8 +267,8 @@ def _schema(options: argparse.Namespace) -> None:
 
 
 def _decode(options: argparse.Namespace) -> None:
-    from resonator_daemon.decode_service import serve
-    from resonator_daemon.decoder_config import load_decoder_config
+    from resonator_daemon.config.decoder import load_decoder_config
+    from resonator_daemon.remote_decoding.service import serve
 
     asyncio.run(serve(load_decoder_config(options.config)))
 

@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from resonator_daemon.config import example_config
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.printable import printable
+from resonator_daemon.host.printable import printable
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=

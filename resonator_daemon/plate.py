@@ -30,7 +30,16 @@ from pydantic_core import InitErrorDetails
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.errors import ConfigError
-from resonator_daemon.toml_file import Count, Number, Table, check_with, finding, load_model, nearest, read_toml
+from resonator_daemon.toml_files.reading import (
+    Count,
+    Number,
+    Table,
+    check_with,
+    finding,
+    load_model,
+    nearest,
+    read_toml,
+)
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]

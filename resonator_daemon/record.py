@@ -27,10 +27,10 @@ from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Config, ReplayLink, load_config
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError, OperatorError
-from resonator_daemon.recording_commands import origin
+from resonator_daemon.service.recording_commands import origin
 
 if TYPE_CHECKING:
-    from resonator_daemon.board_course import BoardCourse
+    from resonator_daemon.reporting.board_course import BoardCourse
 
 _OPEN_S: Final = 10.0  # in which a board must count
 _TURN_S: Final = 0.2
@@ -222,9 +222,9 @@ class _Sitting:
 
 def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
     """Return what measures, and has it recorded; what that imports takes half a second."""
-    from resonator_daemon.board_course import BoardCourse
     from resonator_daemon.decoding.in_order import DecodingInOrder
-    from resonator_daemon.recorded_messages import RecordedMessages
+    from resonator_daemon.reporting.board_course import BoardCourse
+    from resonator_daemon.service.recorded_messages import RecordedMessages
 
     messages = RecordedMessages(recorder, derived=True)
     return BoardCourse(config, boot_id, messages.take, make_stage=DecodingInOrder)

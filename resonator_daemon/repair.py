@@ -35,8 +35,8 @@ from resonator_daemon.acquisition.recording_salvage import Hole, Records, known_
 from resonator_daemon.acquisition.recording_writer import CHUNK_BYTES
 from resonator_daemon.acquisition.wire_events import Skipped, decode, encode
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.new_file import NewFile, interruptible
-from resonator_daemon.printable import printable
+from resonator_daemon.host.new_file import NewFile, interruptible
+from resonator_daemon.host.printable import printable
 
 
 class RepairError(OperatorError):

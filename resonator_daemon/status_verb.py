@@ -13,10 +13,10 @@ from rich.live import Live
 from rich.text import Text
 
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.places import runtime_directories
-from resonator_daemon.printable import printable
-from resonator_daemon.status import Status
-from resonator_daemon.status_client import Answer, ask_all
+from resonator_daemon.host.places import runtime_directories
+from resonator_daemon.host.printable import printable
+from resonator_daemon.monitoring.status import Status
+from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.view.status_block import status_block
 
 _PERIOD_S: Final = 1.0

@@ -9,7 +9,7 @@ from typing import Final
 
 from resonator_daemon.config import Client, load_client, parse_link
 from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
-from resonator_daemon.printable import printable
+from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, reach, request
 from resonator_daemon.publishing.subscriber import subscribe

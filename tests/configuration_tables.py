@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from resonator_daemon.config import example_config
-from resonator_daemon.config_help import config_keys
+from resonator_daemon.config.help import config_keys
 
 PAGE = Path(__file__).parents[1] / "docs" / "configuration.md"
 EXAMPLE = re.compile(r"(from:\n\n```toml\n).*?(```)", re.DOTALL)

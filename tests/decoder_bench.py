@@ -11,11 +11,11 @@ import aiomqtt
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decode_service import DecoderProcess
-from resonator_daemon.decoder_config import load_decoder_config
+from resonator_daemon.config.decoder import load_decoder_config
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
+from resonator_daemon.remote_decoding.service import DecoderProcess
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
 

@@ -9,7 +9,7 @@ from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.config import Config
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Lost, Message
-from resonator_daemon.reports import Reporter
+from resonator_daemon.reporting.reports import Reporter
 
 GATE_END_NS = 1_789_000_000_000_000_123
 

@@ -10,8 +10,8 @@ from typing import Any
 
 from observer import Observer
 
-from resonator_daemon.config_store import ConfigStore
-from resonator_daemon.service import Service
+from resonator_daemon.service.config_store import ConfigStore
+from resonator_daemon.service.daemon import Service
 from simulators.emulator import Emulator, EmulatorOptions
 
 
@@ -55,7 +55,7 @@ class Bench:
         lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
         lines += [f'name = "{name}"'] if name else []
         lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
-        lines += ["[measurement]", *measurement]
+        lines += ["[measurement]", *measurement] if measurement else []
         lines += ["[commands]", f"allow = {json.dumps(allow)}"]
         config.write_text("\n".join(lines) + "\n")
         return Service(ConfigStore(config, self.folder / "last-good"))

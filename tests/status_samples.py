@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     Condition,
@@ -13,7 +14,6 @@ from resonator_daemon.publishing.payloads import (
     RecordingInfo,
     State,
 )
-from resonator_daemon.status import BrokerStatus, ConfigStatus, Status
 
 NOW_NS = 1_789_000_000_000_000_000
 HEADER: dict[str, Any] = {

@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.acquisition.recording_file import open_recording
 from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
-from resonator_daemon.config_text import load_plate_text
+from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.plate import load_plate
 from resonator_daemon.record import NoBoardError, RecordOptions, record
 from simulators.emulator import EmulatorOptions

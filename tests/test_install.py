@@ -10,7 +10,7 @@ import pytest
 from resonator_daemon import install as module
 from resonator_daemon.cli import main
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.toml_file import read_toml
+from resonator_daemon.toml_files.reading import read_toml
 
 ROOT = Path(__file__).parents[1]
 PROGRAM = Path(sys.executable).with_name("resonatord")

@@ -14,9 +14,9 @@ from service_bench import Bench
 from small_disk import small_disk
 
 from resonator_daemon.acquisition import recording
-from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.publishing import event_queue
-from resonator_daemon.service import Service
+from resonator_daemon.service.config_store import ConfigStore
+from resonator_daemon.service.daemon import Service
 
 MOUNT = shutil.which("mount") or "/bin/mount"
 

@@ -219,7 +219,7 @@ def test_a_disk_without_room_leaves_no_half_of_a_copy(
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("resonator_daemon.new_file.os.fsync", full)
+    monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", full)
     with pytest.raises(RepairError, match=r"copy\.mcap cannot be written: No space left on device"):
         repaired(path, tmp_path / "copy.mcap")
     assert not (tmp_path / "copy.mcap").exists()
@@ -316,7 +316,7 @@ def test_a_repair_that_is_interrupted_leaves_nothing(
 
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])
-    monkeypatch.setattr("resonator_daemon.new_file.os.fsync", interrupted)
+    monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", interrupted)
     assert cli.main(["repair", str(path)]) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: no copy is made\n"
     assert list(path.parent.iterdir()) == [path]

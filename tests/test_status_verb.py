@@ -17,12 +17,13 @@ import pytest
 import status_samples
 from rich.console import Console
 
-from resonator_daemon import status_client, status_verb
+from resonator_daemon import status_verb
 from resonator_daemon.cli import main
-from resonator_daemon.places import runtime_directory
+from resonator_daemon.host.places import runtime_directory
+from resonator_daemon.monitoring import status_client
+from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
 from resonator_daemon.publishing.payloads import Condition
-from resonator_daemon.status import BrokerStatus, ConfigStatus, Status
-from resonator_daemon.status_server import SOCKET_NAME, StatusServer
 
 DEADLINE_S = 20.0
 

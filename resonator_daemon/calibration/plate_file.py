@@ -16,7 +16,7 @@ from tomlkit.items import Table
 from resonator_daemon.calibration.coupling import Felt
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
 from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
-from resonator_daemon.toml_file import read_toml
+from resonator_daemon.toml_files.reading import read_toml
 
 
 @dataclass(frozen=True)

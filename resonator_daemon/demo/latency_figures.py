@@ -10,7 +10,7 @@ import cbor2
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.latency import BOUNDS_MS
+from resonator_daemon.monitoring.latency import BOUNDS_MS
 
 LATE_MS: Final = 20.0
 

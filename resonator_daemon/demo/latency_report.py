@@ -10,7 +10,7 @@ import numpy as np
 
 from resonator_daemon.demo.latency_figures import LATE_MS, Latency
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.latency import BOUNDS_MS
+from resonator_daemon.monitoring.latency import BOUNDS_MS
 
 _BAR_COLUMNS: Final = 40
 _EIGHTHS: Final = " ▏▎▍▌▋▊▉"

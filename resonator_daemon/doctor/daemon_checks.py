@@ -6,8 +6,8 @@ from typing import Any, Final
 
 from resonator_daemon.doctor import link_checks
 from resonator_daemon.doctor.finding import Area, Check, Finding, graded
+from resonator_daemon.monitoring.status_client import Answer
 from resonator_daemon.publishing.payloads import Condition
-from resonator_daemon.status_client import Answer
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
 CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from resonator_daemon.doctor.finding import FINE, Area, Finding, Outcome
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.printable import printable
+from resonator_daemon.host.printable import printable
 
 WIDTH: Final = 80
 _MARKS: Final = {Outcome.OK: "ok", Outcome.WARNING: "WARNING", Outcome.FAULT: "FAULT", Outcome.NOT_CHECKED: "-"}

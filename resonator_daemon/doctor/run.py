@@ -39,7 +39,7 @@ from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigError, ExitCode
-from resonator_daemon.places import state_directory
+from resonator_daemon.host.places import state_directory
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 
 _BITS_PER_BYTE: Final = 8

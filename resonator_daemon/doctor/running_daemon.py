@@ -10,10 +10,10 @@ from typing import Any, Final
 
 from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, UsbLink, load_config, parse_link
 from resonator_daemon.errors import OperatorError
+from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.status_client import Answer, ask_all
 
 _HEARD: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
 _NS_MAX: Final = 2**63

@@ -8,7 +8,7 @@ from typing import Any
 
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.table_output import Batch
-from resonator_daemon.new_file import NewFile
+from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.publishing.topics import Topic
 
 

@@ -12,7 +12,7 @@ from mcap.writer import CompressionType, Writer
 from resonator_daemon.acquisition.recording_file import MARKS
 from resonator_daemon.exporting.clouds import WITH_CLOUD, Clouds, Points
 from resonator_daemon.exporting.severity import Severity, severity
-from resonator_daemon.new_file import NewFile
+from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
 from resonator_daemon.playback.course import Moment
 from resonator_daemon.publishing.codec import encode

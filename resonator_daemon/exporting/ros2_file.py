@@ -7,7 +7,7 @@ from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.exporting.mcap_file import CHUNK_BYTES, METADATA
 from resonator_daemon.exporting.ros2_messages import RosMessages, ros_name
-from resonator_daemon.new_file import NewFile
+from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
 from resonator_daemon.playback.course import Moment
 

@@ -14,16 +14,16 @@ from typing import Any, Final, NoReturn, Protocol
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FILE
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.config_text import plate_text, settings_text
+from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
-from resonator_daemon.new_file import check_new, interruptible
+from resonator_daemon.host.new_file import check_new, interruptible
+from resonator_daemon.host.printable import printable
 from resonator_daemon.playback.course import Moment, Playback
 from resonator_daemon.playback.progress import Progress
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.playback.span import Span, find_span
-from resonator_daemon.printable import printable
 from resonator_daemon.publishing.units import UNITS
 
 

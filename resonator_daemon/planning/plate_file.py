@@ -14,7 +14,7 @@ from resonator_daemon.errors import ConfigError
 from resonator_daemon.measurement.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import Plate
-from resonator_daemon.toml_file import TomlFile, load_model
+from resonator_daemon.toml_files.reading import TomlFile, load_model
 
 LEAST_BORDER_M: Final = 2e-3
 PILOT_ABOVE: Final = 1e-3  # the tone that no code has, relative

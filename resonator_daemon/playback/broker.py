@@ -8,10 +8,10 @@ from types import TracebackType
 from typing import Final, Self
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.host.printable import printable
+from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.playback.course import Published
-from resonator_daemon.printable import printable
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.message_account import Cause
 from resonator_daemon.publishing.mqtt_messages import Outgoing

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, ValidationError
 
 from resonator_daemon.errors import ConfigError
-from resonator_daemon.new_file import part_is_there, part_of
+from resonator_daemon.host.new_file import part_is_there, part_of
 from resonator_daemon.playback.course import Playback
 from resonator_daemon.playback.lines import payload_json
 from resonator_daemon.playback.outputs import OutputFailedError

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.host.printable import printable
 from resonator_daemon.playback.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
 from resonator_daemon.playback.comparing import (
     ABSENT,
@@ -21,7 +22,6 @@ from resonator_daemon.playback.comparing import (
     summary_differences,
 )
 from resonator_daemon.playback.source import open_playback
-from resonator_daemon.printable import printable
 from resonator_daemon.publishing.topics import DECODED
 
 _TOLD: Final = 5  # differences of a case; the rest is counted

@@ -13,11 +13,11 @@ from resonator_daemon.acquisition.recording_file import Mark, Recording
 from resonator_daemon.acquisition.replay import Replay
 from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.acquisition.wire_events import WireEvent
-from resonator_daemon.board_course import BoardCourse
 from resonator_daemon.config import Config
 from resonator_daemon.decoding.in_order import DecodingInOrder
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reporting.board_course import BoardCourse
 
 _RING_BYTES: Final = 1 << 30  # what one event brings is taken at once
 

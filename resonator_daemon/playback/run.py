@@ -15,7 +15,8 @@ from typing import Any, Final
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.config import Config, Mqtt, load_config, plate_name
 from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
-from resonator_daemon.new_file import interruptible
+from resonator_daemon.host.new_file import interruptible
+from resonator_daemon.host.printable import printable
 from resonator_daemon.playback.broker import AtBroker, NameTakenError
 from resonator_daemon.playback.case import save_case
 from resonator_daemon.playback.checking import check_cases
@@ -26,7 +27,6 @@ from resonator_daemon.playback.pacing import AtOnce, AtSpeed, Pacing, StepByStep
 from resonator_daemon.playback.progress import Progress
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.playback.span import NoSuchMarkError, Span, find_span
-from resonator_daemon.printable import printable
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.requests import BrokerUnreachableError
 from resonator_daemon.publishing.topics import Topic

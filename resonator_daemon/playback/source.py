@@ -7,7 +7,7 @@ from typing import Final
 
 from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
 from resonator_daemon.config import Config, parse_link
-from resonator_daemon.config_text import config_of, load_plate_text, load_settings_text
+from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text
 from resonator_daemon.errors import ConfigError
 from resonator_daemon.playback.course import Playback
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording_file import Mark, open_recording
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.printable import printable
+from resonator_daemon.host.printable import printable
 
 
 class NoSuchMarkError(OperatorError):

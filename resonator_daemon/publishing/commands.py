@@ -16,7 +16,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import read_object
 from resonator_daemon.publishing.token_bucket import TokenBucket
 from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb, obeyed
-from resonator_daemon.toml_file import nearest
+from resonator_daemon.toml_files.reading import nearest
 
 WAITING_MAX: Final = 32
 AT_ONCE: Final = 20

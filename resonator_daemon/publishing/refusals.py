@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import aiomqtt
 
-from resonator_daemon.broker_files import UnusableFileError
-from resonator_daemon.mqtt_settings import Mqtt
+from resonator_daemon.config.broker_files import UnusableFileError
+from resonator_daemon.config.mqtt import Mqtt
 
 UNSUPPORTED_VERSION: Final = 132
 SILENT: Final = "it accepts connections and does not answer as an MQTT broker; see mqtt.url"

@@ -10,7 +10,7 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.stage import DecodingStage
-from resonator_daemon.latency import LatencyHistogram
+from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
 from resonator_daemon.publishing.publisher import Subscription
@@ -25,8 +25,8 @@ from resonator_daemon.publishing.topics import (
 )
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, SkinPlate, header_of
-from resonator_daemon.silence import CONTACTS_END_S
-from resonator_daemon.surface_reports import SurfaceReporter
+from resonator_daemon.reporting.silence import CONTACTS_END_S
+from resonator_daemon.reporting.surface_reports import SurfaceReporter
 
 _LOOK_S = 0.1
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Final, Protocol
 
-from resonator_daemon.decoder_config import DecoderConfig
+from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import Wanted
-from resonator_daemon.latency import LatencyHistogram
+from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import MessageT, Topic

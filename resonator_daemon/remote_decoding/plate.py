@@ -15,7 +15,7 @@ from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION
-from resonator_daemon.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_reports import MeasuredFields
 
 Floats = NDArray[np.float64]
 

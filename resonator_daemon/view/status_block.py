@@ -7,9 +7,9 @@ from typing import Final
 from rich.console import Console
 from rich.text import Text
 
-from resonator_daemon.printable import printable
+from resonator_daemon.host.printable import printable
+from resonator_daemon.monitoring.status import Status
 from resonator_daemon.publishing.payloads import Condition, Health, State
-from resonator_daemon.status import Status
 from resonator_daemon.view.words import UNKNOWN, duration, quantity
 
 _LABEL_WIDTH: Final = 11

@@ -20,7 +20,7 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.subscriber import subscribe
-from resonator_daemon.toml_file import shown
+from resonator_daemon.toml_files.reading import shown
 from resonator_daemon.view.plate_view import PlateView
 from resonator_daemon.view.terminal import render, summary_line
 

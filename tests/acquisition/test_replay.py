@@ -38,7 +38,7 @@ from resonator_daemon.acquisition.wire_events import (
     WireEvent,
 )
 from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, parse_link
-from resonator_daemon.config_text import load_plate_text
+from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults

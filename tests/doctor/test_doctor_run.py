@@ -14,7 +14,7 @@ from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor import clock_checks, run
 from resonator_daemon.doctor.finding import FINE, Area, Check
 from resonator_daemon.doctor.report import WIDTH, Report
-from resonator_daemon.status_client import Answer
+from resonator_daemon.monitoring.status_client import Answer
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

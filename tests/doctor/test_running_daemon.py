@@ -19,7 +19,7 @@ from resonator_daemon.doctor.daemon_checks import check_daemon, told
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
 from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, same_link
-from resonator_daemon.status_client import Answer, ask_all
+from resonator_daemon.monitoring.status_client import Answer, ask_all
 
 STATUS: dict[str, Any] = {
     "pid": 77,

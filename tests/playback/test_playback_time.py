@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.acquisition.recording_file import Mark, open_recording
-from resonator_daemon.board_course import BoardCourse
 from resonator_daemon.playback.source import open_playback
+from resonator_daemon.reporting.board_course import BoardCourse
 
 UNPLUGGED = Path(__file__).parents[1] / "corpus" / "unplugged" / "recording.mcap"
 

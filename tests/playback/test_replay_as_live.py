@@ -10,13 +10,13 @@ from service_bench import Bench, events
 from system_parts import SMALL_SKIN
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.config_store import ConfigStore
 from resonator_daemon.playback.lines import payload_json
 from resonator_daemon.playback.source import open_playback
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.service import Service
+from resonator_daemon.service.config_store import ConfigStore
+from resonator_daemon.service.daemon import Service
 from simulators.faults import parse_faults
 
 IDEAL = "[plate]\nideal = true\n"

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from resonator_daemon import config_tables
+from resonator_daemon.config import tables as config_tables
 from resonator_daemon.publishing.payloads import WITH_ARRAYS
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, obeyed

@@ -22,7 +22,7 @@ from resonator_daemon.remote_decoding import followed_plate
 from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.plate import header_of
-from resonator_daemon.surface_reports import SurfaceReporter
+from resonator_daemon.reporting.surface_reports import SurfaceReporter
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = Wanted(contact_physics=False)

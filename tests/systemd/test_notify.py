@@ -18,7 +18,7 @@ START = "import sys; from resonator_daemon.cli import main; sys.exit(main())"
 # The reader's thread stops for good in the midst of a stream, and a second without frames is too long.
 HANG = """
 import threading
-from resonator_daemon import flow_watch
+from resonator_daemon.monitoring import flow_watch
 from resonator_daemon.acquisition.board import BoardReader
 flow_watch._FRAMES_S = 1.0
 read, count = BoardReader._read, iter(range(500))

@@ -1,0 +1,57 @@
+"""What of a changed configuration a running daemon takes, and what waits for a restart."""
+
+from collections.abc import Iterator
+from typing import Final, NamedTuple
+
+from resonator_daemon.config.board import Config
+from resonator_daemon.plate import Plate
+from resonator_daemon.toml_files.reading import Table
+
+LIVE: Final = ("measurement", "commands", "recording")
+"""Tables of which a running daemon takes every key; the windows of a new plate wait for that plate."""
+
+
+class Changes(NamedTuple):
+    """Paths of the keys whose values differ, as `measurement.window_ms`, in the order of the models."""
+
+    live: tuple[str, ...]
+    restart: tuple[str, ...]
+
+    def __str__(self) -> str:
+        told = [f"taken: {', '.join(self.live)}"] if self.live else []
+        told += [f"restart for {', '.join(self.restart)}"] if self.restart else []
+        return "; ".join(told) or "nothing changed"
+
+
+def takes_live(key: str) -> bool:
+    """Whether a running daemon takes a key of this path; see `changes` for where even this one waits."""
+    return key.partition(".")[0] in LIVE
+
+
+def changes(old: Config, new: Config) -> Changes:
+    """Return what differs between the configuration in use and a new one, by content.
+
+    Windows are checked against the frames of their own plate: while the plate waits for a restart, they do.
+    """
+    before, after = dict(_values(old)), dict(_values(new))
+    changed = [key for key, value in after.items() if before[key] != value]
+    waits = {"measurement"} if "plate" in changed else set()
+    live = [key for key in changed if takes_live(key) and key.partition(".")[0] not in waits]
+    return Changes(tuple(live), tuple(key for key in changed if key not in live))
+
+
+def applied(old: Config, new: Config) -> Config:
+    """Return the configuration in use with those values of the new one that need no restart."""
+    tables = {key.partition(".")[0] for key in changes(old, new).live}
+    return old.model_copy(update={table: getattr(new, table) for table in tables})
+
+
+def _values(table: Table, path: str = "") -> Iterator[tuple[str, object]]:
+    for name in type(table).model_fields:
+        value = getattr(table, name)
+        if isinstance(value, Plate):
+            yield path + name, value.model_dump()
+        elif isinstance(value, Table):
+            yield from _values(value, f"{path}{name}.")
+        else:
+            yield path + name, value

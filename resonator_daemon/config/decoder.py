@@ -1,0 +1,70 @@
+"""The configuration of a decoder process: a file of its own, or the daemon's, of which it takes its part."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+
+from resonator_daemon.config.board import Config
+from resonator_daemon.config.mqtt import Mqtt
+from resonator_daemon.config.tables import Decoding, plate_name
+from resonator_daemon.toml_files.reading import Table, load_model, read_toml
+
+
+class DecoderConfig(Table):
+    """Whose signals to decode, how, and over which broker.
+
+    The plate that `name` says is followed; with `decoding.plates` and `decoding.group`, frames of those are shared.
+    """
+
+    mqtt: Mqtt = Mqtt()
+    decoding: Annotated[Decoding, Field(validate_default=True)] = Decoding()
+    name: Annotated[
+        Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None, Field(validate_default=True)
+    ] = None
+
+    @field_validator("decoding")
+    @classmethod
+    def _decodes(cls, decoding: Decoding) -> Decoding:
+        if decoding.method == "off":
+            raise ValueError('method = "off" leaves a decoder nothing to do; use "open-plane" or "fourier"')
+        return decoding
+
+    @field_validator("name")
+    @classmethod
+    def _names_a_plate(cls, name: str | None, info: ValidationInfo) -> str | None:
+        decoding = info.data.get("decoding")
+        if name is None and decoding is not None and not decoding.plates:
+            raise ValueError("missing; give the name of the plate, or decoding.plates and decoding.group")
+        return name
+
+    @property
+    def method(self) -> Literal["open-plane", "fourier"]:
+        return "fourier" if self.decoding.method == "fourier" else "open-plane"
+
+
+def load_decoder_config(path: Path) -> DecoderConfig:
+    """Load a configuration; what only the daemon needs is passed over, whatever it says.
+
+    Raises
+    ------
+    ConfigError
+        One message for each finding.
+    """
+    file = read_toml(path)
+    of_the_daemon = Config.model_fields.keys() - DecoderConfig.model_fields.keys()
+    content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
+    return load_model(DecoderConfig, replace(file, content=content), context=path.parent)
+
+
+def is_decoders_own(path: Path) -> bool:
+    """Whether a file is a decoder's alone: it says how to decode, and names neither plate nor link.
+
+    Raises
+    ------
+    ConfigError
+        It cannot be read.
+    """
+    keys = read_toml(path).content.keys()
+    return "decoding" in keys and not keys & {"plate", "link"}

@@ -1,0 +1,232 @@
+"""The table `[mqtt]`: which broker, how to prove who is there, and below which topics to publish."""
+
+import ssl
+from collections.abc import Callable, Iterator
+from functools import partial
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Final
+from urllib.parse import SplitResult, unquote, urlsplit
+
+from pydantic import (
+    AfterValidator,
+    Field,
+    ModelWrapValidatorHandler,
+    PlainValidator,
+    ValidationInfo,
+    WithJsonSchema,
+    model_validator,
+)
+from pydantic_core import InitErrorDetails
+
+from resonator_daemon.config.broker_files import (
+    BrokerFile,
+    UnusableFileError,
+    broker_file,
+    load_certificates,
+    open_to_all,
+    read_certificates,
+    read_key,
+    read_password,
+)
+from resonator_daemon.toml_files.reading import Table, check_with, finding
+
+_PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
+_ADDRESS: Final = "must be mqtt://host:port, or mqtts://host:port for TLS"
+
+
+def split_url(url: str) -> SplitResult:
+    """Split a URL; ValueError, without a password in it, where host or port cannot be read."""
+    try:
+        parts = urlsplit(url)
+        if url.isprintable() and " " not in url and parts.port != 0:
+            return parts
+    except ValueError:
+        pass
+    advice = "; write signs such as # / @ in a password as %23 %2F %40" if "@" in url else ""
+    raise ValueError(f"host and port (1 to 65535) cannot be read{advice}")
+
+
+def topic_level(text: str) -> str:
+    """Return the text if it can be one level of an MQTT topic; ValueError says why not."""
+    if not text.isprintable() or not text or any(sign in text for sign in " /+#") or text.startswith("$"):
+        raise ValueError(
+            "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
+        )
+    return text
+
+
+def _topic(text: str) -> str:
+    for level in text.split("/"):
+        topic_level(level)
+    return text
+
+
+def _broker_url(text: str) -> str:
+    url = split_url(text)
+    if url.scheme not in _PORTS or not url.hostname or url.path not in ("", "/") or url.query or url.fragment:
+        raise ValueError(_ADDRESS)
+    return text
+
+
+def _user(text: str) -> str:
+    if not text or not text.isprintable():
+        raise ValueError("must be a name: printable characters, not empty")
+    return text
+
+
+def _file(check: Callable[[BrokerFile], object], value: object, info: ValidationInfo) -> BrokerFile:
+    if not isinstance(value, str):
+        raise ValueError("must be a string: a path, relative to this file or absolute, or credential:NAME")
+    file = broker_file(value, info.context or Path())
+    if file.path is not None:
+        try:
+            check(file)
+        except UnusableFileError as error:
+            raise ValueError(str(error)) from None
+    return file
+
+
+_PATH: Final = WithJsonSchema({"type": "string"})
+
+
+class Mqtt(Table):
+    """Where to publish, and how to get in there."""
+
+    url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = Field(
+        default="mqtt://127.0.0.1:1883",
+        description="the broker: mqtt://HOST:PORT, or mqtts:// for TLS; default ports: 1883 and 8883",
+        examples=["mqtt://127.0.0.1:1883", "mqtts://broker.example"],
+    )
+    prefix: Annotated[str, Field(max_length=200), AfterValidator(_topic)] = Field(
+        default="resonator", description="the first of the topics; may have levels, as lab/one"
+    )
+    username: Annotated[str, Field(max_length=1000), AfterValidator(_user)] | None = Field(
+        default=None, description="of an account at the broker", examples=["left-index"]
+    )
+    password_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_password)), _PATH] | None = Field(
+        default=None,
+        description="a file with the password of that account, alone on one line, or credential:NAME",
+        examples=["left-index.password", "credential:mqtt-password"],
+    )
+    ca_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of the authorities that may have signed the broker's certificate, or credential:NAME; "
+        "default: the system's",
+        examples=["ca.crt"],
+    )
+    certificate_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_certificates)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of the daemon's own certificate, or credential:NAME",
+        examples=["left-index.crt"],
+    )
+    key_file: Annotated[BrokerFile, PlainValidator(partial(_file, read_key)), _PATH] | None = Field(
+        default=None,
+        description="PEM file of that certificate's key, not encrypted, or credential:NAME",
+        examples=["left-index.key", "credential:mqtt-key"],
+    )
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _keys_agree(cls, raw: Any, handler: ModelWrapValidatorHandler["Mqtt"]) -> "Mqtt":
+        if not isinstance(raw, dict):
+            return handler(raw)
+        findings = list(_disagreements(raw))
+        url_name = _url_name(raw)
+        if url_name is not None and not findings:
+            raw = raw | {"username": url_name}
+        model = check_with(findings, handler, raw)
+        if model.tls and all(file is None or file.path for file in model.certificates):
+            try:
+                load_certificates(ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), *model.certificates)
+            except UnusableFileError as error:
+                key = "key_file" if model.key_file else "ca_file"
+                return check_with([finding((key,), raw.get(key), str(error))], handler, raw)
+        return model
+
+    @property
+    def host(self) -> str:
+        return urlsplit(self.url).hostname or ""
+
+    @property
+    def port(self) -> int:
+        url = urlsplit(self.url)
+        return url.port or _PORTS[url.scheme]
+
+    @property
+    def tls(self) -> bool:
+        return urlsplit(self.url).scheme == "mqtts"
+
+    @property
+    def certificates(self) -> tuple[BrokerFile | None, BrokerFile | None, BrokerFile | None]:
+        """Authorities to trust, own certificate, own key."""
+        return self.ca_file, self.certificate_file, self.key_file
+
+    @property
+    def password(self) -> str | None:
+        """The password in the URL, or the present content of `password_file`, which may change at any time.
+
+        Raises
+        ------
+        UnusableFileError
+            The file can no longer be read.
+        """
+        if self.password_file is not None:
+            return read_password(self.password_file)
+        password = urlsplit(self.url).password
+        return None if password is None else unquote(password)
+
+    def anonymous(self) -> "Mqtt":
+        """Return the same broker for one who gives no name; a client certificate is shown all the same."""
+        url = urlsplit(self.url)
+        address = url._replace(netloc=url.netloc.rpartition("@")[2]).geturl()
+        return self.model_copy(update={"url": address, "username": None, "password_file": None})
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Sentences on what works and is not as safe as it may seem, or cannot be looked at from here."""
+        secrets = {"password_file": self.password_file, "key_file": self.key_file}
+        files = secrets | {"ca_file": self.ca_file, "certificate_file": self.certificate_file}
+        notes = [
+            f"mqtt.{key} = {str(file)!r} can be read by every user of this computer: chmod 600"
+            for key, file in secrets.items()
+            if file and open_to_all(file)
+        ]
+        notes += [
+            f"mqtt.{key} = {file.name!r} is not looked at: only systemd passes credentials, by LoadCredential="
+            for key, file in files.items()
+            if file and file.path is None
+        ]
+        if self.username is not None and not self.tls and not _is_this_computer(self.host):
+            notes.append(f"mqtt.url: the password goes to {self.host} unencrypted; use mqtts://")
+        return tuple(notes)
+
+
+def _url_name(table: dict[str, Any]) -> str | None:
+    try:
+        name = split_url(str(table.get("url", ""))).username
+    except ValueError:
+        return None  # said by the key's own check
+    return None if name is None else unquote(name)
+
+
+def _disagreements(table: dict[str, Any]) -> Iterator[InitErrorDetails]:
+    """Yield what is wrong with keys that are right each on its own."""
+    url = table.get("url", "mqtt://")
+    if _url_name(table) is not None and ("username" in table or "password_file" in table):
+        yield finding(("url",), url, "names a user, as username or password_file do; leave the user out of the URL")
+    elif "password_file" in table and "username" not in table:
+        yield finding(("password_file",), table["password_file"], "needs a username beside it")
+    for key, other in (("certificate_file", "key_file"), ("key_file", "certificate_file")):
+        if key in table and other not in table:
+            yield finding((key,), table[key], f"needs {other} beside it; both may name the same file")
+    for key in ("ca_file", "certificate_file", "key_file"):
+        if key in table and isinstance(url, str) and url.startswith("mqtt:"):
+            yield finding((key,), table[key], "has a meaning with TLS only; use mqtts:// in mqtt.url")
+
+
+def _is_this_computer(host: str) -> bool:
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"

@@ -1,0 +1,222 @@
+"""Tables of a configuration file, each checked by itself: commands, recording, metrics, measurement, decoding."""
+
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainValidator,
+    StrictBool,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
+
+from resonator_daemon.config.mqtt import split_url, topic_level
+from resonator_daemon.host.places import state_directory
+from resonator_daemon.toml_files.reading import Number, Table
+
+DECODER = "decoder"  # level of the topics of decoder processes, which no plate can have as a name
+
+
+def plate_name(text: str) -> str:
+    """Return the text if plates can publish under it; ValueError says why not."""
+    if text == DECODER:
+        raise ValueError("is the topic of decoder processes; choose another")
+    if text in (".", ".."):
+        raise ValueError("becomes a directory of its own; choose another")
+    return topic_level(text)
+
+
+def _directory(value: object, info: ValidationInfo) -> Path:
+    if not isinstance(value, str) or not value or "\0" in value:
+        raise ValueError("must be a string: a directory, relative to this file or absolute")
+    return (info.context or Path()) / value
+
+
+def _plates(names: tuple[str, ...]) -> tuple[str, ...]:
+    if "+" in names and len(names) > 1:
+        raise ValueError('"+" stands for all plates; name them or give it alone')
+    if len(set(names)) < len(names):
+        raise ValueError("must not name a plate twice")
+    for name in names:
+        if name != "+":
+            plate_name(name)
+    return names
+
+
+def _friction(value: object) -> object:
+    if value == "unknown":
+        return None
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be 'unknown' or a number above 0, at most 10")
+    return value
+
+
+Verb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
+
+
+class Commands(Table):
+    """What subscribers may have the daemon do; `ping`, `health` and `snapshot`, which change nothing, always."""
+
+    allow: tuple[Verb, ...] = Field(
+        default=(), description="commands that are obeyed beside those that change nothing", examples=[["tare", "mark"]]
+    )
+
+
+class Recording(Table):
+    """Where recordings of this daemon go, when, and how much room they may take."""
+
+    directory: Annotated[Path, BeforeValidator(_directory)] = Field(
+        default_factory=lambda: state_directory() / "recordings",
+        description="where recordings go, relative to this file or absolute; default: recordings/ in the daemon's own "
+        "state directory",
+        examples=["/var/lib/resonatord/recordings"],
+    )
+    continuous: StrictBool = Field(
+        default=False, description="record from the start of the daemon on, without a command"
+    )
+    derived: StrictBool = Field(
+        default=False, description="also what is published: forces, contacts, decoded and states, as JSON channels"
+    )
+    file_max_mb: Annotated[Number, Field(ge=1, le=1e6)] = Field(
+        default=1000.0, description="begin a new file after this size, in 10^6 bytes"
+    )
+    file_max_minutes: Annotated[Number, Field(gt=0, le=1e6)] = Field(
+        default=60.0, description="begin a new file after this time"
+    )
+    budget_mb: Annotated[Number, Field(ge=1, le=1e9)] = Field(
+        default=10_000.0,
+        validate_default=True,
+        description="size of all recordings of this daemon's name there; the oldest are removed, and counted",
+    )
+    keep_free_mb: Annotated[Number, Field(ge=0, le=1e9)] = Field(
+        default=500.0,
+        description="with less room than this on the disk nothing more is recorded, until there is room again",
+    )
+
+    @field_validator("budget_mb")
+    @classmethod
+    def _holds_a_file(cls, budget_mb: float, info: ValidationInfo) -> float:
+        file_max_mb = info.data.get("file_max_mb", 0.0)
+        if budget_mb < file_max_mb:
+            raise ValueError(f"must be at least file_max_mb = {file_max_mb:g}; raise it, or lower file_max_mb")
+        return budget_mb
+
+
+@dataclass(frozen=True)
+class Listen:
+    """An address of this computer to listen on."""
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}"
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only programs of this computer can connect."""
+        try:
+            return ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+
+def _listen(value: object) -> Listen:
+    if isinstance(value, str) and "://" not in value and "@" not in value:
+        try:
+            url = split_url(f"//{value}")
+            if url.hostname and url.port and not url.path and not url.query and not url.fragment:
+                return Listen(url.hostname, url.port)
+        except ValueError:
+            pass  # said below, with what belongs here
+    raise ValueError('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')
+
+
+class Metrics(Table):
+    """Figures of the daemon for Prometheus."""
+
+    listen: Annotated[Listen, PlainValidator(_listen), WithJsonSchema({"type": "string"})] | None = Field(
+        default=None,
+        description="address and port of the text for Prometheus; default: off",
+        examples=["127.0.0.1:9464"],
+    )
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        if self.listen is None or self.listen.loopback:
+            return ()
+        return (
+            f"metrics.listen: whoever reaches {self.listen} over the network can read the daemon's figures, without a "
+            "password; 127.0.0.1 is for this computer alone",
+        )
+
+
+class Measurement(Table):
+    """How long to count for one force, and how often to publish one; plates with a skin have neither."""
+
+    window_ms: Annotated[Number, Field(gt=0, le=1000)] = Field(
+        default=10.0, description="count this long for one force; whole frame periods of the plate"
+    )
+    step_ms: Annotated[Number, Field(gt=0, le=1000)] = Field(
+        default=5.0, description="publish forces and contacts this often; whole frame periods, at most window_ms"
+    )
+
+    @property
+    def window_s(self) -> float:
+        return self.window_ms * 1e-3
+
+    @property
+    def step_s(self) -> float:
+        return self.step_ms * 1e-3
+
+
+class Decoding(Table):
+    """How signals under a skin are taken back to its surface; plates of force sites have no need of it."""
+
+    method: Literal["open-plane", "fourier", "off"] = Field(
+        default="open-plane",
+        description="the decoder; `fourier` is for plates with a [grid], `off` publishes signals alone",
+    )
+    contact_physics: StrictBool = Field(
+        default=True, description="let pressure, friction and no adhesion narrow tractions; with `open-plane` only"
+    )
+    friction_coefficient: Annotated[
+        Annotated[Number, Field(ge=0.001, le=10)] | None,
+        BeforeValidator(_friction),
+        WithJsonSchema({"anyOf": [{"const": "unknown"}, {"type": "number", "minimum": 0.001, "maximum": 10}]}),
+    ] = Field(default=None, description="of the skin and what touches it; default: unknown", examples=["unknown", 0.5])
+    uncertainty: StrictBool = Field(
+        default=True, description="publish the standard deviation of the traction in `decoded`"
+    )
+    displacement: StrictBool = Field(default=True, description="publish the displacement of the surface in `decoded`")
+    apart: StrictBool = Field(
+        default=False, description="publish signals alone; `resonatord decode` takes them on, in a process of its own"
+    )
+    plates: Annotated[tuple[str, ...], AfterValidator(_plates)] = Field(
+        default=(),
+        description='of decoders that share them: names of plates, or "+" for all; default: `name`',
+        examples=[["+"], ["left-index", "left-thumb"]],
+    )
+    group: Annotated[str, AfterValidator(topic_level)] | None = Field(
+        default=None,
+        validate_default=True,
+        description="decoders of one group share the plates: each frame goes to one of them",
+        examples=["touch"],
+    )
+
+    @field_validator("group")
+    @classmethod
+    def _group_shares_plates(cls, group: str | None, info: ValidationInfo) -> str | None:
+        plates = info.data.get("plates")
+        if plates and group is None:
+            raise ValueError("missing; decoders of the same group share the plates, each frame goes to one of them")
+        if plates == () and group is not None:
+            raise ValueError('shares plates that are named in decoding.plates, as plates = ["+"]; there are none')
+        return group

@@ -1,0 +1,72 @@
+"""What a recording carries of a configuration, as TOML text, and the configuration that such texts make."""
+
+from pathlib import Path
+
+import tomlkit
+
+from resonator_daemon.config.board import Config
+from resonator_daemon.config.link_targets import LinkTarget
+from resonator_daemon.config.mqtt import Mqtt
+from resonator_daemon.config.tables import Decoding, Measurement
+from resonator_daemon.plate import Plate
+from resonator_daemon.toml_files.reading import Table, TomlFile, load_model, parse_toml
+
+
+class Settings(Table):
+    """What decides, beside the plate, what is made of a link's bytes."""
+
+    measurement: Measurement
+    decoding: Decoding
+
+
+def plate_text(plate: Plate) -> str:
+    """Return a plate file that loads as this plate: every value that holds, defaults included, without comments.
+
+    Later versions may have other defaults; such a file still means the same. It takes 0.3 s for 400 scattered sites:
+    make it once.
+    """
+    content = plate.model_dump(exclude_none=True)
+    if not plate.sites:
+        del content["sites"]  # a file with a [grid] has none, not an empty list
+    return tomlkit.dumps(content)
+
+
+def load_plate_text(text: str, origin: Path) -> Plate:
+    """Load a plate from the text of a plate file; messages name it by `origin`.
+
+    Raises
+    ------
+    ConfigError
+        No TOML, or findings: all of them.
+    """
+    return load_model(Plate, parse_toml(text, origin))
+
+
+def settings_text(config: Config) -> str:
+    """Return the tables [measurement] and [decoding] of a configuration, every value that holds, as TOML."""
+    return tomlkit.dumps(config.model_dump(include=set(Settings.model_fields), exclude_none=True))
+
+
+def load_settings_text(text: str, origin: Path) -> Settings:
+    """Load what `settings_text` made; messages name it by `origin`.
+
+    Raises
+    ------
+    ConfigError
+        No TOML, or findings: all of them.
+    """
+    return load_model(Settings, parse_toml(text, origin))
+
+
+def config_of(
+    plate: Plate, settings: Settings, link: LinkTarget, *, name: str | None = None, mqtt: Mqtt | None = None
+) -> Config:
+    """Return a configuration without a file: of a recording's plate and settings, and where to publish.
+
+    Raises
+    ------
+    ConfigError
+        The parts do not suit each other.
+    """
+    parts = {"name": name, "plate": plate, "link": link, "mqtt": mqtt or Mqtt(), **dict(settings)}
+    return load_model(Config, TomlFile(Path(str(link)), "", parts))

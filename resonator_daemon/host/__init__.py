@@ -1,0 +1,1 @@
+"""What the computer gives and wants: directories, the journal, systemd, whole files, text for terminals."""

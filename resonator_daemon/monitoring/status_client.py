@@ -1,0 +1,101 @@
+"""Asks the daemons of this computer how they are, by their sockets."""
+
+import asyncio
+import grp
+import json
+import os
+import socket
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from resonator_daemon.host.places import runtime_directories
+from resonator_daemon.monitoring.status_server import SOCKET_NAME
+
+ANSWER_S: Final = 2.0
+_QUEUE_S: Final = 0.01
+_BYTES_MAX: Final = 4 * 1024**2
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of asking at one socket: a status as JSON, or why there is none."""
+
+    socket: Path
+    status: dict[str, Any] | None
+    problem: str | None
+
+    @property
+    def names(self) -> set[str]:
+        """The names by which people may mean this daemon."""
+        said = (self.status or {}).get("name")
+        return {self.socket.parent.name, said} if isinstance(said, str) else {self.socket.parent.name}
+
+
+async def ask_all(wanted: str | None) -> list[Answer]:
+    """Ask all daemons at once; return those that run, or that of one name, in the order of their sockets."""
+    answers = await asyncio.gather(*(_ask(path) for path in _sockets()))
+    return [answer for answer in answers if answer is not None and (wanted is None or wanted in answer.names)]
+
+
+def _sockets() -> list[Path]:
+    return sorted({path for directory in runtime_directories() for path in directory.glob(f"*/{SOCKET_NAME}")})
+
+
+async def _ask(path: Path) -> Answer | None:
+    """Return None where nobody listens: a daemon that was killed leaves its socket."""
+    try:
+        async with asyncio.timeout(ANSWER_S):
+            reader, writer = await asyncio.open_unix_connection(sock=await _connect(path))
+            try:
+                answer = await _read_all(reader)
+            finally:
+                writer.close()
+    except (ConnectionRefusedError, FileNotFoundError):
+        return None
+    except TimeoutError:
+        return Answer(path, None, f"runs and gives no answer within {ANSWER_S:g} s: is it stopped, or overloaded?")
+    except PermissionError:
+        return Answer(path, None, f"this user may not ask it; {_who_may(path)}")
+    except OSError as error:
+        return Answer(path, None, error.strerror or str(error))
+    try:
+        status = json.loads(answer)
+    except (ValueError, RecursionError):
+        status = None
+    return Answer(path, status, None) if isinstance(status, dict) else Answer(path, None, "its answer is no status")
+
+
+async def _connect(path: Path) -> socket.socket:
+    """Connect as soon as the daemon's queue has room; asyncio takes a full one for a connection."""
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        connection.setblocking(False)
+        while True:
+            try:
+                connection.connect(os.fspath(path))
+            except BlockingIOError:
+                await asyncio.sleep(_QUEUE_S)
+            else:
+                return connection
+    except BaseException:
+        connection.close()
+        raise
+
+
+async def _read_all(reader: asyncio.StreamReader) -> bytes:
+    answer = bytearray()
+    while len(answer) < _BYTES_MAX and (part := await reader.read(65_536)):
+        answer += part
+    return bytes(answer)
+
+
+def _who_may(path: Path) -> str:
+    try:
+        group_id = path.stat().st_gid
+        group = grp.getgrgid(group_id).gr_name
+    except KeyError:
+        group = str(group_id)
+    except OSError:
+        return "ask as the user that the daemon runs as"
+    return f"users of the group {group} may: `sudo usermod -aG {group} $USER`, then log in anew"

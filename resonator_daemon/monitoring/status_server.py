@@ -1,0 +1,149 @@
+"""Tells any program on the same computer how the daemon is: one JSON object to each connection to a Unix socket."""
+
+import asyncio
+import contextlib
+import fcntl
+import logging
+import os
+import socket
+import stat
+import struct
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from resonator_daemon.host.places import make_private
+from resonator_daemon.monitoring.status import Status
+from resonator_daemon.publishing.codec import encode
+
+SOCKET_NAME: Final = "status.sock"
+PATH_BYTES_MAX: Final = 107  # sun_path of sockaddr_un has room for so many and a zero
+_MODE: Final = 0o660
+_BACKLOG: Final = 128
+_TOGETHER: Final = 25  # connections, then a pause: 500 a second at most, about a tenth of a core
+_PAUSE_S: Final = 0.05
+_SEND_S: Final = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
+_FRESH_S: Final = 0.1  # those who ask within it get the same answer
+_AGAIN_S: Final = 5.0
+_CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
+
+log = logging.getLogger(__name__)
+
+
+class StatusServer:
+    """Answers on a socket as long as `run` does; failures are said once each and tried again.
+
+    Parameters
+    ----------
+    path
+        Of the socket. A file beside it, `status.lock`, is locked meanwhile and stays.
+    make
+        Makes the answer; called on the event loop's thread, at most ten times a second.
+    """
+
+    def __init__(self, path: Path, make: Callable[[], Status]) -> None:
+        self._path = path
+        self._make = make
+        self._answer = b""
+        self._answer_s = -_FRESH_S
+        self._said: str | None = None
+
+    async def run(self) -> None:
+        """Answer until cancelled."""
+        while True:
+            try:
+                with self._listening() as listening:
+                    await self._answer_all(listening)
+            except OSError as error:
+                self._say(f"`resonatord status` does not see this daemon: {_sentence(error)}")
+            await asyncio.sleep(_AGAIN_S)
+
+    async def _answer_all(self, listening: socket.socket) -> None:
+        loop = asyncio.get_running_loop()
+        answered = 0
+        while True:
+            client, _ = await loop.sock_accept(listening)
+            with client:
+                self._say(None)
+                answer = self._fresh_answer(loop.time())
+                with contextlib.suppress(OSError):  # TimeoutError is one: who does not read is left
+                    async with asyncio.timeout(_SEND_S):
+                        await loop.sock_sendall(client, answer)
+            answered += 1
+            await asyncio.sleep(_PAUSE_S if answered % _TOGETHER == 0 else 0)
+
+    def _fresh_answer(self, now_s: float) -> bytes:
+        if now_s - self._answer_s >= _FRESH_S:
+            self._answer, self._answer_s = encode(self._make()) + b"\n", now_s
+        return self._answer
+
+    @contextlib.contextmanager
+    def _listening(self) -> Iterator[socket.socket]:
+        length_bytes = len(os.fsencode(self._path))
+        if length_bytes > PATH_BYTES_MAX:
+            raise OSError(
+                f"the path of its socket, {self._path}, has {length_bytes} bytes, and sockets take {PATH_BYTES_MAX} "
+                "at most; give the configuration file a shorter name, or set XDG_RUNTIME_DIR to a shorter path"
+            )
+        make_private(self._path.parent)
+        with _alone(self._path), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+            _remove_socket(self._path)  # left by a daemon that was killed: ours is the lock
+            listening.setblocking(False)
+            listening.bind(os.fspath(self._path))
+            try:
+                self._path.chmod(_MODE)
+                listening.listen(_BACKLOG)
+                yield listening
+            finally:
+                with contextlib.suppress(OSError):
+                    self._path.unlink()
+
+    def _say(self, problem: str | None) -> None:
+        if problem is not None and problem != self._said:
+            log.warning("%s", problem)
+        elif problem is None and self._said is not None:
+            log.info("`resonatord status` sees this daemon")
+        self._said = problem
+
+
+@contextlib.contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Hold the lock beside the socket; OSError where another process does."""
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
+    lock = os.open(path.with_suffix(".lock"), flags, 0o600)
+    try:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise OSError(
+                f"{_listener(path)} answers on {path}, for a configuration file of the same name; give one of both "
+                "files another name"
+            ) from None
+        yield
+    finally:
+        os.close(lock)
+
+
+def _listener(path: Path) -> str:
+    """Say which process listens on a socket."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        try:
+            asking.connect(os.fspath(path))
+        except OSError:
+            return "another process"
+        pid, _, _ = _CREDENTIALS.unpack(asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size))
+    return f"process {pid}"
+
+
+def _remove_socket(path: Path) -> None:
+    with contextlib.suppress(FileNotFoundError):
+        if not stat.S_ISSOCK(path.lstat().st_mode):
+            raise FileExistsError(f"{path} is in the way and no socket; remove it")
+        path.unlink()
+
+
+def _sentence(error: OSError) -> str:
+    return (
+        str(error) if error.errno is None else f"{error.strerror} ({error.filename})" if error.filename else str(error)
+    )

@@ -1,0 +1,252 @@
+"""A decoder process: signals from the broker, surfaces to it; the only place where both meet."""
+
+import asyncio
+import gc
+import logging
+import os
+import re
+import secrets
+import signal
+import socket
+import sys
+import time
+from pathlib import Path
+from urllib.parse import quote
+
+from resonator_daemon.config import DECODER
+from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.decoding.stage import SWITCH_S
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.host.places import state_directory
+from resonator_daemon.host.systemd import ServiceManager
+from resonator_daemon.monitoring.flow_watch import FlowWatch
+from resonator_daemon.monitoring.health import OwnProcess
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
+from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.topics import (
+    DECODED,
+    DECODER_EXPIRY_S,
+    DECODER_HEALTH,
+    DECODER_STATE,
+    MessageT,
+    Topic,
+    full_topic,
+)
+from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
+from resonator_daemon.remote_decoding.mode import Mode, wanted_of
+from resonator_daemon.remote_decoding.shared_plates import SharedPlates
+
+log = logging.getLogger(__name__)
+
+_LOOK_S = 0.1
+_HEALTH_S = 1.0
+_STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
+_LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes longer, and nobody waits for it
+_ID_LENGTH_MAX = 80
+
+
+class CannotShareError(OperatorError):
+    """The broker hands no frame to one of many."""
+
+    exit_code = ExitCode.UNAVAILABLE
+
+
+async def serve(config: DecoderConfig) -> None:
+    """Decode until SIGINT, SIGTERM or SIGHUP.
+
+    Raises
+    ------
+    OperatorError
+        The broker cannot share plates among decoders.
+    """
+    process = DecoderProcess(config)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        loop.add_signal_handler(number, process.stop)
+    sys.setswitchinterval(SWITCH_S)
+    await process.run()
+
+
+def own_id() -> str:
+    """Name this process as no other one, of another time neither: host, process id, and a random number.
+
+    Process ids come again, in a container with each start.
+    """
+    host = re.sub(r"[^A-Za-z0-9._-]", "-", socket.gethostname())[:_ID_LENGTH_MAX].lstrip("$")
+    return f"{host or 'host'}-{os.getpid()}-{secrets.token_hex(3)}"
+
+
+class DecoderProcess:
+    """One decoder between its signals and what it publishes of them.
+
+    Parameters
+    ----------
+    config
+    decoder_id
+        One level of a topic, unique on the broker.
+    """
+
+    def __init__(self, config: DecoderConfig, decoder_id: str | None = None) -> None:
+        self._config = config
+        self.decoder_id = decoder_id or own_id()
+        self._base = full_topic(config.mqtt.prefix, DECODER, self.decoder_id)
+        self._mode = self._make_mode()
+        self._publisher = Publisher(
+            config.mqtt,
+            identifier=f"resonatord-decoder-{self.decoder_id}-{secrets.token_hex(4)}",
+            make_will=self._make_will,
+            subscriptions=self._mode.subscriptions,
+            spool_directory=self._spool_directory(),
+            on_connected=self._connected,
+            on_denied=self._denied,
+        )
+        self._manager = ServiceManager()
+        self._flow = FlowWatch()
+        self._fatal: OperatorError | None = None
+        self._ending = asyncio.Event()
+        self._state = (Condition.STARTING, "started")
+        self._since_utc_ns = time.time_ns()
+        self._started_s = self._said_s = time.monotonic()
+        self._process = OwnProcess()
+
+    async def run(self) -> None:
+        """Run until `stop`; raises what only the operator can mend."""
+        gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
+        log.info("decoder %s takes %s", self.decoder_id, self._mode.topic_filter)
+        self._say(*self._state)
+        async with asyncio.TaskGroup() as tasks:
+            helpers = (
+                tasks.create_task(self._mode.run(), name="decoding"),
+                tasks.create_task(self._watch(), name="watch"),
+                tasks.create_task(self._report_health(), name="health"),
+            )
+            tasks.create_task(self._publisher.run(), name="publishing")
+            await self._ending.wait()
+            self._manager.stopping()
+            for helper in helpers:
+                helper.cancel()
+            await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
+            self._publish_health()  # the last word on what was counted
+            self._say(Condition.OFFLINE, str(self._fatal or "stopped"))
+            await self._publisher.close()
+        if self._fatal is not None:
+            raise self._fatal
+
+    def stop(self) -> None:
+        """End `run`; from the event loop."""
+        self._ending.set()
+
+    @property
+    def message_account(self) -> MessageAccount:
+        """Where the messages went."""
+        return self._publisher.account
+
+    def health(self) -> DecoderHealth:
+        """How this process fares."""
+        held = self._process.held()
+        return DecoderHealth(
+            decoder_id=self.decoder_id,
+            t_ns=time.time_ns(),
+            uptime_s=time.monotonic() - self._started_s,
+            plates=self._mode.health(),
+            cpu_percent=held.cpu_percent,
+            rss_mb=held.rss_mb,
+            latency={DECODED.path: self._mode.latency.info()},
+            messages=self._publisher.account,
+        )
+
+    def _spool_directory(self) -> Path | None:
+        """Return where events of a followed plate wait; there are none where frames are shared."""
+        name, decoding = self._config.name, self._config.decoding
+        if name is None or decoding.plates:
+            return None
+        return state_directory() / "spool" / quote(self._config.mqtt.prefix, safe="") / DECODER / name
+
+    def _make_mode(self) -> Mode:
+        prefix, decoding = self._config.mqtt.prefix, self._config.decoding
+        if decoding.plates and decoding.group is not None:
+            wanted = wanted_of(self._config, background=False)
+            names, group = decoding.plates, decoding.group
+            return SharedPlates(
+                prefix, names, group, wanted, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
+            )
+        if self._config.name is None:
+            raise ValueError("the configuration names neither a plate nor a group; see DecoderConfig")
+        wanted = wanted_of(self._config, background=True)
+        return FollowedPlate(
+            prefix, self._config.name, wanted, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
+        )
+
+    def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT) -> None:
+        self._publisher.publish(f"{self._config.mqtt.prefix}/{plate}", topic, message)
+
+    def _connected(self, _number: int) -> None:
+        if self._config.decoding.group is not None and self._publisher.protocol != "5":
+            broker = self._config.mqtt
+            self._cannot_share(f"broker {broker.host}:{broker.port} speaks MQTT 3.1.1, where nothing is shared")
+
+    def _denied(self, topic_filter: str, reason: str) -> None:
+        if reason.lower().startswith("shared subscription"):
+            self._cannot_share(f"broker refuses {topic_filter}: {reason}")
+
+    def _cannot_share(self, why: str) -> None:
+        self._fatal = CannotShareError(
+            f"{why}; use a broker of MQTT 5 with shared subscriptions, or leave out decoding.plates and "
+            "decoding.group and run one decoder for each plate, with its name"
+        )
+        self._ending.set()
+
+    async def _watch(self) -> None:
+        self._manager.ready(self._sentence())  # whatever it waits for may come later
+        turns = 0
+        while True:
+            await asyncio.sleep(_LOOK_S)
+            turns += 1
+            state = self._mode.condition()
+            decoded = sum(plate.decoded for plate in self._mode.health().values())
+            if self._flow.healthy(decoded, "online" if state[0] is Condition.ONLINE else "waiting", turns):
+                self._manager.alive()
+            self._manager.status(self._sentence())
+            if state != self._state:
+                if state[0] != self._state[0]:
+                    self._since_utc_ns = time.time_ns()
+                self._state = state
+                log.info("%s: %s", *state)
+                self._say(*state)
+            elif time.monotonic() - self._said_s > _STATE_AGAIN_S:
+                self._say(*state)
+
+    def _sentence(self) -> str:
+        """Say in a line how it goes."""
+        condition, reason = self._state
+        return f"{condition}: {reason}" + ("" if self._publisher.connected else "; no broker")
+
+    def _say(self, condition: Condition, reason: str) -> None:
+        self._said_s = time.monotonic()
+        self._publisher.publish(self._base, DECODER_STATE, self._make_state(condition, reason, self._since_utc_ns))
+
+    def _make_state(self, condition: Condition, reason: str, since_utc_ns: int | None) -> DecoderState:
+        return DecoderState(
+            decoder_id=self.decoder_id,
+            state=condition,
+            reason=reason,
+            t_ns=time.time_ns(),
+            since_t_ns=since_utc_ns,
+            topic_filter=self._mode.topic_filter,
+        )
+
+    def _make_will(self) -> Outgoing:
+        will = self._make_state(Condition.OFFLINE, "connection lost", None)
+        return Outgoing(
+            f"{self._base}/{DECODER_STATE.path}", encode(will), retained=True, expiry_s=DECODER_STATE.expiry_s
+        )
+
+    async def _report_health(self) -> None:
+        while True:
+            await asyncio.sleep(_HEALTH_S)
+            self._publish_health()
+
+    def _publish_health(self) -> None:
+        self._publisher.publish(self._base, DECODER_HEALTH, self.health())

@@ -1,0 +1,251 @@
+"""Frames of one board to messages: its measurement chain, and under a skin the decoding of what that gives."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.acquisition.fit import oscillator_hz
+from resonator_daemon.acquisition.frames import BoardOnline, ChannelisedFrame, SingleToneFrame
+from resonator_daemon.config import Config, Measurement, ReplayLink
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.measurement.comb_chain import CombChain
+from resonator_daemon.measurement.contacts import ContactEvent
+from resonator_daemon.measurement.readings import ForceReading, SkinReading
+from resonator_daemon.measurement.single_tone_chain import ONSET_FRAMES, SingleToneChain
+from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.monitoring.latency import Latencies
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.topics import (
+    CONTACT_EVENT,
+    CONTACTS,
+    DECODED,
+    DECODED_SUMMARY,
+    FORCES,
+    SIGNALS,
+    Topic,
+)
+from resonator_daemon.reporting.chains import Chain, make_chain
+from resonator_daemon.reporting.reports import Reporter
+from resonator_daemon.reporting.sensor_state import SensorState
+
+_ANEW = "the board started anew"
+
+Floats = NDArray[np.float64]
+Origin = tuple[SkinReading, Instant]
+
+
+class Stage(Protocol):
+    """What decodes the frames of a skin: the newest ones as they come, or each in its turn."""
+
+    @property
+    def frames_skipped(self) -> int: ...
+
+    def offer(self, origin: Origin, signals: Floats, noise_std: Floats) -> None: ...
+
+    def interrupt(self, reason: str) -> None: ...
+
+    async def run(self) -> None: ...
+
+
+MakeStage = Callable[
+    [
+        Skin,
+        Wanted,
+        Callable[[Origin, Decoded], None],
+        Callable[[Origin, SurfaceReading], None],
+        Callable[[str], None],
+    ],
+    Stage,
+]
+
+
+class Measuring:
+    """Takes the frames of a board in order; to be used from the event loop's thread only.
+
+    Parameters
+    ----------
+    config
+    reporter
+        Makes the messages.
+    sensor
+        Is told what each reading is worth.
+    publish
+        Takes topic and message.
+    make_stage
+        What decodes under a skin.
+
+    Attributes
+    ----------
+    latencies
+        Of the messages of forces, and of decoded maps.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        reporter: Reporter,
+        sensor: SensorState,
+        publish: Callable[[Topic[Any], Any], None],
+        make_stage: MakeStage,
+    ) -> None:
+        self._config = config
+        self._reporter = reporter
+        self._sensor = sensor
+        self._publish = publish
+        self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
+        self._chain: Chain | None = None
+        self._stage = self._decoding(make_stage)
+        self._last_forces: tuple[ForceReading, Instant] | None = None
+        self._told: tuple[SkinReading, Instant] | None = None  # whose summary was published last
+
+    async def run(self) -> None:
+        """Decode, where there is a skin to be decoded, until cancelled."""
+        if self._stage is not None:
+            await self._stage.run()
+
+    @property
+    def force_chain(self) -> SingleToneChain | CombChain | None:
+        """The chain of a plate of force sites, once a board counts."""
+        return self._chain if isinstance(self._chain, SingleToneChain | CombChain) else None
+
+    @property
+    def frames_not_decoded(self) -> int:
+        return self._stage.frames_skipped if self._stage is not None else 0
+
+    @property
+    def records_unusable(self) -> dict[str, int]:
+        """Readings that gave no frequency, by cause."""
+        return dict(self._chain.unusable) if isinstance(self._chain, SingleToneChain) else {}
+
+    def set_measurement(self, measurement: Measurement) -> None:
+        """Have forces measured over other windows from now on."""
+        self._config = self._config.model_copy(update={"measurement": measurement})
+        if (chain := self.force_chain) is not None:
+            rate_hz = self._config.plate.counter.frame_rate_hz
+            chain.set_window(round(measurement.window_s * rate_hz), round(measurement.step_s * rate_hz))
+
+    def begin(self, board: BoardOnline) -> None:
+        """Begin with a board, or anew with one that has nothing in common with the past."""
+        if self._chain is None:
+            self._chain = make_chain(self._config, oscillator_hz(board.description))
+        elif isinstance(self._chain, SkinChain):
+            self._chain.restart()
+            if self._stage is not None:
+                self._stage.interrupt(_ANEW)
+        else:
+            self._tell_of_last_forces(self._chain.restart())
+
+    def measure(self, frame: SingleToneFrame | ChannelisedFrame) -> None:
+        if isinstance(frame, SingleToneFrame):
+            self._measure_single_tone(frame)
+        else:
+            self._measure_channelised(frame)
+
+    def end_contacts(self, reason: str) -> None:
+        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
+        if self.force_chain is not None:
+            self._tell_of_last_forces(self.force_chain.end_contacts(reason))
+        elif self._stage is not None:
+            self._stage.interrupt(reason)
+
+    def _measure_single_tone(self, frame: SingleToneFrame) -> None:
+        if isinstance(self._chain, SingleToneChain):
+            reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
+            self._publish_forces(reading, frame.gate_middle)
+
+    def _measure_channelised(self, frame: ChannelisedFrame) -> None:
+        if isinstance(self._chain, SkinChain):
+            self._measure_signals(self._chain, frame)
+        elif isinstance(self._chain, CombChain):
+            reading = self._chain.push(
+                frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
+            )
+            self._publish_forces(reading, frame.gate_middle)
+
+    def _publish_forces(self, reading: ForceReading | None, gate_middle: Instant) -> None:
+        if reading is None:
+            return
+        self._last_forces = (reading, gate_middle)
+        self._tell(reading.events, reading, gate_middle)
+        if reading.at_step:
+            compensation = reading.compensation
+            self._sensor.update(
+                reading.status,
+                reading.reason,
+                compensation.common_mode,
+                gate_middle.utc_ns,
+                compensation.plate_kelvin,
+            )
+            self._count_latency(FORCES, gate_middle)
+            self._publish(FORCES, self._reporter.forces(reading, gate_middle))
+            self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
+
+    def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
+        for event in events:
+            self._publish(CONTACT_EVENT, self._reporter.event(event, reading, gate_middle))
+
+    def _tell_of_last_forces(self, events: Sequence[ContactEvent]) -> None:
+        if self._last_forces is not None:
+            self._tell(events, *self._last_forces)
+
+    def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
+        reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
+        self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
+        self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
+        if self._stage is not None and reading.status == "ok":
+            self._stage.offer((reading, frame.gate_middle), reading.signals, reading.noise_std)
+
+    def _decoding(self, make_stage: MakeStage) -> Stage | None:
+        skin, wanted = self._config.plate.skin, self._config.decoding
+        if skin is None:
+            return None
+        if wanted.method == "off":
+            self._sensor.explain("decoding is off")
+            return None
+        if wanted.apart:
+            self._sensor.explain("decoded by another process: resonatord decode")
+            return None
+        half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
+        return make_stage(
+            Skin(
+                half_space,
+                self._config.plate.site_positions_m,
+                skin.depth_m,
+                skin.gain_std,
+                skin.correlation_length_m,
+                skin.tangential_ratio,
+            ),
+            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
+            self._decoded_map,
+            self._decoded,
+            self._sensor.explain,
+        )
+
+    def _decoded_map(self, origin: tuple[SkinReading, Instant], decoded: Decoded) -> None:
+        self._count_latency(DECODED, origin[1])
+        self._publish(DECODED, self._reporter.decoded(*origin, decoded))
+
+    def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
+        for event in surface.events:
+            self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
+        if origin is not self._told:  # else its contacts have ended since, without another frame
+            self._told = origin
+            self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
+        self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
+
+    def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
+        if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording
+            self.latencies.count(topic, gate_middle)
+
+
+def useful_together(plate: Plate, measurement: Measurement) -> tuple[int, ...]:
+    """How many frames are of use together: those that may tell of an onset, and those of a message."""
+    if plate.counter.kind != "single-tone":
+        return (1,)
+    return ONSET_FRAMES, round(measurement.step_s * plate.counter.frame_rate_hz)

@@ -1,0 +1,149 @@
+"""Where the daemon's messages leave it: below one name at one broker, as soon as the name is known."""
+
+from collections.abc import Callable, Collection, Mapping
+from typing import Any, Final
+from urllib.parse import quote
+
+from resonator_daemon.config import Config
+from resonator_daemon.host.places import state_directory
+from resonator_daemon.monitoring.daemon_state import DaemonState
+from resonator_daemon.publishing import asyncapi
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.commands import Commands, Handler
+from resonator_daemon.publishing.mqtt_messages import Outgoing
+from resonator_daemon.publishing.payloads import Message, MessageAccount, State
+from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, Topic, full_topic
+
+NOTHING_MADE: Final = MessageAccount(
+    made=0,
+    restored=0,
+    resent=0,
+    recovered=0,
+    acknowledged=0,
+    handed_to_socket=0,
+    dropped={},
+    unknown_at_disconnect=0,
+    waiting=0,
+    spooled=0,
+)
+
+MakeOffline = Callable[[str], State]
+
+
+class Outlet:
+    """Publishes under a name and hears the commands to it; until the name is known, the last state of each topic waits.
+
+    Parameters
+    ----------
+    config
+    daemon_boot_id
+        Of this run.
+    make_offline
+        Makes the state "offline" of the daemon for a reason: the last will, and the farewell.
+
+    Attributes
+    ----------
+    last_messages
+        The last message of each JSON topic, by its path.
+    """
+
+    def __init__(self, config: Config, daemon_boot_id: str, make_offline: MakeOffline) -> None:
+        self._config = config
+        self._daemon_boot_id = daemon_boot_id
+        self._allowed: Collection[str] = config.commands.allow
+        self._make_offline = make_offline
+        self._publisher: Publisher | None = None
+        self._commands: Commands | None = None
+        self._base = ""
+        self._waiting: dict[Topic[Any], Message] = {}
+        self.last_messages: dict[str, Message] = {}
+
+    @property
+    def open(self) -> bool:
+        return self._publisher is not None
+
+    @property
+    def connected(self) -> bool:
+        return self._publisher is not None and self._publisher.connected
+
+    @property
+    def account(self) -> MessageAccount:
+        """Where the messages went."""
+        return self._publisher.account if self._publisher else NOTHING_MADE
+
+    @property
+    def dropped(self) -> int:
+        """Messages that a subscriber misses."""
+        return self._publisher.dropped if self._publisher else 0
+
+    @property
+    def command_counts(self) -> dict[str, int]:
+        """Commands by what became of them."""
+        return dict(self._commands.counts) if self._commands else {}
+
+    def publish(self, topic: Topic[Any], message: Message) -> None:
+        if topic.content_type == JSON:
+            self.last_messages[topic.path] = message
+        if self._publisher is not None:
+            self._publisher.publish(self._base, topic, message)
+        elif topic.retained:
+            self._waiting[topic] = message
+
+    def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:
+        """Take a name; `run` connects, and what waits is published first."""
+        broker = self._config.mqtt
+        self._base = f"{broker.prefix}/{name}"
+        self._commands = Commands(self._base, handlers, self._allowed, self._answer)
+        self._publisher = Publisher(
+            broker,
+            identifier=f"resonatord-{broker.prefix}-{name}-{self._daemon_boot_id}",
+            make_will=self._make_will,
+            subscriptions=(
+                Subscription(self._commands.topic_filter, 1, self._commands.take),
+                Subscription(full_topic(broker.prefix, name, STATE_DAEMON.path), 1, daemon_state.heard),
+            ),
+            spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
+            on_connected=daemon_state.connected,
+        )
+        self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
+        for topic, message in self._waiting.items():
+            self._publisher.publish(self._base, topic, message)
+        self._waiting.clear()
+
+    async def run(self) -> None:
+        """Keep connected until `close`."""
+        if self._publisher is not None:
+            await self._publisher.run()
+
+    def allow(self, verbs: Collection[str]) -> None:
+        """Obey these commands from now on, beside those that change nothing."""
+        self._allowed = verbs
+        if self._commands is not None:
+            self._commands.allowed = verbs
+
+    def restore(self) -> None:
+        """Publish again what is retained."""
+        if self._publisher is not None:
+            self._publisher.restore()
+
+    def set_rate(self, path: str, rate_hz: float | None) -> None:
+        """Lower the rate of a stream; None: no longer."""
+        if self._publisher is not None:
+            self._publisher.set_rate(path, rate_hz)
+
+    async def close(self, *, wait_for_broker: bool) -> None:
+        """Answer what was asked, say that the daemon stopped, and end `run`."""
+        if self._commands is not None:
+            await self._commands.close()
+        if self._publisher is not None:
+            farewell = (self._base, STATE_DAEMON, self._make_offline("stopped"))
+            await self._publisher.close(farewell, wait_for_broker=wait_for_broker)
+
+    def _answer(self, answer: Outgoing) -> None:
+        if self._publisher is not None:
+            self._publisher.answer(answer)
+
+    def _make_will(self) -> Outgoing:
+        will = self._make_offline("connection lost").model_copy(update={"since_t_ns": None})
+        return Outgoing(f"{self._base}/{STATE_DAEMON.path}", encode(will), retained=STATE_DAEMON.retained)

@@ -1,0 +1,1 @@
+"""TOML files into checked models: bounded before they are parsed, every finding with its line and advice."""

@@ -1,0 +1,224 @@
+"""A hundred mistakes that people make in a configuration: each message names the key and what to do."""
+
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config import load_config
+from resonator_daemon.config.text import plate_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.plate import load_plate
+from resonator_daemon.service.config_store import load_checked
+
+TOP = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
+SERIAL = 'plate = "quartz16"\nlink = "serial:/dev/ttyACM0?baud=4000000"\n'
+SKIN = 'plate = "skin32"\nlink = "tcp://127.0.0.1:5000"\n'
+OWN = 'plate = "own.toml"\nlink = "tcp://127.0.0.1:5000"\n'
+
+
+def link(text: str) -> str:
+    return f'plate = "quartz16"\nlink = {text}\n'
+
+
+# What is wrong, the text, the line and key that a message names, and the words of its remedy.
+BROKEN = [
+    # What is no TOML.
+    ("no quotes", "plate = quartz16\n" + link('"tcp://a:1"')[19:], ":1: ", "put text in quotes"),
+    ("quote left open", 'plate = "quartz16\nlink = "tcp://a:1"\n', ":1: ", "close the quotes"),
+    ("typographic quotes", "plate = “quartz16”\n", ":1: ", 'plain "'),
+    ("colon for equals", 'plate: "quartz16"\n', ":1: ", "key = value"),
+    ("yaml", "mqtt:\n  url: mqtt://127.0.0.1\n", ":1: ", "key = value"),
+    ("json", '{"plate": "quartz16"}\n', ":1: ", "key = value"),
+    ("value left out", TOP + "[measurement]\nwindow_ms =\n", ":4: ", "give a value"),
+    ("key twice", TOP + 'plate = "skin32"\n', ":3: ", "once"),
+    ("table twice", TOP + "[mqtt]\n[commands]\n[mqtt]\n", ":5: ", "once"),
+    ("key and table", TOP + "mqtt = 5\n[mqtt]\n", ":4: ", "once"),
+    ("bracket left open", TOP + "[mqtt\n", ":3: ", "]"),
+    ("list left open", TOP + '[commands]\nallow = ["tare"\nx = 1\n', ":5: ", "]"),
+    ("python's true", TOP + "[recording]\ncontinuous = True\n", ":4: ", "true or false"),
+    ("yes", TOP + "[recording]\ncontinuous = yes\n", ":4: ", "true or false"),
+    ("decimal comma", TOP + "[measurement]\nwindow_ms = 10,5\n", ":4: ", "decimal point"),
+    ("number with a unit", TOP + "[measurement]\nwindow_ms = 10ms\n", ":4: ", "one key = value a line"),
+    ("leading zero", TOP + "[measurement]\nwindow_ms = 010\n", ":4: ", "one key = value a line"),
+    ("c comment", TOP + "// robot 3\n", ":3: ", "#"),
+    ("ini comment", TOP + "; robot 3\n", ":3: ", "#"),
+    ("backslashes", link(r'"serial:C:\dev?baud=4000000"'), ":2: ", "backslash"),
+    ("dollar variable", "plate = $PLATE\n", ":1: ", "put text in quotes"),
+    ("merge markers", "<<<<<<< HEAD\n" + TOP, ":1: ", "key = value"),
+    ("two keys a line", 'plate = "quartz16" link = "tcp://a:1"\n', ":1: ", "one key = value a line"),
+    # Keys that are not there, or elsewhere.
+    ("empty", "", "plate: missing", "the name of a shipped plate"),
+    ("no link", 'plate = "quartz16"\n', "link: missing", "resonatord ports"),
+    ("no plate", 'link = "tcp://127.0.0.1:5000"\n', "plate: missing", "the name of a shipped plate"),
+    ("misspelt key", TOP + 'nmae = "a"\n', ":3: nmae: unknown key", "did you mean name?"),
+    ("misspelt in a table", TOP + "[measurement]\nwindow = 10\n", ":4: measurement.window", "did you mean window_ms?"),
+    ("misspelt table", TOP + "[mesurement]\nwindow_ms = 10\n", ":3: mesurement", "did you mean measurement?"),
+    ("capital table", TOP + "[MQTT]\n", ":3: MQTT: unknown key", "did you mean mqtt?"),
+    ("capital key", TOP + '[mqtt]\nURL = "mqtt://a"\n', ":4: mqtt.URL", "did you mean url?"),
+    ("in the wrong table", TOP + "[mqtt]\nwindow_ms = 10\n", ":4: mqtt.window_ms",
+     "did you mean measurement.window_ms?"),
+    ("at the top", TOP + 'url = "mqtt://a"\n', ":3: url: unknown key", "did you mean mqtt.url?"),
+    ("name below a table", TOP + '[mqtt]\nname = "a"\n', ":4: mqtt.name", "did you mean name? It belongs above"),
+    ("a foreign key", TOP + "threads = 4\n", ":3: threads: unknown key", "allowed: name, plate, link, mqtt"),
+    ("a key of the plate", TOP + "force_max_newton = 5\n", ":3: force_max_newton", "allowed: name, plate"),
+    ("dashes", TOP + "[measurement]\nwindow-ms = 10\n", ":4: measurement.window-ms", "did you mean window_ms?"),
+    ("other unit", TOP + "[measurement]\nwindow_s = 0.01\n", ":4: measurement.window_s", "did you mean window_ms?"),
+    ("other unit of size", TOP + "[recording]\nbudget_gb = 10\n", ":4: recording.budget_gb", "did you mean budget_mb?"),
+    ("table of tables", TOP + "[[mqtt]]\n", ":3: mqtt: got [a table]", "must be a table"),
+    ("table in a table", TOP + "[mqtt.broker]\n", ":3: mqtt.broker: unknown key", "allowed: url, prefix"),
+    ("number for a table", TOP + "mqtt = 1883\n", ":3: mqtt: got 1883", "must be a table of keys"),
+    ("address for a table", TOP + 'mqtt = "mqtt://a"\n', ":3: mqtt: got 'mqtt://a'", "must be a table of keys"),
+    # Names.
+    ("name with a slash", TOP + 'name = "left/index"\n', ":3: name: got 'left/index'", "no space, /, +, #"),
+    ("name with a wildcard", TOP + 'name = "left-+"\n', ":3: name: got 'left-+'", "no space, /, +, #"),
+    ("name is a wildcard", TOP + 'name = "#"\n', ":3: name: got '#'", "no space, /, +, #"),
+    ("name with a space", TOP + 'name = "left index"\n', ":3: name: got 'left index'", "no space"),
+    ("name with a tab", TOP + 'name = "left\\tindex"\n', ":3: name: got 'left\\tindex'", "nor control character"),
+    ("name with a dollar", TOP + 'name = "$left"\n', ":3: name: got '$left'", "no leading $"),
+    ("empty name", TOP + 'name = ""\n', ":3: name: got ''", "not empty"),
+    ("number for a URL", TOP + "[mqtt]\nurl = 3\n", ":4: mqtt.url: got 3", 'as url = "mqtt://127.0.0.1:1883"'),
+    ("number for a name", TOP + "name = 42\n", ":3: name: got 42", 'put it in quotes, as "42"'),
+    ("name of decoders", TOP + 'name = "decoder"\n', ":3: name: got 'decoder'", "choose another"),
+    ("name that is a place", TOP + 'name = ".."\n', ":3: name: got '..'", "choose another"),
+    ("name too long", TOP + f'name = "{"a" * 101}"\n', ":3: name: got 'aaa", "at most 100 characters"),
+    ("prefix with a wildcard", TOP + '[mqtt]\nprefix = "lab/#"\n', ":4: mqtt.prefix: got 'lab/#'", "no space, /, +, #"),
+    ("prefix ends in a slash", TOP + '[mqtt]\nprefix = "lab/"\n', ":4: mqtt.prefix: got 'lab/'", "not empty"),
+    # Plates.
+    ("plate misspelt", TOP.replace("quartz16", "quarz16"), ":1: plate: got 'quarz16'", "did you mean quartz16?"),
+    ("plate with a suffix", TOP.replace("quartz16", "quartz16.toml"), ":1: plate:", "did you mean quartz16?"),
+    ("plate not there", TOP.replace("quartz16", "gone.toml"), ":1: plate: got 'gone.toml'", "allowed: comb16"),
+    ("plate is a directory", TOP.replace("quartz16", "folder"), ":1: plate: got 'folder'", "name a TOML file"),
+    ("plate is the file itself", TOP.replace("quartz16", "board.toml"), ":1: plate: got 'board.toml'",
+     "format: missing"),
+    ("plate is no text", TOP.replace('"quartz16"', "16"), ":1: plate: got 16", "the name of a shipped plate or a path"),
+    ("plate is damaged", TOP.replace("quartz16", "damaged.toml"), ":1: plate: got", "damaged.toml:1: not TOML"),
+    ("plate with a bad key", TOP.replace("quartz16", "misspelt.toml"), "plate:", "did you mean force_max_newton?"),
+    ("plate of the future", TOP.replace("quartz16", "format2.toml"), "format: got 2", "must be 1"),
+    ("plate as a table", '[plate]\nname = "quartz16"\n', ":1: plate: got a table", "the name of a shipped plate"),
+    ("codes that overlap", TOP.replace("quartz16", "twins.toml"), "board.toml: plate:", "counter.codes_may_overlap"),
+    # Links.
+    ("a path alone", link('"/dev/ttyACM0"'), ":2: link: got '/dev/ttyACM0'", "serial:/dev/ttyACM0?baud=4000000"),
+    ("no baud", link('"serial:/dev/ttyACM0"'), ":2: link:", "serial:PATH?baud=N"),
+    ("baud after a colon", link('"serial:/dev/ttyACM0:4000000"'), ":2: link:", "serial:PATH?baud=N"),
+    ("baud misspelt", link('"serial:/dev/ttyACM0?baudrate=4000000"'), ":2: link:", "allowed: baud; did you mean baud?"),
+    ("baud too low", link('"serial:/dev/ttyACM0?baud=115200"'), ":2: link:", "raise baud above 2040000"),
+    ("baud twice", link('"serial:/dev/a?baud=4000000&baud=9600"'), ":2: link:", "baud is given twice"),
+    ("negative baud", link('"serial:/dev/a?baud=-1"'), ":2: link:", "with N from 1 to 1e9"),
+    ("scheme misspelt", link('"tcpip://127.0.0.1:5000"'), ":2: link:", "did you mean tcp?"),
+    ("scheme of the broker", link('"mqtt://127.0.0.1:1883"'), ":2: link:", "allowed: serial, tcp, usb, replay"),
+    ("no port", link('"tcp://127.0.0.1"'), ":2: link:", "must be tcp://host:port"),
+    ("one slash", link('"tcp:/127.0.0.1:5000"'), ":2: link:", "must be tcp://host:port"),
+    ("port out of range", link('"tcp://127.0.0.1:99999"'), ":2: link:", "port (1 to 65535)"),
+    ("lsusb with 0x", link('"usb:0x1209:0x0001"'), ":2: link:", "four hexadecimal digits"),
+    ("usb with slashes", link('"usb://1209:0001"'), ":2: link:", "usb:VID:PID?serial=S"),
+    ("usb option misspelt", link('"usb:1209:0001?sn=0042"'), ":2: link:", "allowed: serial, reset"),
+    ("replay without a file", link('"replay:"'), ":2: link:", "must be replay:FILE"),
+    ("number for a link", link("7000"), ":2: link: got 7000", "must be a string: serial:PATH?baud=N"),
+    ("table for a link", 'plate = "quartz16"\n[link]\nport = "/dev/a"\n', ":2: link: got a table", "must be a string"),
+    # The broker.
+    ("no scheme", TOP + '[mqtt]\nurl = "127.0.0.1:1883"\n', ":4: mqtt.url: got '127.0.0.1:1883'", "mqtt://host:port"),
+    ("tcp for mqtt", TOP + '[mqtt]\nurl = "tcp://127.0.0.1:1883"\n', ":4: mqtt.url:", "mqtt://host:port"),
+    ("port 0", TOP + '[mqtt]\nurl = "mqtt://a:0"\n', ":4: mqtt.url:", "port (1 to 65535)"),
+    ("hash in a password", TOP + '[mqtt]\nurl = "mqtt://me:pass#1@a"\n', ":4: mqtt.url:", "as %23"),
+    ("host for url", TOP + '[mqtt]\nhost = "a"\n', ":4: mqtt.host: unknown key", "allowed: url, prefix"),
+    ("password in the file", TOP + '[mqtt]\npassword = "x"\n', ":4: mqtt.password: unknown",
+     "did you mean password_file?"),
+    ("password without a user", TOP + '[mqtt]\npassword_file = "pw"\n', ":4: mqtt.password_file:",
+     "username beside it"),
+    ("user twice", TOP + '[mqtt]\nurl = "mqtt://a@b"\nusername = "a"\n', ":4: mqtt.url:",
+     "leave the user out of the URL"),
+    ("no such password", TOP + '[mqtt]\nusername = "a"\npassword_file = "gone"\n', ":5: mqtt.password_file:",
+     "no such file"),
+    ("authorities without TLS", TOP + '[mqtt]\nca_file = "pw"\n', ":4: mqtt.ca_file:", "use mqtts://"),
+    ("certificate without a key", TOP + '[mqtt]\nurl = "mqtts://a"\ncertificate_file = "pw"\n',
+     ":5: mqtt.certificate_file:", "needs key_file beside it"),
+    ("no certificate in it", TOP + '[mqtt]\nurl = "mqtts://a"\nca_file = "pw"\n', ":5: mqtt.ca_file:",
+     "name a PEM file"),
+    # Times, sizes, words.
+    ("window in seconds", TOP + "[measurement]\nwindow_ms = 0.01\n", ":4: measurement.window_ms: got 0.01",
+     "near: 1 or 2"),
+    ("negative window", TOP + "[measurement]\nwindow_ms = -10\n", ":4: measurement.window_ms: got -10",
+     "greater than 0"),
+    ("huge window", TOP + "[measurement]\nwindow_ms = 10000\n", ":4: measurement.window_ms",
+     "less than or equal to 1000"),
+    ("unit in quotes", TOP + '[measurement]\nwindow_ms = "10 ms"\n', ":4: measurement.window_ms",
+     "give it alone, as 10"),
+    ("number in quotes", TOP + '[measurement]\nwindow_ms = "10"\n', ":4: measurement.window_ms",
+     "give it alone, as 10"),
+    ("swapped", TOP + "[measurement]\nwindow_ms = 5\nstep_ms = 10\n", ":5: measurement.step_ms: got 10",
+     "at most window_ms"),
+    ("rate for step", TOP + "[measurement]\nstep_ms = 200\n", ":4: measurement.step_ms: got 200", "at most window_ms"),
+    ("broken frames", TOP + "[measurement]\nstep_ms = 2.5\n", ":4: measurement.step_ms: got 2.5", "near: 2 or 3"),
+    ("not a number", TOP + "[measurement]\nwindow_ms = nan\n", ":4: measurement.window_ms: got nan", "finite number"),
+    ("list for a number", TOP + "[measurement]\nwindow_ms = [10]\n", ":4: measurement.window_ms: got [10]",
+     "valid number"),
+    ("decoder misspelt", SKIN + '[decoding]\nmethod = "openplane"\n', ":4: decoding.method",
+     "did you mean open-plane?"),
+    ("true for a word", SKIN + "[decoding]\nmethod = true\n", ":4: decoding.method: got True",
+     "'open-plane', 'fourier' or 'off'"),
+    ("on for true", SKIN + '[decoding]\ncontact_physics = "on"\n', ":4: decoding.contact_physics: got 'on'",
+     "true or false, without quotes"),
+    ("true in quotes", SKIN + '[decoding]\ncontact_physics = "true"\n', ":4: decoding.contact_physics",
+     "true or false, without quotes"),
+    ("1 for true", SKIN + "[decoding]\ncontact_physics = 1\n", ":4: decoding.contact_physics: got 1",
+     "true or false, without quotes"),
+    ("slippery", SKIN + "[decoding]\nfriction_coefficient = 0\n", ":4: decoding.friction_coefficient",
+     "equal to 0.001"),
+    ("fourier on scattered sites", 'plate = "fingertip400"\nlink = "tcp://a:1"\n[decoding]\nmethod = "fourier"\n',
+     ":4: decoding.method", 'use "open-plane"'),
+    ("group without plates", SKIN + '[decoding]\ngroup = "g"\n', ":4: decoding.group", 'as plates = ["+"]'),
+    ("a command misspelt", TOP + '[commands]\nallow = ["tear"]\n', ":4: commands.allow[0]: got 'tear'",
+     "did you mean tare?"),
+    ("a command alone", TOP + '[commands]\nallow = "tare"\n', ":4: commands.allow: got 'tare'", "as ['tare']"),
+    ("all commands", TOP + '[commands]\nallow = ["*"]\n', ":4: commands.allow[0]: got '*'",
+     "allowed: tare, start_recording"),
+    ("true for commands", TOP + "[commands]\nallow = true\n", ":4: commands.allow: got True", "must be a list"),
+    ("budget below a file", TOP + "[recording]\nbudget_mb = 100\n", ":4: recording.budget_mb: got 100",
+     "lower file_max_mb"),
+    ("budget in GB", TOP + '[recording]\nbudget_mb = "10 GB"\n', ":4: recording.budget_mb", "give it alone, as 10"),
+    ("no room kept", TOP + "[recording]\nkeep_free_mb = -1\n", ":4: recording.keep_free_mb", "equal to 0"),
+    ("tiny files", TOP + "[recording]\nfile_max_mb = 0.1\n", ":4: recording.file_max_mb: got 0.1", "equal to 1"),
+    ("no directory", TOP + '[recording]\ndirectory = ""\n', ":4: recording.directory",
+     "a directory, relative to this file"),
+    ("a port alone", TOP + "[metrics]\nlisten = 9464\n", ":4: metrics.listen: got 9464", 'as "127.0.0.1:9464"'),
+    ("metrics url", TOP + '[metrics]\nlisten = "http://a:9464/metrics"\n', ":4: metrics.listen",
+     'must be "ADDRESS:PORT"'),
+    ("metrics switched on", TOP + "[metrics]\nenabled = true\n", ":4: metrics.enabled: unknown key", "allowed: listen"),
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("broken")
+    plate = load_plate("quartz16")
+    good = plate_text(plate)
+    first, second, *others = plate.sites
+    twins = plate.model_copy(update={"sites": (first, second.model_copy(update={"tones": first.tones}), *others)})
+    (folder / "pw").write_text("secret\n")
+    (folder / "folder").mkdir()
+    (folder / "own.toml").write_text(good)
+    (folder / "damaged.toml").write_text("format 1\n")
+    (folder / "misspelt.toml").write_text(good.replace("force_max_newton", "force_max_newtons"))
+    (folder / "format2.toml").write_text(good.replace("format = 1", "format = 2"))
+    (folder / "twins.toml").write_text(plate_text(twins))
+    return folder
+
+
+@pytest.mark.parametrize(("text", "key", "remedy"), [case[1:] for case in BROKEN], ids=[case[0] for case in BROKEN])
+def test_the_message_names_key_and_remedy(folder: Path, text: str, key: str, remedy: str) -> None:
+    (folder / "board.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_checked(folder / "board.toml")
+    told = "\n".join(caught.value.messages)
+    assert [message for message in caught.value.messages if key in message and remedy in message], told
+    assert all("\n" not in message for message in caught.value.messages)
+
+
+def test_what_the_mistakes_are_made_in_is_right(folder: Path) -> None:
+    for text in (TOP, SERIAL, SKIN, OWN):
+        (folder / "board.toml").write_text(text)
+        load_config(folder / "board.toml")
+
+
+def test_there_are_a_hundred() -> None:
+    assert len({text for _, text, _, _ in BROKEN}) >= 100

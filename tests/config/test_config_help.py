@@ -1,0 +1,157 @@
+"""The schema and the explanations say of each key what the models check."""
+
+import json
+import sys
+import tomllib
+from typing import Any
+
+import jsonschema
+import pytest
+
+from resonator_daemon.cli import main
+from resonator_daemon.config import Config, example_config
+from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained, key_list
+from resonator_daemon.errors import ExitCode
+
+SCHEMA = config_schema()
+MINIMAL = {"plate": "quartz16", "link": "tcp://127.0.0.1:1"}
+
+
+def says(content: dict[str, Any]) -> list[str]:
+    errors = jsonschema.Draft202012Validator(SCHEMA).iter_errors(content)
+    return [".".join(map(str, error.absolute_path)) or error.validator for error in errors]
+
+
+def test_it_is_a_schema_that_takes_the_example() -> None:
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    assert says(tomllib.loads(example_config())) == []
+    assert says(MINIMAL) == []
+    everything: dict[str, Any] = dict(MINIMAL)
+    for key in config_keys():
+        *tables, name = key.path.split(".")
+        table = everything
+        for one in tables:
+            table = table.setdefault(one, {})
+        table[name] = json.loads(key.examples[0])
+    assert says(everything) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        ({"nmae": "a"}, "additionalProperties"),
+        ({"mqtt": {"urll": ""}}, "mqtt"),
+        ({"name": 5}, "name"),
+        ({"measurement": {"window_ms": 0}}, "measurement.window_ms"),
+        ({"measurement": {"step_ms": 1001}}, "measurement.step_ms"),
+        ({"decoding": {"friction_coefficient": "low"}}, "decoding.friction_coefficient"),
+        ({"decoding": {"method": "of"}}, "decoding.method"),
+        ({"recording": {"continuous": 1}}, "recording.continuous"),
+        ({"commands": {"allow": ["tear"]}}, "commands.allow.0"),
+        ({"metrics": {"listen": 9464}}, "metrics.listen"),
+        ({"plate": {}}, "plate"),
+    ],
+)
+def test_it_refuses_what_the_models_refuse(change: dict[str, Any], where: str) -> None:
+    assert says(MINIMAL | change) == [where]
+
+
+def test_it_asks_for_plate_and_link() -> None:
+    assert SCHEMA["required"] == ["plate", "link"]
+    assert says({}) == ["required", "required"]
+
+
+def test_every_table_and_key_says_what_it_is() -> None:
+    assert all(key.meaning and (key.examples or key.default) for key in config_keys())
+    assert all(table["description"] for table in SCHEMA["$defs"].values())
+    assert {key.path.partition(".")[0] for key in config_keys()} == Config.model_fields.keys()
+
+
+def test_a_key_that_is_a_quantity_has_its_unit() -> None:
+    units = {key.path: key.unit for key in config_keys() if key.unit}
+    assert units.keys() == {key.path for key in config_keys() if key.kind == "number"}
+    assert units["measurement.window_ms"] == "milliseconds"
+    assert units["recording.budget_mb"] == "megabytes, 10^6 bytes"
+
+
+def test_what_a_reload_takes() -> None:
+    live = {key.path for key in config_keys() if key.live}
+    assert {"measurement.step_ms", "commands.allow", "recording.derived"} <= live
+    assert live.isdisjoint({"name", "plate", "link", "mqtt.url", "decoding.method", "metrics.listen"})
+
+
+def test_a_key_and_a_table_and_all() -> None:
+    assert [key.path for key in explained("mqtt.url")] == ["mqtt.url"]
+    assert [key.path for key in explained("measurement")] == ["measurement.window_ms", "measurement.step_ms"]
+    assert explained("") == config_keys()
+
+
+@pytest.mark.parametrize(
+    ("path", "near"),
+    [
+        ("mqtt.ulr", "mqtt.url"),
+        ("mqtt.u", "mqtt.url"),
+        ("window_ms", "measurement.window_ms"),
+        ("recordings.budget_mb", "recording.budget_mb"),
+    ],
+)
+def test_an_unknown_key_is_told_the_nearest(path: str, near: str) -> None:
+    with pytest.raises(UnknownKeyError, match=rf"'{path}'; did you mean {near}\? All of them: resonatord config expl"):
+        explained(path)
+    with pytest.raises(UnknownKeyError, match=r"no key is called 'x\\x1b'; All of them"):
+        explained("x\x1b")
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(["config", *arguments]) == ExitCode.DONE
+    out, err = capsys.readouterr()
+    assert err == ""
+    return out
+
+
+def test_the_verbs_print_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert json.loads(run(capsys, "schema")) == SCHEMA
+    assert run(capsys, "schema", "--json").count("\n") == 1
+    assert run(capsys, "explain", "measurement.window_ms").splitlines() == [
+        "measurement.window_ms: count this long for one force; whole frame periods of the plate",
+        "  type     number, in milliseconds",
+        "  default  10.0",
+        "  range    above 0, at most 1000",
+        "  example  window_ms = 10.0",
+        "  reload   takes it",
+    ]
+    plate = run(capsys, "explain", "plate")
+    assert "default  none: it must be given" in plate
+    assert "restart the daemon" in plate
+    assert [line.split()[0] for line in run(capsys, "explain").splitlines()] == [key.path for key in config_keys()]
+    said = json.loads(run(capsys, "explain", "mqtt.prefix", "--json"))
+    assert said["verb"] == "config explain"
+    (key,) = said["keys"]
+    assert (key["path"], key["limits"], key["live"]) == ("mqtt.prefix", "at most 200 characters", False)
+
+
+@pytest.mark.parametrize("arguments", [[], ["mqtt"]])
+def test_a_terminal_gets_lines_that_fit_it(
+    arguments: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = run(capsys, "explain", *arguments)
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    wrapped = run(capsys, "explain", *arguments)
+    assert max(map(len, whole.splitlines())) > 80 >= max(map(len, wrapped.splitlines()))
+    assert wrapped.split() == whole.split()
+
+
+def test_a_long_line_goes_on_below_its_own_beginning() -> None:
+    (key,) = explained("mqtt.url")
+    lines = key_list((key,), 50).splitlines()
+    assert lines[0].startswith("mqtt.url  the broker: ")
+    assert len(lines) > 1
+    assert all(line.startswith(" " * 10) and line[10] != " " for line in lines[1:])
+
+
+def test_the_verb_refuses_an_unknown_key(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["config", "explain", "mqtt.ulr"])
+    assert ended.value.code == ExitCode.USAGE
+    assert "did you mean mqtt.url?" in capsys.readouterr().err

@@ -1,0 +1,89 @@
+"""A recording's own copy of plate and settings: it loads back equal, and makes a configuration."""
+
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config import Config, Mqtt, ReplayLink, load_config
+from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.plate import Coupling, load_plate, shipped_plates
+
+ORIGIN = Path("run.mcap/plate.toml")
+LINK = ReplayLink("run.mcap")
+
+
+def loaded(tmp_path: Path, text: str) -> Config:
+    path = tmp_path / "board.toml"
+    path.write_text(text)
+    return load_config(path)
+
+
+@pytest.mark.parametrize("name", shipped_plates())
+def test_a_shipped_plate_loads_back_equal(name: str) -> None:
+    plate = load_plate(name)
+    assert load_plate_text(plate_text(plate), ORIGIN) == plate
+
+
+def test_a_calibrated_plate_loads_back_equal() -> None:
+    plate = load_plate("quartz16")
+    calibration = plate.calibration.model_copy(
+        update={
+            "id": 'a "quoted" \\ id\n\tß',
+            "date": date(2026, 1, 2),
+            "sites": (1, 2),
+            "residuals": (1e-15, 0.1 + 0.2),
+            "coupling": (Coupling(pressed=1, heard=2, ratio=-1 / 3),),
+        }
+    )
+    plate = plate.model_copy(update={"calibration": calibration})
+    assert load_plate_text(plate_text(plate), ORIGIN) == plate
+
+
+def test_defaults_are_written_out() -> None:
+    """Another version may have others."""
+    assert "transient_s = -2e-07" in plate_text(load_plate("fingertip400"))
+
+
+def test_settings_load_back_equal(tmp_path: Path) -> None:
+    base = 'plate = "skin32"\nlink = "tcp://127.0.0.1:1"\n'
+    for table in (
+        "",
+        "[measurement]\nwindow_ms = 7.3\nstep_ms = 0.1\n",
+        '[decoding]\nmethod = "fourier"\ncontact_physics = false\nuncertainty = false\nfriction_coefficient = 0.3\n',
+        '[decoding]\napart = true\nplates = ["+"]\ngroup = "g"\ndisplacement = false\n',
+    ):
+        config = loaded(tmp_path, base + table)
+        settings = load_settings_text(settings_text(config), ORIGIN)
+        assert (settings.measurement, settings.decoding) == (config.measurement, config.decoding)
+
+
+def test_a_configuration_of_a_recordings_parts(tmp_path: Path) -> None:
+    """The default step does not suit this plate's frames: what the recording carries holds."""
+    slow = load_plate("quartz16")
+    slow = slow.model_copy(update={"counter": slow.counter.model_copy(update={"frame_rate_hz": 250.0})})
+    (tmp_path / "slow.toml").write_text(plate_text(slow))
+    recorded = loaded(
+        tmp_path, 'plate = "slow.toml"\nlink = "tcp://127.0.0.1:1"\n[measurement]\nwindow_ms = 12\nstep_ms = 4\n'
+    )
+    settings = load_settings_text(settings_text(recorded), ORIGIN)
+    config = config_of(slow, settings, LINK, name="left", mqtt=Mqtt(prefix="again"))
+    assert (config.name, config.plate, config.link, config.mqtt.prefix) == ("left", slow, LINK, "again")
+    assert (config.measurement, config.decoding) == (recorded.measurement, recorded.decoding)
+    assert config_of(slow, settings, LINK).mqtt == Mqtt()
+
+
+def test_parts_that_do_not_suit_each_other(tmp_path: Path) -> None:
+    settings = load_settings_text("[measurement]\nwindow_ms = 10.5\n[decoding]\n", ORIGIN)
+    with pytest.raises(ConfigError, match=r"measurement\.window_ms: got 10\.5; must be a whole number of frame"):
+        config_of(load_plate("quartz16"), settings, LINK)
+
+
+def test_damaged_texts_are_an_operators_error() -> None:
+    with pytest.raises(ConfigError, match=r"run\.mcap/plate\.toml:1: not TOML"):
+        load_plate_text("format = ", ORIGIN)
+    with pytest.raises(ConfigError, match=r"run\.mcap/plate\.toml: format: missing"):
+        load_plate_text("", ORIGIN)
+    with pytest.raises(ConfigError, match="measurement: missing"):
+        load_settings_text("", ORIGIN)

@@ -1,0 +1,68 @@
+"""A decoder's configuration: its own file or the daemon's, with every finding at once."""
+
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config import example_config
+from resonator_daemon.config.decoder import DecoderConfig, load_decoder_config
+from resonator_daemon.errors import ConfigError
+
+
+def loaded(tmp_path: Path, text: str) -> DecoderConfig:
+    path = tmp_path / "decoder.toml"
+    path.write_text(text)
+    return load_decoder_config(path)
+
+
+def refused(tmp_path: Path, text: str) -> tuple[str, ...]:
+    with pytest.raises(ConfigError) as raised:
+        loaded(tmp_path, text)
+    return tuple(message.partition("decoder.toml:")[2] for message in raised.value.messages)
+
+
+def test_the_daemons_file_will_do(tmp_path: Path) -> None:
+    config = loaded(tmp_path, example_config())
+    assert (config.name, config.mqtt.prefix, config.method) == ("left-index", "resonator", "open-plane")
+
+
+def test_what_only_the_daemon_needs_is_passed_over_whatever_it_says(tmp_path: Path) -> None:
+    text = (
+        'name = "left"\nplate = "no such plate"\nlink = 7\nmeasurement = "?"\n[recording]\nx = 1\n[commands]\ny = 2\n'
+    )
+    assert loaded(tmp_path, text).name == "left"
+
+
+def test_a_file_of_two_tables_will_do_for_a_group(tmp_path: Path) -> None:
+    text = '[mqtt]\nurl = "mqtt://10.0.0.1"\n[decoding]\nplates = ["a", "b"]\ngroup = "touch"\ndisplacement = false\n'
+    config = loaded(tmp_path, text)
+    assert (config.decoding.plates, config.decoding.group) == (("a", "b"), "touch")
+    assert (config.decoding.uncertainty, config.decoding.displacement) == (True, False)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentences"),
+    [
+        ("", (" name: missing; give the name of the plate, or decoding.plates and decoding.group",)),
+        ('name = "decoder"', ("1: name: got 'decoder'; is the topic of decoder processes; choose another",)),
+        ('name = "a"\n[mqtt]\nurll = ""', ("3: mqtt.urll: unknown key; did you mean url?",)),
+        ('name = "a"\nnamee = "b"', ("2: namee: unknown key; did you mean name?",)),
+        ('name = "a"\n[decoding]\nmethod = "off"', ('2: decoding: got a table; method = "off" leaves a decoder',)),
+        ('[decoding]\nplates = ["+"]', ("1: decoding.group: missing; decoders of the same group share the plates",)),
+        ('[decoding]\ngroup = "g"', ("2: decoding.group: got 'g'; shares plates that are named in decoding.plates",)),
+        ('[decoding]\nplates = ["+", "a"]\ngroup = "g"', ("2: decoding.plates: got ['+', 'a']; \"+\" stands for all",)),
+        ('[decoding]\nplates = ["a", "a"]\ngroup = "g"', ("2: decoding.plates: got ['a', 'a']; must not name a",)),
+        ('[decoding]\nplates = ["a/b"]\ngroup = "g/h"', ("2: decoding.plates: got ['a/b']; becomes", "3: decoding.g")),
+    ],
+)
+def test_each_finding_is_one_sentence_with_its_line(tmp_path: Path, text: str, sentences: tuple[str, ...]) -> None:
+    found = refused(tmp_path, text) if text else (str(_error(tmp_path)).partition("decoder.toml:")[2],)
+    assert len(found) == len(sentences)
+    for message, sentence in zip(found, sentences, strict=True):
+        assert message.startswith(sentence)
+
+
+def _error(tmp_path: Path) -> ConfigError:
+    with pytest.raises(ConfigError) as raised:
+        loaded(tmp_path, "")
+    return raised.value

@@ -1,0 +1,104 @@
+"""Where files live by the environment's word, and what is made there."""
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.host.places import make_private, runtime_directories, runtime_directory, state_directory
+
+
+@pytest.fixture(autouse=True)
+def _nothing_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("RUNTIME_DIRECTORY", "XDG_RUNTIME_DIR", "STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_state_is_where_systemd_says_else_at_home(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "/home/robot")
+    assert state_directory() == Path("/home/robot/.local/state/resonatord")
+    monkeypatch.setenv("XDG_STATE_HOME", "not/absolute")
+    assert state_directory() == Path("/home/robot/.local/state/resonatord")
+    monkeypatch.setenv("XDG_STATE_HOME", "/state")
+    assert state_directory() == Path("/state/resonatord")
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/resonatord:/var/lib/other")
+    assert state_directory() == Path("/var/lib/resonatord")
+
+
+def test_what_ends_with_a_run_is_where_systemd_says_else_below_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Path(f"/tmp/resonatord-{os.geteuid()}")
+    assert runtime_directory("hand") == own / "hand"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "not/absolute")
+    assert runtime_directory("hand") == own / "hand"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    assert runtime_directory("hand") == Path("/run/user/7/resonatord/hand")
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/resonatord/left:/run/other")
+    assert runtime_directory("hand") == Path("/run/resonatord/left")
+
+
+@pytest.mark.parametrize("stem", [".", ".."])
+def test_no_file_name_leads_out_of_the_directory(monkeypatch: pytest.MonkeyPatch, stem: str) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    path = runtime_directory(stem)
+    assert path.parent == Path(os.path.normpath(path)).parent == Path("/run/user/7/resonatord")
+
+
+def test_daemons_are_looked_for_wherever_one_may_be(monkeypatch: pytest.MonkeyPatch) -> None:
+    uid = os.geteuid()
+    by_default = (Path("/run/resonatord"), Path(f"/tmp/resonatord-{uid}"), Path(f"/run/user/{uid}/resonatord"))
+    assert runtime_directories() == by_default
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/elsewhere")
+    assert set(runtime_directories()) == {*by_default, Path("/elsewhere/resonatord")}
+    monkeypatch.setenv("XDG_RUNTIME_DIR", f"/run/user/{uid}")
+    assert sorted(runtime_directories()) == sorted(by_default)
+
+
+def test_only_this_user_may_enter_what_is_made(tmp_path: Path) -> None:
+    before = os.umask(0)
+    try:
+        make_private(tmp_path / "resonatord" / "hand")
+    finally:
+        os.umask(before)
+    assert mode(tmp_path / "resonatord") == mode(tmp_path / "resonatord" / "hand") == 0o700
+    make_private(tmp_path / "resonatord" / "hand")  # as at the next start
+
+
+def test_what_systemd_has_made_for_all_to_enter_is_taken(tmp_path: Path) -> None:
+    (tmp_path / "hand").mkdir(mode=0o755)
+    make_private(tmp_path / "hand")
+    assert mode(tmp_path / "hand") == 0o755
+
+
+@pytest.mark.parametrize(("place", "bits"), [("outer", 0o777), ("outer/hand", 0o777), ("outer/hand", 0o1777)])
+def test_a_place_where_others_can_write_is_refused(tmp_path: Path, place: str, bits: int) -> None:
+    (tmp_path / "outer" / "hand").mkdir(parents=True)
+    (tmp_path / place).chmod(bits)
+    with pytest.raises(PermissionError, match=f"{place} belongs to user .* mode {bits:o}.*remove it"):
+        make_private(tmp_path / "outer" / "hand")
+
+
+def test_below_a_directory_as_tmp_is_own_directories_are_safe(tmp_path: Path) -> None:
+    (tmp_path / "tmp").mkdir()
+    (tmp_path / "tmp").chmod(0o1777)
+    make_private(tmp_path / "tmp" / "hand")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a directory away")
+def test_a_place_of_another_user_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "hand").mkdir(mode=0o700)
+    os.chown(tmp_path / "hand", 12345, 12345)
+    with pytest.raises(PermissionError, match="belongs to user 12345"):
+        make_private(tmp_path / "hand")
+
+
+@pytest.mark.parametrize("make", [lambda path: path.symlink_to("/"), lambda path: path.symlink_to("/nowhere")])
+def test_a_link_in_its_place_is_not_followed(tmp_path: Path, make: object) -> None:
+    assert callable(make)
+    make(tmp_path / "hand")
+    with pytest.raises(OSError, match="hand"):
+        make_private(tmp_path / "hand")

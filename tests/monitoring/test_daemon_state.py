@@ -1,0 +1,179 @@
+"""The daemon's own state: connections to the broker, and another daemon of the same name."""
+
+import itertools
+import json
+import logging
+from collections import deque
+from collections.abc import Callable
+
+import pytest
+
+from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.payloads import Condition
+
+
+def incoming(boot_id: object, state: object, *, retained: bool = False) -> Incoming:
+    payload = json.dumps({"daemon_boot_id": boot_id, "state": state}).encode()
+    return Incoming("resonator/hand/state/daemon", payload, retained, None, None)
+
+
+@pytest.fixture
+def said() -> list[DaemonStanding]:
+    return []
+
+
+@pytest.fixture
+def restored() -> list[None]:
+    """Grows when what is retained is published again."""
+    return []
+
+
+@pytest.fixture
+def state(said: list[DaemonStanding], restored: list[None]) -> DaemonState:
+    state = DaemonState("aa", said.append, lambda: restored.append(None))
+    state.become(Condition.ONLINE, "measuring", 5)
+    state.connected(1)
+    said.clear()
+    return state
+
+
+def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[DaemonStanding]) -> None:
+    first = state.standing
+    state.connected(2)
+    (again,) = said
+    assert (again.condition, again.reason, again.since_utc_ns) == (Condition.ONLINE, "measuring", 5)
+    assert (first.connections, again.connections) == (1, 2)
+    assert first.connected_utc_ns is not None
+    assert again.connected_utc_ns is not None
+    assert again.connected_utc_ns > first.connected_utc_ns
+
+
+def test_its_own_messages_say_nothing_new(state: DaemonState, said: list[DaemonStanding]) -> None:
+    state.heard(incoming("aa", "online"))
+    assert said == []
+
+
+def test_its_own_will_of_an_earlier_connection_is_answered_unless_it_has_ended(
+    state: DaemonState, said: list[DaemonStanding]
+) -> None:
+    state.heard(incoming("aa", "offline"))
+    assert [standing.condition for standing in said] == [Condition.ONLINE]
+    state.end()
+    state.heard(incoming("aa", "offline"))
+    assert len(said) == 1
+
+
+def test_strangers_who_claim_to_be_thousands_are_not_listed(
+    state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
+) -> None:
+    for number in range(3000):
+        state.heard(incoming(f"b{number}", "online"))
+    assert len(said) == len(caplog.records) == 4
+    assert len(state.standing.reason) < 400
+
+
+def test_another_daemon_is_told_of_once(
+    state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
+) -> None:
+    state.heard(incoming("bb", "online"))
+    state.heard(incoming("bb", "online"))
+    (conflict,) = said
+    assert conflict.condition is Condition.ONLINE
+    assert conflict.reason.startswith("measuring; another daemon (boot id bb) publishes under this name")
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
+    assert "boot id bb" in caplog.text
+
+
+def test_the_conflict_is_over_when_the_other_has_gone(
+    state: DaemonState, said: list[DaemonStanding], restored: list[None]
+) -> None:
+    state.heard(incoming("bb", "online"))
+    state.heard(incoming("cc", "online"))
+    state.heard(incoming("bb", "offline"))
+    assert "boot id cc)" in said[-1].reason
+    state.heard(incoming("cc", "offline"))
+    assert said[-1].reason == "measuring"
+    assert len(said) == 4
+    assert len(restored) == 2  # the other had written over everything
+
+
+def test_a_will_that_comes_late_is_answered(
+    state: DaemonState, said: list[DaemonStanding], restored: list[None]
+) -> None:
+    state.heard(incoming("old", "offline"))
+    assert [standing.reason for standing in said] == ["measuring"]
+    assert len(restored) == 1
+
+
+def test_what_was_retained_may_be_of_the_dead(state: DaemonState, said: list[DaemonStanding]) -> None:
+    state.heard(incoming("bb", "online", retained=True))
+    state.heard(incoming("bb", "offline", retained=True))
+    assert said == []
+
+
+def test_a_new_connection_begins_without_a_conflict(state: DaemonState, said: list[DaemonStanding]) -> None:
+    state.heard(incoming("bb", "online"))
+    state.connected(2)
+    assert said[-1].reason == "measuring"
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [b"", b"{}", b"[]", b"7", b"\xff", b'{"daemon_boot_id": "b"}', b"[" * 100_000, b'{"state": "online"}']
+    + [
+        json.dumps({"daemon_boot_id": boot_id, "state": "online"}).encode()
+        for boot_id in (7, None, "", "x" * 65, "a\nb", ["b"], {"b": 1})
+    ],
+)
+def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonStanding], payload: bytes) -> None:
+    state.heard(Incoming("resonator/hand/state/daemon", payload, False, None, None))
+    assert said == []
+
+
+class Pair:
+    """Two daemons on a broker that hands each message to both, in any order between the two."""
+
+    def __init__(self) -> None:
+        self.queues: dict[str, deque[Incoming]] = {"aa": deque(), "bb": deque()}
+        self.last: dict[str, str] = {}
+        self.sent = 0
+        self.states = {name: DaemonState(name, self._publisher(name), lambda: None) for name in self.queues}
+
+    def _publisher(self, name: str) -> Callable[[DaemonStanding], None]:
+        def publish(standing: DaemonStanding) -> None:
+            self.sent += 1
+            self.last[name] = standing.reason
+            for queue in self.queues.values():
+                queue.append(incoming(name, standing.condition))
+
+        return publish
+
+    def deliver(self, name: str) -> None:
+        if self.queues[name]:
+            self.states[name].heard(self.queues[name].popleft())
+
+    def settle(self) -> None:
+        for _ in range(100):
+            self.deliver("aa")
+            self.deliver("bb")
+
+
+@pytest.mark.parametrize("order", list(itertools.product("ab", repeat=4)))
+def test_both_learn_of_each_other_and_then_fall_silent(order: tuple[str, ...]) -> None:
+    pair = Pair()
+    for name, state in pair.states.items():
+        state.become(Condition.ONLINE, "measuring", 1)
+        state.connected(1)
+        for who in order:
+            pair.deliver(2 * who)
+        assert name in pair.last
+    pair.settle()
+    assert not any(pair.queues.values())
+    assert pair.sent <= 8
+    assert "boot id bb" in pair.last["aa"]
+    assert "boot id aa" in pair.last["bb"]
+    pair.states["bb"].become(Condition.OFFLINE, "stopped", 2)
+    pair.deliver("aa")
+    pair.settle()
+    assert pair.last["aa"] == "measuring"

@@ -1,0 +1,213 @@
+"""Rates, losses and vital signs of the daemon, against a clock and a process that the test controls."""
+
+import asyncio
+import json
+import math
+import os
+import resource
+import threading
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from resonator_daemon.acquisition.account import LinkAccount
+from resonator_daemon.monitoring import health
+from resonator_daemon.monitoring.health import HealthMonitor, Vitals
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost, MessageAccount, RecordingInfo
+
+MESSAGES = MessageAccount(
+    made=28,
+    restored=1,
+    resent=1,
+    recovered=1,
+    acknowledged=2,
+    handed_to_socket=3,
+    dropped={"no_connection": 5},
+    unknown_at_disconnect=7,
+    waiting=11,
+    spooled=4,
+)
+LATENCY = {"forces": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(7, 3, 1))}
+RECORDING = RecordingInfo(
+    file="run.mcap",
+    since_t_ns=17,
+    failure=None,
+    file_bytes=5,
+    files=4,
+    files_removed=3,
+    events_missing=2,
+    messages=1,
+    messages_missing=0,
+)
+COMMANDS = {"done": 2, "denied": 1}
+
+
+class Process:
+    """A process of 92 MB, busy by 0.5 % more in every interval; the first of all measures nothing."""
+
+    def __init__(self) -> None:
+        self._asked = 0
+
+    def cpu_percent(self) -> float:
+        self._asked += 1
+        return 20.0 + 0.5 * (self._asked - 1) if self._asked > 1 else 0.0
+
+    def memory_info(self) -> Any:
+        return SimpleNamespace(rss=92 * 1024 * 1024)
+
+    def num_threads(self) -> int:
+        return 5
+
+    def num_fds(self) -> int:
+        return 23
+
+
+class Machine:
+    """What a monitor sees of the world."""
+
+    def __init__(self) -> None:
+        self.now_s = 5000.0
+
+    def vitals(self, monitor: HealthMonitor, **link: int) -> Vitals:
+        return monitor.vitals(LinkAccount(**link), MESSAGES, 1.5, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
+    machine = Machine()
+    monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
+    monkeypatch.setattr(health, "psutil", SimpleNamespace(Process=Process))
+    return machine
+
+
+async def test_the_frame_rate_is_that_since_the_last_call(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    rates = []
+    for seconds, frames in ((2.0, 2000), (0.5, 2450), (4.0, 2450), (1.0, 3450)):
+        machine.now_s += seconds
+        rates.append(machine.vitals(monitor, frames=frames)["frame_rate_hz"])
+    assert rates == pytest.approx([1000.0, 900.0, 0.0, 1000.0])
+
+
+async def test_two_calls_at_one_instant_are_no_crash(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    assert math.isfinite(machine.vitals(monitor, frames=10)["frame_rate_hz"])
+    assert machine.vitals(monitor, frames=10)["frame_rate_hz"] == 0.0
+
+
+async def test_uptime_counts_from_the_start(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    for seconds in (1.25, 3.0):
+        machine.now_s += seconds
+        vitals = machine.vitals(monitor)
+    assert vitals["uptime_s"] == pytest.approx(4.25)
+
+
+async def test_processor_time_counts_from_the_start(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    assert [machine.vitals(monitor)["cpu_percent"] for _ in range(3)] == [20.5, 21.0, 21.5]
+    assert machine.vitals(monitor)["rss_mb"] == 92.0
+
+
+async def test_every_byte_has_one_fate(machine: Machine) -> None:
+    vitals = machine.vitals(
+        HealthMonitor(),
+        bytes_received=11111,
+        bytes_accepted=10000,
+        bytes_other_version=1000,
+        bytes_own_direction=100,
+        bytes_discarded=10,
+        bytes_waiting=1,
+    )
+    assert vitals["bytes_in"] == 11111 == sum(vitals["bytes_by_fate"].values())
+    assert vitals["bytes_by_fate"] == {
+        "accepted": 10000,
+        "other_version": 1000,
+        "own_direction": 100,
+        "discarded": 10,
+        "waiting": 1,
+    }
+
+
+async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None:
+    monitor = HealthMonitor()
+    machine.now_s += 1.0
+    vitals = monitor.vitals(
+        LinkAccount(frames=1000, parts_lost=4), MESSAGES, math.nan, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS
+    )
+    message = Health(
+        seq=0, daemon_boot_id="9f3c", board_boot_id=None, t_ns=1, t_unc_ns=0, lost=Lost(damaged=9), **vitals
+    )
+    payload = json.loads(encode(message))
+    expected = {
+        "uptime_s": 1.0,
+        "frames": 1000,
+        "frame_rate_hz": 1000.0,
+        "parts_lost": 4,
+        "frames_not_decoded": 17,
+        "records_unusable": {"edges": 3},
+        "clock_drift_ppm": None,  # not known yet
+        "cpu_percent": 20.5,
+        "tasks": 1,
+        "threads": 5,
+        "file_descriptors": 23,
+        "latency": {"forces": {"bounds_ms": [1.0, 2.0], "counts": [7, 3, 1]}},
+        "recording": {
+            "file": "run.mcap",
+            "since_t_ns": "17",
+            "failure": None,
+            "file_bytes": 5,
+            "files": 4,
+            "files_removed": 3,
+            "events_missing": 2,
+            "messages": 1,
+            "messages_missing": 0,
+        },
+        "commands": COMMANDS,
+        "messages": MESSAGES.model_dump(),
+    }
+    assert payload | expected == payload
+
+
+async def test_the_monitor_watches_this_process() -> None:
+    assert vitals_of_now()["rss_mb"] == pytest.approx(resident_mb(), rel=0.1)
+
+
+async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
+    before = vitals_of_now()
+    release = threading.Event()
+    thread = threading.Thread(target=release.wait)
+    thread.start()
+    task = asyncio.create_task(asyncio.Event().wait())
+    descriptors = os.pipe()
+    held = vitals_of_now()
+    assert held["threads"] == before["threads"] + 1
+    assert held["tasks"] == before["tasks"] + 1
+    assert held["file_descriptors"] == before["file_descriptors"] + 2
+    release.set()
+    thread.join()
+    wait_for_the_kernel_to_let_go(thread)
+    task.cancel()
+    await asyncio.wait([task])
+    for descriptor in descriptors:
+        os.close(descriptor)
+    after = vitals_of_now()
+    for key in ("threads", "tasks", "file_descriptors"):
+        assert after[key] == before[key]
+
+
+def wait_for_the_kernel_to_let_go(thread: threading.Thread) -> None:
+    while Path(f"/proc/self/task/{thread.native_id}").exists():  # for a moment after it was joined
+        os.sched_yield()
+
+
+def resident_mb() -> float:
+    with open("/proc/self/statm") as statm:
+        return int(statm.read().split()[1]) * resource.getpagesize() / 2**20
+
+
+def vitals_of_now() -> dict[str, Any]:
+    return dict(HealthMonitor().vitals(LinkAccount(), MESSAGES, 0.0, 0, {}, {}, None, {}))

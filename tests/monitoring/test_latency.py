@@ -1,0 +1,67 @@
+"""Histograms of latency: which bin a duration falls into, and from when to when it is counted."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.monitoring import latency
+from resonator_daemon.monitoring.latency import BOUNDS_MS, Latencies, LatencyHistogram
+from resonator_daemon.publishing.topics import DECODED, FORCES
+
+
+def bins(histogram: LatencyHistogram) -> dict[float | None, int]:
+    info = histogram.info()
+    assert len(info.counts) == len(info.bounds_ms) + 1
+    return {bound: count for bound, count in zip((*info.bounds_ms, None), info.counts, strict=True) if count}
+
+
+@pytest.mark.parametrize(
+    ("milliseconds", "bound_ms"), [(-0.1, 0.25), (0.0, 0.25), (0.26, 0.35), (1.999, 2.0), (2.001, 2.8), (999.0, 1000.0)]
+)
+def test_a_bin_holds_what_lies_below_its_bound(milliseconds: float, bound_ms: float) -> None:
+    histogram = LatencyHistogram()
+    histogram.add(milliseconds * 1e-3)
+    assert bins(histogram) == {bound_ms: 1}
+
+
+def test_the_bound_itself_is_within() -> None:
+    histogram = LatencyHistogram()
+    for bound_ms in (0.25, 0.5, 2.0, 4.0):
+        histogram.add(bound_ms / 1000.0)
+    assert bins(histogram) == dict.fromkeys((0.25, 0.5, 2.0, 4.0), 1)
+
+
+def test_what_is_beyond_all_bounds_is_counted_too() -> None:
+    histogram = LatencyHistogram()
+    for seconds in (1.001, 3600.0):
+        histogram.add(seconds)
+    assert bins(histogram) == {None: 2}
+
+
+def test_every_limit_of_the_figures_is_a_bound_and_bounds_rise() -> None:
+    assert {2.0, 6.0, 10.0, 20.0, 25.0} <= set(BOUNDS_MS)
+    assert list(BOUNDS_MS) == sorted(set(BOUNDS_MS))
+    assert (BOUNDS_MS[0], BOUNDS_MS[-1]) == (0.25, 1000.0)
+
+
+def test_a_message_is_as_old_as_the_end_of_its_last_gate(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_ns = 5_000_000_000
+    monkeypatch.setattr(latency, "monotonic_ns", lambda: now_ns)
+    latencies = Latencies(gate_s=0.01)
+    clocks = SimpleNamespace(middle=lambda ago_ms: Instant(0, 0, monotonic_ns=now_ns - round(ago_ms * 1e6)))
+    latencies.count(FORCES, clocks.middle(ago_ms=5.0 + 1.3))
+    latencies.count(FORCES, clocks.middle(ago_ms=5.0 + 1.3))
+    latencies.count(DECODED, clocks.middle(ago_ms=5.0 + 7.0))
+    told = latencies.info()
+    assert set(told) == {"forces", "decoded"}
+    by_bound = {path: dict(zip(info.bounds_ms, info.counts, strict=False)) for path, info in told.items()}
+    assert by_bound["forces"][1.4] == 2 == sum(told["forces"].counts)
+    assert by_bound["decoded"][8.0] == 1 == sum(told["decoded"].counts)
+
+
+def test_what_was_told_does_not_change_afterwards() -> None:
+    histogram = LatencyHistogram()
+    told = histogram.info()
+    histogram.add(0.001)
+    assert sum(told.counts) == 0

@@ -1,0 +1,256 @@
+"""A status as metrics: read back by the parsers of Prometheus' own client, names and kinds by its conventions."""
+
+import json
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+import status_samples
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.openmetrics.exposition import generate_latest as generate_openmetrics
+from prometheus_client.openmetrics.parser import text_string_to_metric_families as parse_openmetrics
+from prometheus_client.parser import text_string_to_metric_families
+
+from resonator_daemon.monitoring.metrics import StatusCollector
+from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
+from resonator_daemon.publishing.payloads import Condition, LatencyInfo, MessageAccount
+
+Key = tuple[str, frozenset[tuple[str, str]]]
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def text_of(status: Status | None) -> str:
+    collector = StatusCollector()
+    collector.status = status
+    registry = CollectorRegistry()
+    registry.register(collector)
+    return generate_latest(registry).decode()
+
+
+def metrics(status: Status) -> dict[Key, float]:
+    """Return the samples by name and labels, the daemon's aside."""
+    samples = {}
+    for family in text_string_to_metric_families(text_of(status)):
+        for sample in family.samples:
+            assert sample.labels.pop("daemon") == status.instance
+            key = (sample.name, frozenset(sample.labels.items()))
+            assert key not in samples
+            samples[key] = sample.value
+    return samples
+
+
+def of(name: str, /, **labels: str) -> Key:
+    return name, frozenset(labels.items())
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        (of("resonatord_info", name="left-index", version="0.1.0"), 1),
+        (of("resonatord_link_up"), 1),
+        (of("resonatord_broker_connected"), 1),
+        (of("resonatord_state", part="sensor", state="drifting"), 1),
+        (of("resonatord_state", part="sensor", state="online"), 0),
+        (of("resonatord_state_start_time_seconds", part="daemon"), status_samples.ago_ns(3600) / 1e9),
+        (of("resonatord_board_boots_total"), 35),
+        (of("resonatord_frames_total"), 3_600_000),
+        (of("resonatord_frames_lost_total", cause="link_gap"), 1),
+        (of("resonatord_frames_lost_total", cause="ring_overflow"), 5),
+        (of("resonatord_frame_parts_lost_total"), 7),
+        (of("resonatord_frames_not_decoded_total"), 8),
+        (of("resonatord_records_unusable_total", cause="edges"), 9),
+        (of("resonatord_packets_ignored_total", cause="malformed"), 11),
+        (of("resonatord_link_bytes_total", fate="discarded"), 10),
+        (of("resonatord_link_waiting_bytes"), 1),
+        (of("resonatord_link_connections_total"), 14),
+        (of("resonatord_host_overruns_total"), 15),
+        (of("resonatord_clock_drift_ratio"), 3.25e-6),
+        (of("resonatord_clock_outliers_total"), 16),
+        (of("resonatord_clock_restarts_total"), 17),
+        (of("resonatord_messages_made_total"), 240),
+        (of("resonatord_messages_sent_total", fate="acknowledged"), 30),
+        (of("resonatord_messages_sent_total", fate="handed_to_socket"), 31),
+        (of("resonatord_messages_sent_total", fate="unknown_at_disconnect"), 34),
+        (of("resonatord_messages_repeated_total", why="recovered"), 29),
+        (of("resonatord_messages_dropped_total", cause="spool_full"), 33),
+        (of("resonatord_messages_waiting", where="disk"), 36),
+        (of("resonatord_messages_waiting", where="memory"), 44),
+        (of("resonatord_commands_total", outcome="not_permitted"), 26),
+        (of("resonatord_latency_seconds_bucket", topic="forces", le="0.0005"), 21),
+        (of("resonatord_latency_seconds_bucket", topic="forces", le="0.002"), 43),
+        (of("resonatord_latency_seconds_bucket", topic="forces", le="1.0"), 66),
+        (of("resonatord_latency_seconds_bucket", topic="forces", le="+Inf"), 90),
+        (of("resonatord_recording"), 1),
+        (of("resonatord_recording_failed"), 0),
+        (of("resonatord_recording_file_bytes"), 38e6),
+        (of("resonatord_recording_files_total"), 39),
+        (of("resonatord_recording_files_removed_total"), 40),
+        (of("resonatord_recording_missing_total", what="events"), 41),
+        (of("resonatord_recording_missing_total", what="messages"), 43),
+        (of("resonatord_config_last_good"), 0),
+        (of("process_start_time_seconds"), status_samples.ago_ns(3600) / 1e9),
+        (of("process_resident_memory_bytes"), 96 * 2**20),
+        (of("process_open_fds"), 20),
+        (of("resonatord_threads"), 19),
+        (of("resonatord_tasks"), 18),
+    ],
+)
+def test_a_figure_of_the_status_is_a_metric_in_base_units(key: Key, value: float) -> None:
+    assert metrics(status_samples.status())[key] == pytest.approx(value, rel=1e-9)
+
+
+def test_messages_are_not_counted_among_frames() -> None:
+    causes = {dict(labels)["cause"] for name, labels in metrics(status_samples.status()) if "frames_lost" in name}
+    assert causes == {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
+
+
+def test_a_configuration_that_is_not_the_files_shows() -> None:
+    config = ConfigStatus(
+        file="f", in_use="last_good", problems=("a", "b"), loaded_t_ns=5_000_000_000, needs_restart=("link",)
+    )
+    found = metrics(status_samples.status(config=config))
+    assert found[of("resonatord_config_last_good")] == 1
+    assert found[of("resonatord_config_problems")] == 2
+    assert found[of("resonatord_config_needs_restart")] == 1
+    assert found[of("resonatord_config_load_time_seconds")] == 5
+
+
+@pytest.mark.parametrize(
+    ("change", "fires"),
+    [
+        ({}, False),
+        ({"problems": ("refused at the reload",)}, True),
+        ({"in_use": "last_good", "problems": ("refused at the start",)}, True),
+        ({"needs_restart": ("link",)}, True),
+    ],
+)
+def test_the_shipped_alert_tells_of_a_file_that_is_not_in_use(change: dict[str, Any], fires: bool) -> None:
+    (rule,) = re.findall(r"- alert: ConfigurationNotInUse\n +expr: (.+)", (DOCS / "monitoring.md").read_text())
+    config = status_samples.status().config.model_copy(update=change)
+    found = metrics(status_samples.status(config=config))
+    terms = [re.fullmatch(r"(\w+) (==|>) (\d+)", term) for term in rule.split(" or ")]
+    values = [(found[of(term[1])], term[2], float(term[3])) for term in terms if term]
+    assert len(values) == len(terms)
+    assert any(value > limit if sign == ">" else value == limit for value, sign, limit in values) is fires
+
+
+def test_what_is_down_is_zero_and_not_left_out() -> None:
+    down = status_samples.status(
+        link=status_samples.state(Condition.LOST),
+        broker=BrokerStatus(url="mqtt://b", connected=False),
+        recording=status_samples.RECORDING.model_copy(update={"failure": "no room"}),
+    )
+    found = metrics(down)
+    assert found[of("resonatord_link_up")] == found[of("resonatord_broker_connected")] == 0
+    assert found[of("resonatord_recording")] == 0
+    assert found[of("resonatord_recording_failed")] == 1
+    assert metrics(status_samples.status(link=None))[of("resonatord_link_up")] == 0
+    assert metrics(status_samples.status(recording=None))[of("resonatord_recording")] == 0
+
+
+def test_what_is_not_known_is_left_out() -> None:
+    early = metrics(status_samples.status(health=None, sensor=None, name=None))
+    assert of("resonatord_frames_total") not in early
+    assert of("resonatord_state", part="sensor", state="online") not in early
+    assert early[of("resonatord_info", name="", version="0.1.0")] == 1
+    unknown = metrics(status_samples.status(health=status_samples.health(clock_drift_ppm=math.nan)))
+    assert of("resonatord_clock_drift_ratio") not in unknown
+    assert text_of(None) == ""
+
+
+def test_exactly_one_word_holds_for_each_part() -> None:
+    for word in Condition:
+        found = metrics(status_samples.status(daemon=status_samples.state(word)))
+        holds = {dict(labels)["state"]: value for (name, labels), value in found.items()
+                 if name == "resonatord_state" and ("part", "daemon") in labels}  # fmt: skip
+        assert holds == {str(each): float(each is word) for each in Condition}
+
+
+def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
+    less = {"waiting": 0, "accepted": 10_001, "other_version": 1000, "own_direction": 100, "discarded": 10}
+    account = status_samples.health().messages
+    sent = MessageAccount(**account.model_dump() | {"acknowledged": 110, "waiting": 0, "spooled": 0})
+    later = status_samples.health(
+        bytes_by_fate=less, rss_mb=90.0, file_descriptors=9, tasks=4, threads=3, messages=sent, clock_drift_ppm=-1.0
+    )
+    before, after = text_of(status_samples.status()), text_of(status_samples.status(health=later))
+    fell = set()
+    for family, then in zip(*map(text_string_to_metric_families, (before, after)), strict=True):
+        if any(new.value < old.value for old, new in zip(family.samples, then.samples, strict=True)):
+            fell.add(family.name)
+            assert family.type == "gauge"
+    assert {"resonatord_link_waiting_bytes", "resonatord_messages_waiting", "resonatord_tasks"} <= fell
+
+
+def test_names_are_by_the_conventions() -> None:
+    for family in text_string_to_metric_families(text_of(status_samples.status())):
+        assert family.documentation
+        assert not re.search(r"_(ms|ns|us|mb|hz|ppm|percent|count)(_|$)", family.name)
+        for sample in family.samples:
+            assert sample.name.startswith(("resonatord_", "process_"))
+            assert (family.type == "counter") == sample.name.endswith("_total")
+
+
+def test_the_strict_parser_of_openmetrics_takes_it_all() -> None:
+    collector = StatusCollector()
+    collector.status = status_samples.status(name='a"b\\c\nd')
+    registry = CollectorRegistry()
+    registry.register(collector)
+    families = {family.name: family for family in parse_openmetrics(generate_openmetrics(registry).decode())}
+    assert families["resonatord_latency_seconds"].type == "histogram"
+    assert families["resonatord_info"].samples[0].labels["name"] == 'a"b\\c\nd'
+
+
+def test_every_histogram_ends_with_all_messages() -> None:
+    histograms = {
+        "decoded": LatencyInfo(bounds_ms=(1.0,), counts=(2, 0)),
+        "forces": LatencyInfo(bounds_ms=(), counts=(5,)),
+    }
+    found = metrics(status_samples.status(health=status_samples.health(latency=histograms)))
+    assert found[of("resonatord_latency_seconds_bucket", topic="decoded", le="+Inf")] == 2
+    assert found[of("resonatord_latency_seconds_bucket", topic="forces", le="+Inf")] == 5
+
+
+def named_in(text: str) -> set[str]:
+    return set(re.findall(r"\b(?:resonatord|process)_[a-z_]+\b", text))
+
+
+def there_are() -> set[str]:
+    return {name for name, _ in metrics(status_samples.status())} | {"process_cpu_seconds_total"}
+
+
+def expressions(dashboard: dict[str, Any]) -> list[str]:
+    return [target["expr"] for panel in dashboard["panels"] for target in panel.get("targets", ())]
+
+
+def test_every_metric_of_the_dashboard_exists() -> None:
+    dashboard = json.loads((DOCS / "grafana" / "resonatord.json").read_text())
+    queries = "\n".join(expressions(dashboard)) + json.dumps(dashboard["templating"])
+    named = named_in(queries)
+    assert len(named) > 20
+    assert named <= there_are()
+
+
+def test_every_panel_has_a_unit_and_asks_the_chosen_source_for_the_chosen_daemons() -> None:
+    dashboard = json.loads((DOCS / "grafana" / "resonatord.json").read_text())
+    panels = [panel for panel in dashboard["panels"] if panel["type"] != "row"]
+    assert len({panel["id"] for panel in dashboard["panels"]}) == len(dashboard["panels"])
+    for panel in panels:
+        assert panel["datasource"]["uid"] == "${source}"
+        assert panel["fieldConfig"]["defaults"]["unit"]
+        assert panel["description"]
+        for target in panel["targets"]:
+            assert target["expr"].count("{") == target["expr"].count('daemon=~"$daemon"') > 0
+    assert {variable["name"]: variable["type"] for variable in dashboard["templating"]["list"]} == {
+        "source": "datasource",
+        "daemon": "query",
+    }
+
+
+def test_the_page_lists_every_metric_and_no_other() -> None:
+    page = (DOCS / "monitoring.md").read_text()
+    listed = set(re.findall(r"^\| `((?:resonatord|process)_[a-z_]+)", page, re.MULTILINE))
+    assert listed == there_are()
+    assert named_in(page) - {"resonatord_latency_seconds"} <= there_are()

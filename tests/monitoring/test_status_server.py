@@ -1,0 +1,264 @@
+"""The socket that tells how the daemon is: one answer to each, whoever else is there and whatever they do."""
+
+import asyncio
+import errno
+import json
+import logging
+import os
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import pytest
+import status_samples
+
+from resonator_daemon.monitoring import status_server
+from resonator_daemon.monitoring.status import Status
+from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer
+
+DEADLINE_S = 20.0
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "run" / "status.sock"
+
+
+@asynccontextmanager
+async def serving(path: Path, make: Callable[[], Status] = status_samples.status) -> AsyncIterator[None]:
+    task = asyncio.create_task(StatusServer(path, make).run())
+    try:
+        yield
+    finally:
+        task.cancel()
+        await asyncio.wait([task])
+
+
+async def until(happened: Callable[[], bool]) -> None:
+    async with asyncio.timeout(DEADLINE_S):
+        while not happened():  # noqa: ASYNC110 - of another process, or of a socket
+            await asyncio.sleep(0.001)
+
+
+def listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as asking:
+        return asking.connect_ex(str(path)) == 0
+
+
+async def ask(path: Path) -> bytes:
+    async with asyncio.timeout(DEADLINE_S):
+        reader, writer = await asyncio.open_unix_connection(path)
+        try:
+            return await reader.read(-1)
+        finally:
+            writer.close()
+
+
+async def test_one_json_object_and_a_line_break(path: Path) -> None:
+    async with serving(path):
+        await until(lambda: listens(path))
+        answer = await ask(path)
+    assert answer.endswith(b"}\n")
+    assert Status.model_validate_json(answer) == status_samples.status()
+    assert json.loads(answer)["health"]["clock_drift_ppm"] == 3.25
+
+
+async def test_the_group_may_ask_and_nobody_else(path: Path) -> None:
+    async with serving(path):
+        await until(lambda: listens(path))
+        assert stat.S_IMODE(path.stat().st_mode) == 0o660
+
+
+async def test_the_socket_goes_with_the_daemon(path: Path) -> None:
+    async with serving(path):
+        await until(lambda: listens(path))
+    assert not path.exists()
+
+
+async def test_what_a_killed_daemon_left_is_replaced(path: Path) -> None:
+    path.parent.mkdir()
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    path.with_suffix(".lock").touch()
+    async with serving(path):
+        await until(lambda: listens(path))
+        assert json.loads(await ask(path))["instance"] == "hand"
+
+
+OTHER_DAEMON = """
+import asyncio, sys
+sys.path.insert(0, sys.argv[2])
+import status_samples
+from pathlib import Path
+from resonator_daemon.monitoring.status_server import StatusServer
+asyncio.run(StatusServer(Path(sys.argv[1]), lambda: status_samples.status(instance="other")).run())
+"""
+
+
+async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
+    path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.01)
+    tests = Path(__file__).parents[1]
+    with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests)]) as other:
+        try:
+            await until(lambda: path.exists() and listens(path))
+            async with serving(path):
+                await until(lambda: bool(caplog.records))
+                for _ in range(10):
+                    await asyncio.sleep(0.01)  # tries again, and says nothing new
+                assert json.loads(await ask(path))["instance"] == "other"
+                assert len(caplog.records) == 1
+                assert f"process {other.pid} answers on {path}" in caplog.text
+                other.kill()
+                await until(lambda: other.poll() is not None)
+                await until(lambda: listens(path))
+                assert json.loads(await ask(path))["instance"] == "hand"
+        finally:
+            other.kill()
+
+
+@pytest.mark.parametrize("beyond", [0, 1])
+async def test_a_path_longer_than_sockets_take_is_said_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, beyond: int
+) -> None:
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
+    room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
+    path = tmp_path / ("é" * (room // 2) + "e" * (room % 2 + beyond)) / "status.sock"
+    assert len(os.fsencode(path)) == PATH_BYTES_MAX + beyond
+    async with serving(path):
+        if not beyond:
+            await until(lambda: path.exists() and listens(path))
+        await until(lambda: bool(caplog.records) or not beyond)
+        for _ in range(10):
+            await asyncio.sleep(0.002)
+    assert len(caplog.records) == beyond
+    assert ("has 108 bytes, and sockets take 107 at most; give" in caplog.text) == bool(beyond)
+
+
+@pytest.mark.parametrize("in_the_way", ["run", "run/status.sock"])
+async def test_a_file_in_the_way_is_left_alone_and_said_once(
+    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, in_the_way: str
+) -> None:
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
+    (tmp_path / in_the_way).parent.mkdir(exist_ok=True)
+    (tmp_path / in_the_way).write_text("kept")
+    async with serving(path):
+        await until(lambda: bool(caplog.records))
+        for _ in range(10):
+            await asyncio.sleep(0.002)
+        assert len(caplog.records) == 1
+        assert "does not see this daemon" in caplog.text
+        assert str(tmp_path / in_the_way) in caplog.text
+        assert (tmp_path / in_the_way).read_text() == "kept"
+        (tmp_path / in_the_way).unlink()
+        await until(lambda: listens(path))
+
+
+@pytest.mark.parametrize("target", ["nowhere", "other.sock"])
+async def test_a_link_in_the_sockets_place_is_left_alone_and_said(
+    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, target: str
+) -> None:
+    """The daemon makes none: what somebody has put there on purpose is theirs to remove."""
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
+    path.parent.mkdir()
+    path.symlink_to(tmp_path / target)
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(tmp_path / "other.sock"))
+        async with serving(path):
+            await until(lambda: bool(caplog.records))
+            assert f"{path} is in the way and no socket; remove it" in caplog.text
+            assert path.is_symlink()
+            assert not (tmp_path / "nowhere").exists()
+            path.unlink()
+            await until(lambda: path.exists() and listens(path))
+    assert (tmp_path / "other.sock").is_socket()
+
+
+async def test_those_who_hang_keep_nobody_waiting(path: Path) -> None:
+    async with serving(path):
+        await until(lambda: listens(path))
+        hanging = [socket.socket(socket.AF_UNIX) for _ in range(60)]
+        for client in hanging:
+            client.connect(str(path))
+        try:
+            assert (await ask(path)).endswith(b"}\n")
+        finally:
+            for client in hanging:
+                client.close()
+
+
+async def test_one_who_never_reads_a_huge_answer_is_left(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(status_server, "_SEND_S", 0.05)
+    huge = status_samples.status(version="x" * 3_000_000)
+    async with serving(path, lambda: huge):
+        await until(lambda: listens(path))
+        with socket.socket(socket.AF_UNIX) as hanging:
+            hanging.connect(str(path))
+            answer = await ask(path)
+    assert json.loads(answer)["version"] == huge.version
+
+
+async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status_server, "_PAUSE_S", 0.001)
+    made = 0
+
+    def make() -> Status:
+        nonlocal made
+        made += 1
+        return status_samples.status()
+
+    async with serving(path, make):
+        await until(lambda: listens(path))
+        loop = asyncio.get_running_loop()
+        started_s = loop.time()
+        crowd = asyncio.Semaphore(100)
+
+        async def one() -> bytes:
+            async with crowd:
+                return await ask(path)
+
+        answers = await asyncio.gather(*(one() for _ in range(1000)))
+        took_s = loop.time() - started_s
+    assert all(answer == answers[0] for answer in answers)
+    assert made <= 10 * took_s + 2
+
+
+async def test_without_room_for_another_connection_it_is_said_once_and_goes_on(
+    path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
+    loop = asyncio.get_running_loop()
+    accept, refusals = loop.sock_accept, iter(range(5))
+
+    async def sock_accept(listening: socket.socket) -> tuple[socket.socket, object]:
+        if next(refusals, None) is not None:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+        return await accept(listening)
+
+    monkeypatch.setattr(loop, "sock_accept", sock_accept)
+    async with serving(path):
+        await until(lambda: next(refusals, None) is None)
+        await until(lambda: path.exists() and listens(path))
+        assert (await ask(path)).endswith(b"}\n")
+    assert [record.levelname for record in caplog.records] == ["WARNING", "INFO"]
+    assert "Too many open files" in caplog.text
+
+
+async def test_a_fault_of_the_program_is_not_hidden(path: Path) -> None:
+    def make() -> Status:
+        raise ValueError("a mistake")
+
+    task = asyncio.create_task(StatusServer(path, make).run())
+    await until(lambda: path.exists())
+    await until(lambda: task.done() or listens(path))
+    with pytest.raises(ValueError, match="a mistake"):
+        await task
+    assert not path.exists()

@@ -1,0 +1,342 @@
+"""Decoder processes on real brokers: one that follows a plate, many that share plates, and what they say."""
+
+import asyncio
+import json
+import os
+import signal
+import sys
+import threading
+from asyncio.subprocess import DEVNULL
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import aiomqtt
+import cbor2
+import pytest
+from brokers import Amqtt, Mosquitto
+from decoder_bench import assert_exact, config_file, daemon, info, process, running, signals, until
+from observer import Observer, observe
+from paho.mqtt.client import Client
+from paho.mqtt.enums import CallbackAPIVersion
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
+
+from resonator_daemon.decoding import stage
+from resonator_daemon.errors import ExitCode
+from resonator_daemon.publishing.topics import DECODER_STATE
+from resonator_daemon.remote_decoding import followed_plate, shared_stage
+from resonator_daemon.remote_decoding import service as decode_service
+from resonator_daemon.remote_decoding.service import CannotShareError, own_id
+
+RESONATORD = Path(sys.executable).with_name("resonatord")
+STATE = "resonator/decoder/host-1/state"
+SHARING = 'plates = ["+"]\ngroup = "touch"\ncontact_physics = false'
+LINEAR = "contact_physics = false"
+
+
+def seqs(observer: Observer, plate: str, path: str = "decoded") -> list[int]:
+    return [cbor2.loads(payload)["seq"] for payload in observer.raw(f"resonator/{plate}/{path}")]
+
+
+def topics(observer: Observer) -> set[str]:
+    return {message.topic.value for message in observer.heard}
+
+
+async def test_a_followed_plate_is_decoded_and_its_states_and_account_are_told(
+    tmp_path: Path, broker: Mosquitto | Amqtt
+) -> None:
+    async with observe(broker.url) as heard, daemon(broker.url) as hand:
+        decoder = process(tmp_path, broker.url, decoding=LINEAR)
+        async with running(decoder):
+            await heard.until_last(STATE, state="waiting", reason="hand: no info yet")
+            await hand.tell("hand", info())
+            await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+            for seq in range(5):
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda seq=seq: seq in seqs(heard, "hand"))
+            await heard.until_last(STATE, state="online", reason="signals of hand are decoded")
+            await hand.send_raw("hand", b"garbage")
+            await until(lambda: decoder.health().plates["hand"].unusable == 1)
+            assert_exact(decoder)
+        last = await heard.until_last(STATE, state="offline", reason="stopped")
+        assert last["decoder_id"] == "host-1"
+        assert last["topic_filter"] == "resonator/hand/signals"
+        (*_, health) = heard.payloads("resonator/decoder/host-1/health")
+        assert health["plates"] == {
+            "hand": {"received": 6, "decoded": 5, "skipped": 0, "unusable": 1, "waiting": 0, "missed": 0}
+        }
+        assert health["messages"]["made"] > 15
+        assert sum(health["latency"]["decoded"]["counts"]) == 5
+    assert seqs(heard, "hand") == [0, 1, 2, 3, 4]
+    summaries = heard.payloads("resonator/hand/decoded/summary")
+    assert {summary["decoder_id"] for summary in summaries} == {"host-1"}
+    assert [event["event"] for event in heard.payloads("resonator/hand/contacts/event")] == ["onset"]
+
+
+async def test_it_starts_without_a_broker_and_outlives_one(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    await mosquitto.kill()
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with running(decoder):
+        for seq in range(2):
+            await mosquitto.start()
+            async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+                await heard.until(lambda heard=heard: bool(heard.raw(STATE)))
+                await hand.tell("hand", info())
+                await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda heard=heard, seq=seq: seq in seqs(heard, "hand"))
+            await mosquitto.kill()
+        assert_exact(decoder)
+
+
+async def test_frames_of_many_plates_are_shared_and_none_is_decoded_twice(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    plates, frames = ("left", "right"), 40
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+        for plate in plates:
+            await hand.tell(plate, info())
+        decoders = [
+            process(tmp_path, mosquitto.url, f"host-{number}", decoding=SHARING, name=None) for number in (1, 2)
+        ]
+        async with running(decoders[0]), running(decoders[1]):
+            await until(lambda: all(set(decoder.health().plates) == set(plates) for decoder in decoders))
+            for seq in range(frames):
+                for plate in plates:
+                    await hand.send(plate, signals(seq))
+                    # One at a time, so that nothing needs to be skipped.
+                    await until(
+                        lambda plate=plate, seq=seq: sum(d.health().plates[plate].decoded for d in decoders) > seq
+                    )
+            await heard.until(lambda: all(len(seqs(heard, plate)) == frames for plate in plates))
+            for decoder in decoders:
+                assert_exact(decoder)
+                assert sum(plate.received for plate in decoder.health().plates.values()) > 0
+    for plate in plates:
+        assert sorted(seqs(heard, plate)) == list(range(frames))
+        summaries = heard.payloads(f"resonator/{plate}/decoded/summary")
+        assert {summary["decoder_id"] for summary in summaries} <= {"host-1", "host-2"}
+        assert {patch["id"] for summary in summaries for patch in summary["patches"]} == {None}
+        assert any(summary["patches"] for summary in summaries)
+        assert heard.raw(f"resonator/{plate}/contacts") == heard.raw(f"resonator/{plate}/contacts/event") == []
+
+
+async def test_a_decoder_that_is_killed_loses_at_most_what_it_held(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    """Every frame is decoded, skipped by a count of its decoder, or was in the hands of the one that died."""
+    path = config_file(tmp_path, mosquitto.url, decoding=SHARING, name=None)
+    victim = await asyncio.create_subprocess_exec(RESONATORD, "decode", "--config", path, stderr=DEVNULL)
+    try:
+        async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+            await hand.tell("left", info())
+            survivor = process(tmp_path, mosquitto.url, "survivor", decoding=SHARING, name=None)
+            async with running(survivor):
+
+                def last_health() -> dict[str, Any]:
+                    topic = next((t for t in topics(heard) if t.endswith("/health") and "/survivor/" not in t), None)
+                    plates = heard.payloads(topic)[-1]["plates"] if topic else {}
+                    return dict(plates.get("left", {}))
+
+                async def send(seq: int) -> None:
+                    await hand.send("left", signals(seq))
+                    await asyncio.sleep(0.003)
+
+                seq = 0
+                while last_health().get("decoded", 0) < 3 or survivor.health().plates["left"].decoded < 3:
+                    await send(seq)
+                    seq += 1
+                    assert seq < 5000
+                os.kill(victim.pid, signal.SIGKILL)
+                await victim.wait()
+                end = seq + 60
+                for number in range(seq, end):
+                    await send(number)
+                will = next(topic for topic in topics(heard) if topic.endswith("/state") and "survivor" not in topic)
+                await heard.until_last(will, state="offline", reason="connection lost")
+                async with observe(mosquitto.url) as late:
+                    await late.until_last(will, state="offline", reason="connection lost")
+                await hand.send("left", signals(end))
+                await heard.until(lambda: end in seqs(heard, "left"))
+                assert_exact(survivor)
+                account = survivor.health().plates["left"]
+            decoded = Counter(seqs(heard, "left"))
+        assert max(decoded.values()) == 1
+        by_survivor = sum(
+            cbor2.loads(payload)["decoder_id"] == "survivor" for payload in heard.raw("resonator/left/decoded")
+        )
+        assert by_survivor == account.decoded
+        # Frames after the death go to the survivor, all of them; those it did not decode, it counts as skipped.
+        missing_late = sum(number not in decoded for number in range(seq + 2, end + 1))
+        assert missing_late <= account.skipped
+    finally:
+        if victim.returncode is None:
+            victim.kill()
+            await victim.wait()
+
+
+async def test_a_broker_that_cannot_share_is_refused_with_one_sentence(tmp_path: Path, amqtt: Amqtt) -> None:
+    decoder = process(tmp_path, amqtt.url, decoding=SHARING, name=None)
+    with pytest.raises(
+        CannotShareError, match=r"MQTT 3\.1\.1, where nothing is shared; use a broker of MQTT 5"
+    ) as raised:
+        await asyncio.wait_for(decoder.run(), 30)
+    assert raised.value.exit_code is ExitCode.UNAVAILABLE
+    assert len(raised.value.messages) == 1
+    assert "\n" not in raised.value.messages[0]
+
+
+@contextmanager
+def hearing(url: str, topic: str) -> Iterator[list[Any]]:
+    """Keep what comes from a broker that has just started; the event loop, and what runs on it, is later."""
+    heard: list[Any] = []
+    subscribed = threading.Event()
+    client = Client(CallbackAPIVersion.VERSION2)
+    client.on_message = lambda _client, _data, message: heard.append(json.loads(message.payload))
+    client.on_subscribe = lambda *_: subscribed.set()
+    client.on_connect = lambda *_: client.subscribe(topic, qos=1)
+    client.connect("127.0.0.1", urlsplit(url).port or 1883)
+    client.loop_start()
+    try:
+        assert subscribed.wait(20)
+        yield heard
+    finally:
+        client.disconnect()
+        client.loop_stop()
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+async def test_an_event_of_an_outage_arrives_after_it(
+    restarted: bool, tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
+    events = "resonator/hand/contacts/event"
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with running(decoder):
+        async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+            await hand.tell("hand", info())
+            await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+            for seq in range(3):
+                await hand.send("hand", signals(seq))
+                await heard.until(lambda seq=seq: seq in seqs(heard, "hand"))
+            (onset,) = [json.loads(payload) for payload in await heard.until_count(events, 1)]
+        await mosquitto.kill()
+        await until(lambda: decoder.message_account.dropped.get("no_connection", 0) > 0)
+        monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.0)
+        await until(lambda: decoder.message_account.spooled == 1)
+        if not restarted:
+            await mosquitto.start()
+            with hearing(mosquitto.url, events) as again:
+                await until(lambda: len(again) == 1)
+    if restarted:
+        await mosquitto.start()
+        with hearing(mosquitto.url, events) as again:
+            async with running(process(tmp_path, mosquitto.url, "host-2", decoding=LINEAR)):
+                await until(lambda: len(again) == 1)
+    (release,) = again
+    assert [(event["event"], event["replayed"]) for event in (onset, release)] == [("onset", False), ("release", True)]
+    assert [(event["decoder_id"], event["seq"]) for event in (onset, release)] == [("host-1", 0), ("host-1", 1)]
+    assert release["contact"]["id"] == onset["contact"]["id"]
+
+
+@pytest.mark.parametrize("options", [{"decoding": LINEAR}, {"decoding": SHARING, "name": None}], ids=["one", "shared"])
+async def test_a_stop_during_a_set_up_is_said_before_that_has_ended(
+    options: dict[str, Any], tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    began, may_end = threading.Event(), threading.Event()
+
+    def slow(*_: object) -> None:
+        began.set()
+        assert may_end.wait(60)
+        raise ValueError("too late")
+
+    monkeypatch.setattr(stage, "set_up", slow)
+    monkeypatch.setattr(shared_stage, "set_up", slow)
+    decoder = process(tmp_path, mosquitto.url, **options)
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand:
+
+        def accounts() -> list[Any]:
+            told = (health["plates"] for health in heard.payloads("resonator/decoder/host-1/health"))
+            return [plates["hand"] for plates in told if "hand" in plates]
+
+        task = asyncio.create_task(decoder.run())
+        try:
+            await hand.tell("hand", info())
+            await until(lambda: bool(heard.raw(STATE)) and "no info" not in heard.payloads(STATE)[-1]["reason"])
+            await until(lambda: "hand" in decoder.health().plates)
+            while not began.is_set():
+                await hand.send("hand", signals(0))
+                await asyncio.sleep(0.02)
+            decoder.stop()
+            await heard.until_last(STATE, state="offline", reason="stopped")
+            assert not task.done()
+            await heard.until(lambda: accounts() != [] and accounts()[-1]["waiting"] == 0)
+            account = accounts()[-1]
+            assert account["received"] == account["skipped"] + account["unusable"] > 0
+            assert not task.done()
+        finally:
+            may_end.set()
+            await task
+
+
+async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_it_expires(
+    tmp_path: Path, mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert DECODER_STATE.expiry_s is not None
+    assert DECODER_STATE.expiry_s / 2 > decode_service._STATE_AGAIN_S
+    monkeypatch.setattr(decode_service, "_STATE_AGAIN_S", 0.2)
+    decoder = process(tmp_path, mosquitto.url, decoding=LINEAR)
+    async with observe(mosquitto.url) as heard, daemon(mosquitto.url) as hand, running(decoder):
+        await heard.until(lambda: [state["reason"] for state in heard.payloads(STATE)].count("hand: no info yet") >= 3)
+        await hand.tell("hand", info())
+        await heard.until_last(STATE, state="waiting", reason="hand: no signals that could be decoded")
+        await hand.send("hand", signals(0))
+        await heard.until_last(STATE, state="online")
+    told = heard.payloads(STATE)
+    since = {word: {state["since_t_ns"] for state in told if state["state"] == word} for word in ("waiting", "online")}
+    assert [len(times) for times in since.values()] == [1, 1]
+    assert int(*since["waiting"]) < int(*since["online"])
+    assert len({state["t_ns"] for state in told}) == len(told)
+
+
+async def test_its_last_will_expires(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    async with observe(mosquitto.url) as heard:
+        task = asyncio.create_task(process(tmp_path, mosquitto.url, decoding=LINEAR).run())
+        await heard.until_last(STATE, state="waiting")
+        task.cancel()
+        await asyncio.wait([task])
+        await heard.until_last(STATE, state="offline", reason="connection lost", since_t_ns=None)
+    port = urlsplit(mosquitto.url).port or 1883
+    async with aiomqtt.Client("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5) as late:
+        await late.subscribe(STATE)
+        will = await anext(aiter(late.messages))
+    assert json.loads(bytes(will.payload))["state"] == "offline"
+    assert will.properties is not None
+    assert 3500 < will.properties.MessageExpiryInterval <= 3600  # type: ignore[attr-defined]
+
+
+async def test_a_broker_that_refuses_shared_subscriptions_ends_it_and_one_that_forbids_a_topic_does_not(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    decoder = process(tmp_path, mosquitto.url, decoding=SHARING, name=None)
+    topic_filter = "$share/touch/resonator/+/signals"
+    task = asyncio.create_task(decoder.run())
+    async with observe(mosquitto.url) as heard:
+        await heard.until_last(STATE, state="waiting")
+        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x87)))
+        await asyncio.sleep(0)
+        assert not decoder._ending.is_set()
+        decoder._denied(topic_filter, str(ReasonCode(PacketTypes.SUBACK, identifier=0x9E)))
+        with pytest.raises(CannotShareError, match=r"broker refuses \$share/touch/resonator/\+/signals: Shared sub"):
+            await asyncio.wait_for(task, 30)
+        last = await heard.until_last(STATE, state="offline")
+        assert "use a broker of MQTT 5 with shared subscriptions" in last["reason"]
+
+
+def test_its_id_is_one_level_of_a_topic(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("socket.gethostname", lambda: "$a/b+c#d e\x00" + "x" * 200)
+    name = own_id()
+    assert f"-{os.getpid()}-" in name
+    assert own_id() != name  # process ids come again
+    assert not set(name) & set("/+# \0$")
+    assert len(name) < 100

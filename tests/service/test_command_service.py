@@ -1,0 +1,120 @@
+"""Every command on a running daemon, between an emulated board and a broker."""
+
+import functools
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Mosquitto
+from mcap.reader import make_reader
+from observer import observe
+from service_bench import Bench
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.host.places import state_directory
+from resonator_daemon.publishing.requests import request
+from resonator_daemon.publishing.verbs import VERBS
+
+FORCES = "resonator/hand/forces"
+INFO = "resonator/hand/info"
+ALL = [verb.name for verb in VERBS.values() if verb.changes]
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+def recordings() -> Path:
+    """Return where they go unless the configuration says otherwise."""
+    return state_directory() / "recordings"
+
+
+def marks(path: Path) -> list[tuple[int, str]]:
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages(topics=["marks"])
+        return [(message.log_time, json.loads(message.data)["message"]) for _, _, message in messages]
+
+
+def ticks_between(messages: list[dict[str, Any]]) -> set[int]:
+    """Return what lies between messages that follow each other, by the board's clock."""
+    ticks = [int(message["board_ticks"]) for message in messages]
+    return {later - before for before, later in pairwise(ticks)}
+
+
+async def test_each_command_does_what_it_says(bench: Bench) -> None:
+    async def ask(verb: str, **payload: Any) -> dict[str, Any]:
+        answer = await request(Mqtt(url=bench.broker_url), "hand", verb, payload)
+        assert answer["ok"], answer
+        return answer
+
+    async with (
+        bench.emulated(scenario="still"),
+        observe(bench.broker_url) as heard,
+        bench.running(bench.service(allow=tuple(ALL))) as service,
+    ):
+        await heard.until_last("resonator/hand/state/sensor", state="online")
+        info = await heard.until_last(INFO, window_s=0.01)
+        assert set(info["commands"]) == set(VERBS)
+        pong = await ask("ping")
+        assert pong["daemon_boot_id"] == info["daemon_boot_id"]
+        assert (await ask("health"))["health"]["frames"] > 0
+        assert len((await ask("tare"))["common_mode"]) == 4
+        assert (await ask("identify"))["ok"]
+
+        started = await ask("start_recording", label="still")
+        running = {"file": started["file"], "since_t_ns": started["since_t_ns"], "failure": None}
+        health = functools.partial(heard.payloads, "resonator/hand/health")
+        await heard.until(lambda: running.items() <= ((health() or [{}])[-1].get("recording") or {}).items())
+        marked = await ask("mark", text="nothing touches it")
+        assert int(marked["t_ns"]) > int(started["since_t_ns"])
+        recording = (await ask("stop_recording"))["recording"]
+        path = Path(recording["file"])
+        assert path.parent == recordings()
+        assert (path.stat().st_size, recording["events_missing"]) == (recording["file_bytes"], 0)
+        assert marks(path) == [(int(marked["t_ns"]), "nothing touches it")]
+
+        step_ticks = max(ticks_between(heard.payloads(FORCES)))
+        assert await ask("set_window", window_ms=20, step_ms=10) == {
+            "verb": "set_window",
+            "ok": True,
+            "window_s": 0.02,
+            "step_s": 0.01,
+        }
+        await heard.until_last(INFO, window_s=0.02, step_s=0.01)
+        await heard.until_last(FORCES, window_s=0.02)
+        count = len(heard.payloads(FORCES))
+        await heard.until_count(FORCES, count + 5)
+        assert ticks_between(heard.payloads(FORCES)[count:]) == {2 * step_ticks}
+
+        await ask("set_rate", topic="forces", rate_hz=20)
+        await heard.until(lambda: heard.payloads(INFO)[-1]["rates_hz"]["forces"] == 20.0)
+        await heard.until_count(FORCES, len(heard.payloads(FORCES)) + 8)  # the first may have been on their way
+        assert min(ticks_between(heard.payloads(FORCES)[-3:])) >= 8 * step_ticks
+
+        snapshot = await ask("snapshot", topics=["info", "state/sensor", "forces"])
+        assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]
+        assert snapshot["messages"]["state/sensor"]["state"] == "online"
+        assert snapshot["left_out"] == []
+        assert service.link_account.lost.total == 0
+
+
+async def test_without_permission_nothing_is_changed(bench: Bench) -> None:
+    async with (
+        bench.emulated(scenario="still"),
+        observe(bench.broker_url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until_last("resonator/hand/state/sensor", state="online")
+        info = await heard.until_last(INFO, window_s=0.01)
+        assert info["commands"] == ["ping", "health", "snapshot"]
+        for verb in ALL:
+            answer = await request(Mqtt(url=bench.broker_url), "hand", verb, {})
+            assert answer["error"]["code"] == "not_permitted"
+        health = await heard.until_last("resonator/hand/health", recording=None)
+        await heard.until(lambda: heard.payloads("resonator/hand/health")[-1]["seq"] > health["seq"])
+        assert heard.payloads("resonator/hand/health")[-1]["commands"] == {"not_permitted": len(ALL)}
+        assert len(heard.payloads(INFO)) == 1
+        assert not recordings().exists()

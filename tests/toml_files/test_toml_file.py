@@ -1,0 +1,198 @@
+"""Reading TOML: what a message says of the file, the line and the key."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+from pydantic import Field
+
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.toml_files.reading import (
+    MAX_BYTES,
+    MAX_FINDINGS,
+    Number,
+    Table,
+    load_model,
+    parse_toml,
+    read_toml,
+    shown,
+)
+
+
+class Leaf(Table):
+    depth_mm: Number = 1.0
+
+
+class Branch(Table):
+    leaves: tuple[Leaf, ...] = ()
+    width_mm: Number = 1.0
+
+
+class Tree(Table):
+    branches: tuple[Branch, ...] = ()
+    trunk: Leaf = Leaf()
+
+
+def messages(tmp_path: Path, data: bytes) -> list[str]:
+    path = tmp_path / "tree.toml"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError) as caught:
+        load_model(Tree, read_toml(path))
+    return [message.removeprefix(str(path)) for message in caught.value.messages]
+
+
+def test_lines_are_found_in_nested_arrays_of_tables(tmp_path: Path) -> None:
+    text = b"""\
+[[branches]]
+[[branches.leaves]]
+depth_mm = 1
+[[branches]]  # the second
+width_mm = "a"
+[[branches.leaves]]
+[[branches.leaves]]
+  "depth_mm" = "b"
+[trunk]
+depth_mm = [
+  1,
+]
+"""
+    assert messages(tmp_path, text) == [
+        ":5: branches[1].width_mm: got 'a'; must be a valid number",
+        ":8: branches[1].leaves[1].depth_mm: got 'b'; must be a valid number",
+        ":10: trunk.depth_mm: got [1]; must be a valid number",
+    ]
+
+
+def test_a_dotted_key_and_an_inline_table_have_the_line_of_their_first_word(tmp_path: Path) -> None:
+    assert messages(tmp_path, b'\ntrunk.depth_mm = "a"\n')[0].startswith(":2: trunk.depth_mm: got 'a'")
+    assert messages(tmp_path, b'\n\r\ntrunk = {depth_mm = "a"}\n')[0].startswith(":3: trunk.depth_mm: got 'a'")
+
+
+def test_a_quoted_key_cannot_break_the_line(tmp_path: Path) -> None:
+    assert messages(tmp_path, b'"a\\nb" = 1\n') == [': "a\\nb": unknown key; allowed: branches, trunk']
+
+
+def test_a_table_that_is_none(tmp_path: Path) -> None:
+    assert messages(tmp_path, b"trunk = 5\n") == [":1: trunk: got 5; must be a table of keys"]
+    assert messages(tmp_path, b"[branches]\n")[0].startswith(":1: branches: got a table; must be a list")
+
+
+@pytest.mark.parametrize(
+    ("data", "expected"),
+    [
+        (b"a = 1\nb = \n", ":2: not TOML: Invalid value (at line 2, column 5)"),
+        (b"a = 1\n[b\n", ":2: not TOML: Expected ']' at the end of a table declaration (at line 2, column 3)"),
+        (b"a = 1\na = 2\n", ":2: not TOML: Cannot overwrite a value (at line 2, column 6)"),
+        (b"a = [\n1,\n", ":3: not TOML: Invalid value (at end of document)"),
+        (b"a = 1\nb = '\xff'\n", ":2: not UTF-8: byte 0xff; save the file as UTF-8"),
+        (b"a = " + b"9" * 5000, f":1: {'9' * 40}...: 1000 signs of a name or number are read at most; correct it"),
+        (b"a = " + b"[" * 100_000, ":1: not TOML: "),
+    ],
+)
+def test_what_is_no_toml(tmp_path: Path, data: bytes, expected: str) -> None:
+    (message,) = messages(tmp_path, data)
+    assert message.startswith(expected)
+
+
+def test_a_missing_file_a_directory_and_an_impossible_path(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"gone\.toml: no such file"):
+        read_toml(tmp_path / "gone.toml")
+    with pytest.raises(ConfigError, match="not a regular file"):
+        read_toml(tmp_path)
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_toml(Path("a\0b"))
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_toml(tmp_path / ("x" * 5000))
+
+
+def test_values_are_shown_short_and_without_a_password() -> None:
+    assert shown("mqtt://ann:se/cr@t@host:1") == "'mqtt://***@host:1'"
+    assert shown(["mqtt://ann:secret@host"]) == "['mqtt://***@host']"
+    assert shown({"a": 1}) == "a table"
+    assert shown(list(range(12))) == "[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, ...]"
+    assert len(shown("x" * 1000)) == 120
+    assert shown(10**5000) == "a huge number"
+    assert shown("a\nb") == "'a\\nb'"
+
+
+def test_what_is_no_file_of_settings_is_not_read_to_its_end(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", Path("/dev/zero")):
+        with pytest.raises(ConfigError, match="not a regular file; name a TOML file"):
+            read_toml(place)
+    with (tmp_path / "huge.toml").open("wb") as file:
+        file.truncate(100 << 20)
+    with pytest.raises(ConfigError, match=r"huge\.toml: longer than 10000000 bytes"):
+        read_toml(tmp_path / "huge.toml")
+    (tmp_path / "long.toml").write_bytes(b"#" * MAX_BYTES)
+    assert read_toml(tmp_path / "long.toml").content == {}
+
+
+def test_what_windows_programs_write(tmp_path: Path) -> None:
+    path = tmp_path / "tree.toml"
+    path.write_bytes("a = 1\r\nb = 'ü'\r\n".encode("utf-8-sig"))
+    assert read_toml(path).content == {"a": 1, "b": "ü"}
+    path.write_bytes("a = 1\r\n".encode("utf-16"))
+    with pytest.raises(ConfigError, match=r"tree\.toml:1: not UTF-8 but UTF-16; save the file as UTF-8"):
+        read_toml(path)
+
+
+def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    (tmp_path / "tree.toml").touch()
+    monkeypatch.setattr(Path, "open", refuse)
+    with pytest.raises(ConfigError, match=r"tree\.toml: permission denied; let the user who runs this read it"):
+        read_toml(tmp_path / "tree.toml")
+
+
+def test_a_name_of_a_file_commands_no_terminal(tmp_path: Path) -> None:
+    path = tmp_path / "a\x1b[2J\n.toml"
+    path.write_text("depth_mm = 'a'\n")
+    with pytest.raises(ConfigError) as caught:
+        load_model(Leaf, read_toml(path))
+    assert str(caught.value).isprintable()
+
+
+def test_text_without_a_file() -> None:
+    assert parse_toml("a = 1", Path("x")).content == {"a": 1}
+    with pytest.raises(ConfigError, match=r"^x/y:1: not TOML"):
+        parse_toml("a", Path("x/y"))
+
+
+class Told(Table):
+    depth_mm: Number = Field(description="how deep", examples=[2])
+    leaf: Leaf = Leaf()
+
+
+def test_what_is_missing_is_told_with_an_example() -> None:
+    with pytest.raises(ConfigError, match=r"^x: depth_mm: missing; give how deep, as depth_mm = 2$"):
+        load_model(Told, parse_toml("", Path("x")))
+
+
+def test_a_key_of_the_top_in_a_table_belongs_above() -> None:
+    with pytest.raises(
+        ConfigError, match=r"^x:2: trunk\.branches: unknown key; did you mean branches\? It belongs above"
+    ):
+        load_model(Tree, parse_toml("[trunk]\nbranches = 1\n", Path("x")))
+
+
+def test_messages_are_bounded(tmp_path: Path) -> None:
+    long = "k" * 900
+    text = "".join(f"{long}{number} = 1\n" for number in range(300)) + f'branches = "{long}"\n'
+    told = messages(tmp_path, text.encode())
+    assert len(told) == MAX_FINDINGS + 1
+    assert told[0].startswith(":1: kkk")
+    assert told[-1] == ": 201 more; mend the first ones first"
+    assert max(map(len, told)) < 300
+    assert len(messages(tmp_path, f"branches = '{long}'".encode())[0]) < 400
+    for text in (f"[{long}]\n[{long}]\n", f"{long}: 1\n"):
+        assert len(messages(tmp_path, text.encode())[0]) < 600
+
+
+def test_a_line_of_spaces_in_a_text_takes_no_time(tmp_path: Path) -> None:
+    """Looking for a key at its end would take as many steps as the square of its length."""
+    text = f'"""\na.{" " * 1_000_000}\n"""\n'
+    assert messages(tmp_path, f"branches = {text}".encode())[0].startswith(":1: branches: got")

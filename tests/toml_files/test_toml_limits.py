@@ -1,0 +1,135 @@
+"""What is too much for the parser is refused before it, and what is like it and harmless is read."""
+
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config.text import load_settings_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.toml_files import limits as toml_limits
+from resonator_daemon.toml_files.limits import (
+    LONGEST_WORD,
+    MAX_DEPTH,
+    MAX_KEYS,
+    MAX_LINES,
+    MAX_NAMES,
+    MAX_VALUES,
+    excess,
+)
+from resonator_daemon.toml_files.reading import parse_toml
+
+PATH = Path("x.toml")
+
+
+def refusal(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_toml(text, PATH)
+    (message,) = caught.value.messages
+    return message
+
+
+@pytest.mark.parametrize(
+    "start",
+    [
+        "",
+        "[",
+        "  [ ",
+        "[[",
+        "a = {",
+        "a = {b = 1, ",
+        "a = [{",
+        'a = {b = """c"""", ',
+        'a = {b = """c""""", ',
+        "a = {b = '''c'''', ",
+    ],
+)
+@pytest.mark.parametrize("name", ["b", '"b"', "'b'", '"b\\"."', "1"])
+@pytest.mark.parametrize("dot", [".", " . "])
+def test_a_key_of_too_many_names_is_refused_wherever_it_is(start: str, name: str, dot: str) -> None:
+    found = excess("\n" + start + dot.join([name] * (MAX_DEPTH + 1)) + "=1")
+    assert found is not None
+    assert found.line == 2
+    assert f": {MAX_DEPTH + 1} names joined by dots, and {MAX_DEPTH} are read at most" in found.sentence
+    assert excess("\n" + start + dot.join([name] * MAX_DEPTH) + "=1") is None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# " + "a." * 100,
+        'a = "' + "a." * 100 + '"',
+        "a = '" + "a." * 100 + "'",
+        'a = """\n' + "a." * 100 + '\n"b"."c"""',
+        "a = '''\n" + "a." * 100 + "\n'''",
+        'a = "\\"' + "a." * 100 + '"',
+        "a = [" + "1.5, -2.5, 1_0.5e-3, " * 100 + "]",
+    ],
+)
+def test_dots_of_texts_comments_and_numbers_are_no_keys(text: str) -> None:
+    parse_toml(text, PATH)
+
+
+def test_forty_kilobytes_of_dots_are_refused_at_once() -> None:
+    message = refusal("a." * 20_000 + "=1")
+    assert message.startswith("x.toml:1: a.a.a.a.a.")
+    assert len(message) < 200
+
+
+def test_signs_that_terminals_obey_are_not_shown() -> None:
+    assert refusal('"\x1b[2J".' + "a." * 20 + "a=1").isprintable()
+
+
+@pytest.mark.parametrize(
+    ("unit", "limit", "what"),
+    [
+        ("\n", MAX_LINES, "lines"),
+        ("a=1 ", MAX_KEYS, "keys"),
+        ("1,", MAX_VALUES, "values"),
+        ("{}", MAX_VALUES, "values"),
+    ],
+)
+def test_too_many_are_refused(unit: str, limit: int, what: str) -> None:
+    assert excess(unit * limit) is None
+    found = excess(unit * (limit + 1))
+    assert found is not None
+    assert found.sentence.startswith(f"about {limit + 1} {what}, and {limit} are read at most")
+
+
+@pytest.mark.parametrize(
+    ("line", "names"), [("[1]\n", 1), ("[[a.b]]\n", 2), ('["a,b"]\n', 1), ("a.b=1\n", 2), ("1.5=1\n", 2)]
+)
+def test_too_many_tables_are_refused(monkeypatch: pytest.MonkeyPatch, line: str, names: int) -> None:
+    monkeypatch.setattr(toml_limits, "MAX_NAMES", 60)
+    assert excess(line * (60 // names)) is None
+    found = excess(line * (60 // names + 1))
+    assert found is not None
+    assert found.line == 60 // names + 1
+    assert "more than 60 names in [headers] and dotted keys" in found.sentence
+
+
+def test_rows_of_numbers_are_no_tables(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(toml_limits, "MAX_NAMES", 2)
+    text = "a = [\n" + "  [1.5, 2.5],\n  [1, 2],\n  1.5,\n  2.5\n,  2.5 # a\n," * 10 + "]\n"
+    assert len(parse_toml(text, PATH).content["a"]) == 50
+
+
+def test_the_largest_plate_is_within_the_limits() -> None:
+    site = "[[sites]]\nid = 1\nposition_mm = [0.1, 0.2]\n"
+    tone = '[[sites.tones]]\nsignal = "p_n"\n' + "".join(
+        f"{key} = [1.5, 2.5, 3.5, 4.5]\n" for key in ("f0_hz", "sensitivity")
+    )
+    assert MAX_NAMES < 4 * 46_872
+    assert excess((site + tone) * 46_872) is None
+
+
+@pytest.mark.parametrize("sign", ["1", "a", "-"])
+def test_a_number_or_name_of_many_signs_is_refused(sign: str) -> None:
+    assert excess(f"a = {sign * LONGEST_WORD}") is None
+    assert refusal(f"a = {sign * (LONGEST_WORD + 1)}").startswith("x.toml:1: ")
+    assert excess(f'a = "{sign * 2 * LONGEST_WORD}" # {sign * 2 * LONGEST_WORD}') is None
+
+
+@pytest.mark.parametrize("depth", [100, 400, 480, 10_000])
+def test_deep_lists_are_refused_with_a_sentence(depth: int) -> None:
+    with pytest.raises(ConfigError, match=r"x\.toml"):
+        load_settings_text("measurement = " + "[" * depth + "]" * depth, PATH)
