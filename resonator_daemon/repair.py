@@ -22,6 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
 from resonator_daemon.acquisition.recording_file import (
     DAMAGE,
     MARKS,
@@ -32,7 +33,6 @@ from resonator_daemon.acquisition.recording_file import (
     open_recording,
 )
 from resonator_daemon.acquisition.recording_salvage import Hole, Records, known_channels
-from resonator_daemon.acquisition.recording_writer import CHUNK_BYTES
 from resonator_daemon.acquisition.wire_events import Skipped, decode, encode
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.host.new_file import NewFile, interruptible

@@ -69,6 +69,14 @@ class Bench:
             service.stop()
             await task
 
+    @asynccontextmanager
+    async def measured(self, heard: Observer, service: Service, **board: Any) -> AsyncIterator[Service]:
+        """Switch the board on when the service waits for it: a busy computer then misses nothing of what it plays."""
+        async with self.running(service):
+            await heard.until_last("resonator/hand/state/link", state="waiting")
+            async with self.emulated(**board):
+                yield service
+
     def truth(self) -> list[dict[str, Any]]:
         return [json.loads(line) for line in self.truth_path.read_text().splitlines() if line.endswith("}")]
 

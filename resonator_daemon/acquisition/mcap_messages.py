@@ -15,7 +15,8 @@ from mcap.stream_reader import CRCValidationError, StreamReader
 _RECORD: Final = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time; its data follow
 
-MAX_CHUNK_BYTES: Final = 16 << 20
+CHUNK_BYTES: Final = 256 << 10  # as written: about a millisecond to compress
+MAX_CHUNK_BYTES: Final = 16 << 20  # as read
 """Of a chunk's records: those that are written have 256 KiB and what fills them, an event of 256 KiB or a message."""
 
 

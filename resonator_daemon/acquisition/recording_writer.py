@@ -11,6 +11,7 @@ from typing import IO, Any, Final, NamedTuple
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.acquisition.frames import BoardOnline
+from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
 from resonator_daemon.acquisition.recording_file import (
     BOARD,
     ENCODING,
@@ -28,8 +29,6 @@ from resonator_daemon.acquisition.recording_file import (
 )
 from resonator_daemon.acquisition.wire_events import Skipped, WireEvent, encode
 from resonator_daemon.errors import OperatorError
-
-CHUNK_BYTES: Final = 256 << 10  # compressed at once: about a millisecond
 
 _TOML: Final = "application/toml"
 

@@ -34,7 +34,7 @@ class Child:
         return self._cpu_s() - self._cpu_mark_s
 
     def rss_mb(self) -> float:
-        return float(self._usage.memory_info().rss) / 2**20
+        return float(self._usage.memory_info().rss) * 1e-6
 
     def complaint(self) -> str | None:
         """Return the last words of a child that ended by itself; None while it runs."""

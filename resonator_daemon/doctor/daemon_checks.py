@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from resonator_daemon.doctor import link_checks
 from resonator_daemon.doctor.finding import Area, Check, Finding, graded
+from resonator_daemon.doctor.link_checks import ERRORS_FAULT
 from resonator_daemon.monitoring.status_client import Answer
 from resonator_daemon.publishing.payloads import Condition
 
@@ -15,7 +16,6 @@ LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon says")
 SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon says")
 BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon says")
 
-_ERRORS_FAULT: Final = 1e-3  # frames damaged or lost, of all since the board's last start
 _FRAMES_MIN: Final = 100
 _WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in which a sensor measures on
 
@@ -85,16 +85,16 @@ def _losses(health: Mapping[str, Any]) -> Iterator[Finding]:
     lost = present.get("lost", {})
     hit = int(lost.get("damaged", 0)) + int(lost.get("link_gap", 0))
     frames = int(present.get("frames", 0)) + sum(int(count) for count in lost.values())
-    evidence = f"{hit} of {frames} frames damaged or lost since the board's last start (limit {_ERRORS_FAULT:g})"
+    evidence = f"{hit} of {frames} frames damaged or lost since the board's last start (limit {ERRORS_FAULT:g})"
     if frames < _FRAMES_MIN:
         yield link_checks.ERRORS.not_checked(f"{frames} frames, at least {_FRAMES_MIN} are needed")
         return
     yield link_checks.ERRORS.judged(
-        graded(hit / frames, 0.0, _ERRORS_FAULT),
+        graded(hit / frames, 0.0, ERRORS_FAULT),
         evidence,
         link_checks.CABLE,
         value=hit / frames,
-        limit=_ERRORS_FAULT,
+        limit=ERRORS_FAULT,
         unit="",
     )
 

@@ -30,7 +30,7 @@ OF_AN_INQUIRY: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
 OF_A_SITTING: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
 
 _ROUND_TRIP_S: Final = 0.005  # median; an FTDI timer of 16 ms, its default, gives 8 ms more
-_ERRORS_WARNING, _ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
+_ERRORS_WARNING, ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
 _RATE_LEAST: Final = 0.8  # of the frames that the plate asks for, before the board must be dropping them
 _GARBAGE_FAULT: Final = 1e-3  # bytes discarded, of all
 _HITS_LEAST, _GARBAGE_LEAST_BYTES = 3, 1024  # fewer are chance, or packets that were cut when the port was opened
@@ -133,7 +133,7 @@ def _overflow(sitting: Sitting) -> Finding:
             unit="Hz",
         )
     return OVERFLOW.judged(
-        graded(dropped / frames, _ERRORS_WARNING, _ERRORS_FAULT),
+        graded(dropped / frames, _ERRORS_WARNING, ERRORS_FAULT),
         f"{dropped} of {frames}, none is meant",
         remedy,
         value=float(dropped),
@@ -151,13 +151,13 @@ def _errors(sitting: Sitting) -> Finding:
     discarded = after.bytes_discarded - before.bytes_discarded
     received = after.bytes_received - before.bytes_received
     frames = _all_frames(sitting)
-    many = hit >= _HITS_LEAST and hit / frames > _ERRORS_FAULT
+    many = hit >= _HITS_LEAST and hit / frames > ERRORS_FAULT
     if many or discarded > max(_GARBAGE_FAULT * received, _GARBAGE_LEAST_BYTES):
         return _garbage(discarded, received, hit, frames)
-    evidence = f"{hit} of {frames} frames damaged or lost (limit {_ERRORS_FAULT:g}), {discarded} of {received} bytes"
+    evidence = f"{hit} of {frames} frames damaged or lost (limit {ERRORS_FAULT:g}), {discarded} of {received} bytes"
     if not hit and not discarded:
-        return ERRORS.ok(evidence, value=0.0, limit=_ERRORS_FAULT)
-    return ERRORS.warning(evidence, CABLE, value=hit / frames, limit=_ERRORS_FAULT)
+        return ERRORS.ok(evidence, value=0.0, limit=ERRORS_FAULT)
+    return ERRORS.warning(evidence, CABLE, value=hit / frames, limit=ERRORS_FAULT)
 
 
 CABLE: Final = (
@@ -168,14 +168,12 @@ CABLE: Final = (
 
 def _garbage(discarded: int, received: int, hit: int, frames: int) -> Finding:
     share = hit / frames if frames else 1.0
-    of_frames = (
-        f"{hit} of {frames} frames damaged or lost (limit {_ERRORS_FAULT:g}), " if frames else "no whole frame, "
-    )
+    of_frames = f"{hit} of {frames} frames damaged or lost (limit {ERRORS_FAULT:g}), " if frames else "no whole frame, "
     return ERRORS.fault(
         f"{of_frames}{discarded} of {received} bytes are no packets (limit {_GARBAGE_FAULT:g})",
         CABLE,
         value=share,
-        limit=_ERRORS_FAULT,
+        limit=ERRORS_FAULT,
     )
 
 

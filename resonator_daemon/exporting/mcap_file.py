@@ -9,7 +9,8 @@ from typing import Any, Final
 
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.acquisition.recording_file import MARKS
+from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
+from resonator_daemon.acquisition.recording_file import MARK_SCHEMA_DATA, MARKS
 from resonator_daemon.exporting.clouds import WITH_CLOUD, Clouds, Points
 from resonator_daemon.exporting.severity import Severity, severity
 from resonator_daemon.host.new_file import NewFile
@@ -19,7 +20,6 @@ from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Header, Message, State
 from resonator_daemon.publishing.topics import TOPICS, Topic
 
-CHUNK_BYTES: Final = 256 << 10
 METADATA: Final = "resonatord"
 
 _LOG: Final = "log"
@@ -31,19 +31,7 @@ _FIELD: Final = {
     "type": "object",
     "properties": {"name": {"type": "string"}, "offset": {"type": "integer"}, "type": {"type": "integer"}},
 }
-# Schemas that viewers know by their titles.
-LOG_SCHEMA: Final = {
-    "title": "foxglove.Log",
-    "type": "object",
-    "properties": {
-        "timestamp": _TIME,
-        "level": {"type": "integer"},
-        "message": {"type": "string"},
-        "name": {"type": "string"},
-        "file": {"type": "string"},
-        "line": {"type": "integer"},
-    },
-}
+# As MARK_SCHEMA, one that viewers know by its title.
 CLOUD_SCHEMA: Final = {
     "title": "foxglove.PointCloud",
     "type": "object",
@@ -104,7 +92,7 @@ class McapOutput:
     def take(self, moment: Moment) -> None:
         now_ns = moment.now.utc_ns
         if moment.mark is not None:
-            self._add(MARKS, LOG_SCHEMA, _log_line(now_ns, Severity.OK, "mark", moment.mark), now_ns, now_ns)
+            self._add(MARKS, MARK_SCHEMA_DATA, _log_line(now_ns, Severity.OK, "mark", moment.mark), now_ns, now_ns)
         for topic, message in moment.messages:
             if topic.path in self._topics:
                 self._put(topic, message, now_ns)
@@ -126,7 +114,7 @@ class McapOutput:
                 self._add(f"{path}/cloud", CLOUD_SCHEMA, _cloud(points, self._frame_id, t_ns), now_ns, t_ns)
         if isinstance(message, State):
             said = f"{message.state}: {message.reason}" if message.reason else str(message.state)
-            self._add(_LOG, LOG_SCHEMA, _log_line(t_ns, severity(message.state), path, said), now_ns, t_ns)
+            self._add(_LOG, MARK_SCHEMA_DATA, _log_line(t_ns, severity(message.state), path, said), now_ns, t_ns)
 
     def _add(self, channel: str, schema: Mapping[str, Any], data: bytes, log_ns: int, publish_ns: int) -> None:
         if channel not in self._channels:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.exporting.mcap_file import CHUNK_BYTES, METADATA
+from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
+from resonator_daemon.exporting.mcap_file import METADATA
 from resonator_daemon.exporting.ros2_messages import RosMessages, ros_name
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate

@@ -75,7 +75,7 @@ class OwnProcess:
         return self._last
 
     def _rss_mb(self) -> float:
-        return float(self._process.memory_info().rss) / 2**20
+        return float(self._process.memory_info().rss) * 1e-6
 
 
 class HealthMonitor:

@@ -146,7 +146,7 @@ class _Families:
 
     def _of_the_process(self, health: Health) -> Iterator[Metric]:
         """Name these as all clients of Prometheus do; read without /proc, which the service's sandbox may hide."""
-        started_s, memory_bytes = self._status.started_t_ns * 1e-9, health.rss_mb * 2**20
+        started_s, memory_bytes = self._status.started_t_ns * 1e-9, health.rss_mb * 1e6
         yield self._gauge("process_start_time_seconds", "Start of the daemon", started_s)
         yield self._counter("process_cpu_seconds", "Processor time, user and system", time.process_time())
         yield self._gauge("process_resident_memory_bytes", "Resident memory", memory_bytes)

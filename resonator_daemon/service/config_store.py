@@ -33,14 +33,6 @@ class Loaded(NamedTuple):
     sha256: str  # of the text that the configuration was read from
     utc_ns: int  # when it was read
 
-    @property
-    def reason(self) -> str:
-        """What the daemon's state says of it; empty while the file is in use."""
-        if self.in_use == "file":
-            return ""
-        more = f", and {len(self.problems) - 1} more" if len(self.problems) > 1 else ""
-        return f"on the last good configuration: {self.problems[0]}{more}"
-
 
 class _Copy(BaseModel):
     """What is kept of a good configuration, in one file, so that its parts are of the same time."""

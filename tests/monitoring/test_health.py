@@ -56,7 +56,7 @@ class Process:
         return 20.0 + 0.5 * (self._asked - 1) if self._asked > 1 else 0.0
 
     def memory_info(self) -> Any:
-        return SimpleNamespace(rss=92 * 1024 * 1024)
+        return SimpleNamespace(rss=92_000_000)
 
     def num_threads(self) -> int:
         return 5
@@ -206,7 +206,7 @@ def wait_for_the_kernel_to_let_go(thread: threading.Thread) -> None:
 
 def resident_mb() -> float:
     with open("/proc/self/statm") as statm:
-        return int(statm.read().split()[1]) * resource.getpagesize() / 2**20
+        return int(statm.read().split()[1]) * resource.getpagesize() * 1e-6
 
 
 def vitals_of_now() -> dict[str, Any]:

@@ -91,7 +91,7 @@ def of(name: str, /, **labels: str) -> Key:
         (of("resonatord_recording_missing_total", what="messages"), 43),
         (of("resonatord_config_last_good"), 0),
         (of("process_start_time_seconds"), status_samples.ago_ns(3600) / 1e9),
-        (of("process_resident_memory_bytes"), 96 * 2**20),
+        (of("process_resident_memory_bytes"), 96e6),
         (of("process_open_fds"), 20),
         (of("resonatord_threads"), 19),
         (of("resonatord_tasks"), 18),

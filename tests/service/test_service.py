@@ -43,9 +43,8 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     bench = Bench(tmp_path, broker.url)
     scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=0.3))
     async with (
-        bench.emulated(scenario=scenario),
         observe(broker.url) as heard,
-        bench.running(bench.service()) as service,
+        bench.measured(heard, bench.service(), scenario=scenario) as service,
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         onset, release = events(heard)
@@ -92,9 +91,8 @@ async def test_pressed_at_start_gives_no_force_until_it_is_let_go(bench: Bench, 
     )
     again = LONG_TOUCH.format(hold_s=0.2).replace("start_s = 0.4", "start_s = 1.5")
     async with (
-        bench.emulated(scenario=bench.scenario(held + again)),
         observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
+        bench.measured(heard, bench.service(), scenario=bench.scenario(held + again)),
     ):
         pressed = await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
         await heard.until_last("resonator/hand/state/sensor", state="online")
@@ -110,9 +108,8 @@ async def test_pressed_at_start_gives_no_force_until_it_is_let_go(bench: Bench, 
 async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("reboot_at_s=0.8")
     async with (
-        bench.emulated(scenario=bench.scenario(LONG_TOUCH.format(hold_s=1.5)), faults=faults),
         observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
+        bench.measured(heard, bench.service(), scenario=bench.scenario(LONG_TOUCH.format(hold_s=1.5)), faults=faults),
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
@@ -130,9 +127,8 @@ async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosq
     faults = parse_faults("unplug_at_s=0.7,unplug_for_s=0.5")
     scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=2.0))
     async with (
-        bench.emulated(scenario=scenario, faults=faults),
         observe(mosquitto.url) as heard,
-        bench.running(bench.service()) as service,
+        bench.measured(heard, bench.service(), scenario=scenario, faults=faults) as service,
     ):
         await heard.until(lambda: "lost" in [m["state"] for m in heard.payloads("resonator/hand/state/link")])
         await heard.until_last("resonator/hand/state/link", state="online")
@@ -213,9 +209,8 @@ async def test_between_sites_what_is_not_seen_stays_within_the_bound(bench: Benc
         for (x, y), start_s in zip(places, (0.4, 1.0, 1.6, 2.2), strict=True)
     )
     async with (
-        bench.emulated(scenario=bench.scenario(IDEAL + between)),
         observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
+        bench.measured(heard, bench.service(), scenario=bench.scenario(IDEAL + between)),
     ):
         await heard.until_count("resonator/hand/forces", 1)
         start_ticks = int(heard.payloads("resonator/hand/forces")[0]["board_ticks"])
@@ -306,9 +301,10 @@ async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
 async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
     async with (
-        bench.emulated(scenario=bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=10)), faults=faults),
         observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
+        bench.measured(
+            heard, bench.service(), scenario=bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=10)), faults=faults
+        ),
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"
