@@ -59,18 +59,21 @@ def mosquitto_command(port: int, folder: Path, *settings: str) -> tuple[str, ...
 
 @dataclass
 class Part:
-    """One process; what it says goes to a file, one start after the other."""
+    """One process; what it says goes to a file, one start after the other.
+
+    `leftover` is what one that is killed would leave behind. It goes before the process does: the name of a dead
+    board's terminal is a door to whichever program of this computer is given a terminal of that number next.
+    """
 
     name: str
     command: tuple[str, ...]
     log: Path
     environment: dict[str, str]
-    leftover: Path | None = None  # of one that was killed, to be removed before the next start
+    leftover: Path | None = None
     process: "subprocess.Popen[bytes] | None" = None
 
     def start(self) -> None:
-        if self.leftover is not None:
-            self.leftover.unlink(missing_ok=True)
+        self._clear_away()  # one that died by itself has left it
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
                 self.command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=os.environ | self.environment
@@ -90,14 +93,21 @@ class Part:
         """Send a signal and wait for the end; tell whether it took that one signal."""
         if self.process is None:
             return True
+        if number is signal.SIGKILL:
+            self._clear_away()
         self.process.send_signal(number)
         try:
             self.process.wait(_END_S)
         except subprocess.TimeoutExpired:
+            self._clear_away()
             self.process.kill()
             self.process.wait()
             return False
         return True
+
+    def _clear_away(self) -> None:
+        if self.leftover is not None:
+            self.leftover.unlink(missing_ok=True)
 
     def holdings(self) -> dict[str, float]:
         """Return what the process holds of the system."""
