@@ -3,7 +3,8 @@
 Run it with `make soak MINUTES=60`, or `python benchmarks/long_run.py --minutes N [--seed N] [--json]`; seven days are
 10080 minutes. `resonatord run` is a process of its own, with continuous recording in a small budget, metrics and the
 status socket; so are an emulated board whose faults change every minute and a Mosquitto that dies and stands still.
-Ctrl-C ends it early, with the table. Exit code 1 when a figure is missed.
+Ctrl-C ends it early, in order and with the table of what was seen until then; a second one at once. Exit code 1 when a
+figure is missed or the run was cut short.
 """
 
 import argparse
@@ -80,26 +81,38 @@ class Run:
         )
         self._listener = Listener(self._port, self.seen, lambda at_s: self.log.at_work(_BROKEN, at_s))
         self._read_bytes = 0
+        self._over = asyncio.Event()
 
     async def play(self, seconds: float) -> None:
-        """Run for so long, or until cancelled; then end all in order and take the last figures."""
+        """Run for so long, or until `cut_short`; then end all in order and take the last figures."""
         self._did(Cause.START, 15.0)
         self._broker.start()
         self._daemon.start()
-        tasks = [
-            asyncio.create_task(work)
-            for work in (self._change_boards(), self._disturb(), self._watch(seconds), self._read_log())
-        ]
+        boards = asyncio.create_task(self._change_boards())
+        others = [asyncio.create_task(work) for work in (self._disturb(), self._watch(seconds))]
+        log = asyncio.create_task(self._read_log())
+        began_s = time.monotonic()
+        over = asyncio.create_task(self._over.wait())
         try:
-            ended, _ = await asyncio.wait(tasks, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
+            work = (boards, *others, log, over)
+            ended, _ = await asyncio.wait(work, timeout=seconds, return_when=asyncio.FIRST_COMPLETED)
             for task in ended:
                 task.result()
         finally:
-            for task in tasks[:-1]:
+            self.seen.asked_s, self.seen.ran_s = seconds, time.monotonic() - began_s
+            for task in others:
                 task.cancel()
-            await asyncio.wait(tasks[:-1])
+            await asyncio.wait(others)
+            self._set_right()
+            self._over.set()  # the last board ends in order, and is judged by what it had sent
+            await asyncio.wait([boards])
             await self._end()
-            tasks[-1].cancel()
+            log.cancel()
+
+    def cut_short(self) -> None:
+        """End `play` early; from the event loop."""
+        self.seen.cut_short = True
+        self._over.set()
 
     def stop(self) -> None:
         """Kill whatever still runs."""
@@ -109,9 +122,7 @@ class Run:
                 part.end(signal.SIGKILL)
 
     async def _end(self) -> None:
-        await self._set_right()
-        if not self._board.running:
-            self._start_board(BoardLeg(0.0, "", frozenset(), killed=False))
+        self._start_board(BoardLeg(0.0, "", frozenset(), killed=False))
         await asyncio.sleep(_SETTLED_S)
         health = await asyncio.to_thread(self._listener.next_health, 5.0)
         if health is not None:
@@ -124,18 +135,18 @@ class Run:
 
     async def _change_boards(self) -> None:
         before = await asyncio.to_thread(self._listener.next_health, 20.0)
-        while True:
+        while not self._over.is_set():
             leg = draw_leg(self._draw)
             self._start_board(leg)
             self._tell(f"board for {leg.seconds:.0f} s: {leg.faults or 'no faults'}")
-            try:
-                await asyncio.sleep(leg.seconds)
-            finally:
-                self._did(Cause.GONE, _GONE_S[1] + 1.0)
-                await asyncio.to_thread(self._board.end, signal.SIGKILL if leg.killed else signal.SIGINT)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._over.wait(), leg.seconds)
+            killed = leg.killed and not self._over.is_set()
+            self._did(Cause.GONE, _GONE_S[1] + 1.0)
+            await asyncio.to_thread(self._board.end, signal.SIGKILL if killed else signal.SIGINT)
             await asyncio.sleep(self._draw.uniform(*_GONE_S))
             after = await asyncio.to_thread(self._listener.next_health, 10.0)
-            account = None if leg.killed else self._board_account()
+            account = None if killed else self._board_account()
             if before is not None and after is not None and account is not None:
                 self._take_leg(leg_of(leg.faults or "no faults", account, before, after))
             before = after  # without a board nothing comes
@@ -223,7 +234,7 @@ class Run:
         )
         self._listener.command(*self._draw.choice(requests))
 
-    async def _set_right(self) -> None:
+    def _set_right(self) -> None:
         """Leave no disturbance behind that was cut short."""
         if not self._broker.running:
             self._broker.start()
@@ -325,9 +336,15 @@ def waited_for_cpu_s() -> float:
 
 async def _play_until_stopped(run: Run, seconds: float) -> None:
     playing = asyncio.create_task(run.play(seconds))
+
+    def stop() -> None:
+        if run.seen.cut_short:
+            playing.cancel()
+        run.cut_short()
+
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, playing.cancel)
+        loop.add_signal_handler(number, stop)
     with contextlib.suppress(asyncio.CancelledError):
         await playing
 

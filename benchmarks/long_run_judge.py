@@ -45,7 +45,7 @@ class Sample:
 
 @dataclass
 class Leg:
-    """One board from its start to its orderly end, as it and the daemon count it."""
+    """One board from its start to its orderly end, planned or not, as it and the daemon count it."""
 
     faults: str
     sent: int
@@ -69,6 +69,9 @@ class Leg:
 class Seen:
     """All that a run has seen; counts where a list would grow without end."""
 
+    asked_s: float = 0.0
+    ran_s: float = 0.0
+    cut_short: bool = False
     samples: list[Sample] = field(default_factory=list)
     legs: list[Leg] = field(default_factory=list)
     healths: int = 0
@@ -160,7 +163,8 @@ def judge(seen: Seen) -> list[Row]:
     """Return the table of what was asked and what was seen."""
     later = warm(seen.samples)
     at_s = [sample.at_s for sample in later]
-    rows = []
+    cut = ", then cut short: what follows is of that time" if seen.cut_short else ""
+    rows = [Row("time", f"{seen.asked_s / 60:.1f} min", f"{seen.ran_s / 60:.1f} min{cut}", not seen.cut_short)]
     held = (
         ("memory", "MB", [sample.rss_mb for sample in later], FLAT_MB),
         ("file descriptors", "", [sample.file_descriptors for sample in later], 0.5),

@@ -70,6 +70,7 @@ def test_a_run_without_fault_is_good() -> None:
         ({"legs": []}, "whole frames that did not arrive"),
         ({"legs": [Leg("no faults", 1000, 0, 0, 600, 0)]}, "whole frames that did not arrive"),
         ({"legs": [Leg("no faults", 1000, 0, 0, 1010, 0)]}, "whole frames that did not arrive"),
+        ({"cut_short": True}, "time"),
         ({"samples": []}, "memory"),
         ({"samples": samples([120.0] * 120, threads=np.arange(120) // 40)}, "threads"),
         ({"samples": samples([120.0] * 120, tasks=np.arange(120) // 40)}, "tasks"),
