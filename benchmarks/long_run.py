@@ -29,8 +29,10 @@ from long_run_judge import Leg, Row, Sample, Seen, judge, leg_of
 from long_run_listener import Listener
 from long_run_log import Cause, LogJudge, new_lines
 from system_parts import BOARD, BROKER, DAEMON, NAME, Part, free_port, mosquitto_command
+from watched_daemon import FILE_VARIABLE, InUse, ask_in_use
 
 _COMMAND: Final = (sys.executable, "-m", "resonator_daemon.cli")
+_WATCHED: Final = (sys.executable, str(Path(__file__).with_name("watched_daemon.py")))
 _SAMPLE_S: Final = 30.0
 _SAMPLES_MIN: Final = 40  # of a short run
 _LOOK_S: Final = 0.2
@@ -70,15 +72,15 @@ class Run:
             "XDG_STATE_HOME": str(folder / "state"),
             "XDG_RUNTIME_DIR": str(folder / "run"),
             "OMP_NUM_THREADS": "1",
+            FILE_VARIABLE: str(folder / "in_use.json"),
         }
         (folder / "run").mkdir(mode=0o700)
         self._terminal = terminal
         self._board = self._make_board("")
         broker = mosquitto_command(self._port, folder, "max_queued_messages 0", "log_dest none")
         self._broker = Part(BROKER, broker, folder / "broker.log", self._environment)
-        self._daemon = Part(
-            DAEMON, (*_COMMAND, "run", "--config", str(self._config)), folder / "daemon.log", self._environment
-        )
+        run = (*_WATCHED, "run", "--config", str(self._config))
+        self._daemon = Part(DAEMON, run, folder / "daemon.log", self._environment)
         self._listener = Listener(self._port, self.seen, lambda at_s: self.log.at_work(_BROKEN, at_s))
         self._read_bytes = 0
         self._over = asyncio.Event()
@@ -256,11 +258,14 @@ class Run:
             recordings_mb = sum(path.stat().st_size for path in self._recordings()) / 1e6
             over_mb = recordings_mb - _BUDGET_MB - _FLUSHED_MB
             self.seen.recordings_over_mb = max(self.seen.recordings_over_mb, over_mb)
-            if tasks is not None:
+            if tasks is not None and (used := await asyncio.to_thread(self._ask_in_use)) is not None:
                 fds, threads = held["file_descriptors"], held["threads"]
-                sample = Sample(time.monotonic(), held["rss_mb"], fds, threads, tasks, recordings_mb)
+                sample = Sample(time.monotonic(), held["rss_mb"], *used, fds, threads, tasks, recordings_mb)
                 self.seen.samples.append(sample)
-                self._tell(f"{sample.rss_mb:.1f} MB, {fds:.0f} files, {threads:.0f} threads, {tasks:.0f} tasks")
+                self._tell(
+                    f"{sample.rss_mb:.1f} MB, {used.malloc_mb:.2f} MB and {used.python_blocks} blocks of them in use, "
+                    f"{fds:.0f} files, {threads:.0f} threads, {tasks:.0f} tasks"
+                )
             if self._listener.health:
                 self._take_totals(self._listener.health)
             await asyncio.sleep(every_s)
@@ -278,6 +283,13 @@ class Run:
             self.seen.refused.append(f"status: {done.returncode}: {done.stderr.strip()}")
             return None
         return dict(json.loads(done.stdout)["daemons"][0])
+
+    def _ask_in_use(self) -> InUse | None:
+        self.seen.asked += 1
+        used = ask_in_use(self._daemon.pid, Path(self._environment[FILE_VARIABLE]), 5.0)
+        if used is None:
+            self.seen.refused.append("memory in use: no answer in 5 s")
+        return used
 
     def _ask_metrics(self) -> None:
         self.seen.asked += 1

@@ -9,7 +9,12 @@ import numpy as np
 WARM_UP_SHARE: Final = 0.25  # of the run, and at most:
 WARM_UP_MAX_S: Final = 3600.0
 CERTAIN: Final = 3.0  # standard errors: one run in 700 without a leak would be told of one
-FLAT_MB: Final = 0.5  # a rise over the whole run that is no leak: the allocator's own steps
+# Rises over the whole run that are no leak: what is on its way at one moment and not at another.
+FLAT_MB: Final = 0.3
+FLAT_THOUSANDS: Final = 3.0  # of blocks
+FLAT: Final = 0.5
+KEPT_MB: Final = 10.0  # of the process: the allocator keeps what the highest peak took, and holes between what stays
+LOWEST_OF: Final = 4  # samples: what is on its way only adds to what stays
 END_FRAMES: Final = 350  # on their way when a board goes: a pseudo-terminal's buffer, as far as 64 kB
 HEALED_FRAMES: Final = 3  # per leg: two damaged frames may leave one whole
 
@@ -37,6 +42,8 @@ class Sample:
 
     at_s: float
     rss_mb: float
+    malloc_mb: float  # in use
+    python_blocks: float  # in use; of memory that malloc does not see
     file_descriptors: float
     threads: float
     tasks: float
@@ -102,6 +109,12 @@ def warm(samples: Sequence[Sample]) -> list[Sample]:
     return [sample for sample in samples if sample.at_s - begin_s >= warm_up_s]
 
 
+def lowest(at_s: Sequence[float], values: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Return the lowest of each few values, and the times of these few in the mean; those left over are left out."""
+    groups = [slice(n, n + LOWEST_OF) for n in range(0, len(values) - LOWEST_OF + 1, LOWEST_OF)]
+    return [sum(at_s[group]) / LOWEST_OF for group in groups], [min(values[group]) for group in groups]
+
+
 def trend(at_s: Sequence[float], values: Sequence[float]) -> Trend | None:
     """Fit a line by least squares; None for fewer than five values.
 
@@ -165,11 +178,17 @@ def judge(seen: Seen) -> list[Row]:
     at_s = [sample.at_s for sample in later]
     cut = ", then cut short: what follows is of that time" if seen.cut_short else ""
     rows = [Row("time", f"{seen.asked_s / 60:.1f} min", f"{seen.ran_s / 60:.1f} min{cut}", not seen.cut_short)]
+    used = (
+        ("memory in use", "MB", [sample.malloc_mb for sample in later], FLAT_MB),
+        ("Python's blocks in use", "thousand", [sample.python_blocks / 1e3 for sample in later], FLAT_THOUSANDS),
+    )
+    for what, unit, values, flat in used:
+        rows.append(_slope_row(what, unit, trend(*lowest(at_s, values)), flat))
     held = (
-        ("memory", "MB", [sample.rss_mb for sample in later], FLAT_MB),
-        ("file descriptors", "", [sample.file_descriptors for sample in later], 0.5),
-        ("threads", "", [sample.threads for sample in later], 0.5),
-        ("tasks", "", [sample.tasks for sample in later], 0.5),
+        ("memory of the process", "MB", [sample.rss_mb for sample in later], KEPT_MB),
+        ("file descriptors", "", [sample.file_descriptors for sample in later], FLAT),
+        ("threads", "", [sample.threads for sample in later], FLAT),
+        ("tasks", "", [sample.tasks for sample in later], FLAT),
     )
     for what, unit, values, flat in held:
         rows.append(_slope_row(what, unit, trend(at_s, values), flat))
