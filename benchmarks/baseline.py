@@ -134,7 +134,7 @@ def print_presses(plates: int) -> None:
         values = press(lambda: Kalman(-3e-7, 2e-8), seed=seed, spread=2e-8)
         row(f"Kalman, coefficients off by 2e-8 / K, plate {seed}", values)
     row("Kalman, finger warms its site by 3 K", press(lambda: Kalman(-3e-7), warm_kelvin=3.0))
-    stated = 1e3 * float(warming_std(np.array(HELD_S), np.array(-3e-7), 3.0)) / abs(SENSITIVITY)
+    stated = 1e3 * warming_std(HELD_S, -3e-7, 3.0) / abs(SENSITIVITY)
     print(f"    systematic of a warm contact, 3 K (one standard deviation): {stated:.0f} mN")
     values = press(lambda: Kalman(-3e-7, 0.0, 0.01), warm_kelvin=3.0, thermometer=True)
     row("Kalman, the same with a thermometer of 10 mK", values)

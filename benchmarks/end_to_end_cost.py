@@ -37,16 +37,14 @@ STAGES: dict[str, Sequence[tuple[object, str]]] = {
     "counting": (
         (SlidingWindow, "push"),
         (SlidingWindow, "sums"),
-        (single_tone_chain, "stamp_jitter_ticks"),
-        (single_tone_chain, "excess_bound"),
-        (single_tone_chain, "counter_std"),
+        (single_tone_chain, "count_tone"),
         (comb_chain, "merge_tones"),
         (ForceTones, "shifts"),
     ),
     "matching": ((Matcher, "match"),),
     "drift": ((CommonMode, "update"), (PlateDrift, "update")),
     "touches": ((SpreadFit, "fit"),),
-    "response": ((SiteErrors, "press"),),
+    "response": ((SiteErrors, "press"), (SiteErrors, "press_all")),
 }
 
 

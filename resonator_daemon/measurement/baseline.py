@@ -4,10 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
-from resonator_daemon.measurement.random_walk import FloatArray, RandomWalks
-
 # What the sites' temperature coefficients differ from the pilot's, unknown, over the plate's temperature range.
 COMMON_MODE_STD: Final = 2e-7
 # A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
@@ -22,6 +18,13 @@ class CommonMode:
     Unknown, channel by channel, until it has been heard untouched in `needed` readings since the start or the last
     `reset`, or was set by `tare`; unknown as a whole until two channels are known. Only a board's boot or a new
     configuration is a reason for `reset`.
+
+    Attributes
+    ----------
+    known
+        Whether two channels at least are known; of a single one, whether it is.
+    value
+        g per channel; NaN where and until it is not known.
     """
 
     def __init__(self, channels: int, *, needed: int, reading_std: float, floor_std: float = COMMON_MODE_STD) -> None:
@@ -33,16 +36,16 @@ class CommonMode:
         self._needed = needed
         self.expect(reading_std)
         self._floor_variance = floor_std**2
-        self._walks = RandomWalks(channels)
-        self._count_none(channels)
+        self._channels = channels
+        self.reset()
 
     def reset(self) -> None:
-        self._walks.reset()
-        self._count_none(len(self._count))
-
-    def _count_none(self, channels: int) -> None:
-        self._count = [0] * channels
-        self._learnt = [False] * channels
+        self._mean = [0.0] * self._channels
+        self._variance = [math.inf] * self._channels  # of one that was never measured
+        self._count = [0] * self._channels
+        self._learnt = [False] * self._channels
+        self.known = False
+        self.value: tuple[float, ...] = (math.nan,) * self._channels
 
     def expect(self, reading_std: float) -> None:
         """Take the noise of the readings from here, as of another window; what was learnt stays."""
@@ -57,44 +60,40 @@ class CommonMode:
         """
         if not (elapsed_s >= 0 and math.isfinite(elapsed_s)):
             raise ValueError(f"elapsed_s {elapsed_s} must be finite and not below 0")
-        self._walks.advance(COMMON_MODE_WALK**2 * elapsed_s)
+        step_variance = COMMON_MODE_WALK**2 * elapsed_s
+        self._variance = [variance + step_variance for variance in self._variance]
         self._measure(readings, 1)
 
     def tare(self, readings: Sequence[float]) -> None:
         """Take the present mean of g per channel for the truth; a NaN leaves its channel as it was."""
-        heard = ~np.isnan(self._array(readings))
-        self._walks.variance[heard] = math.inf
+        self._variance = [
+            variance if math.isnan(g) else math.inf for variance, g in zip(self._variance, readings, strict=True)
+        ]
         self._measure(readings, self._needed)
 
     def _measure(self, readings: Sequence[float], worth: int) -> None:
-        reading = self._array(readings)
-        heard = ~np.isnan(reading)
-        if not heard.any():
+        # A scalar Kalman filter for each channel, in plain floats: arrays of four numbers take ten times as long.
+        if len(readings) != self._channels:
+            raise ValueError(f"{len(readings)} readings for {self._channels} channels")
+        if all(map(math.isnan, readings)):
             return
-        self._walks.measure(reading, self._reading_variance, heard)
-        self._count = [count + worth * int(h) for count, h in zip(self._count, heard, strict=True)]
-        self._learnt = [count >= self._needed for count in self._count]
-
-    def _array(self, readings: Sequence[float]) -> FloatArray:
-        if len(readings) != len(self._count):
-            raise ValueError(f"{len(readings)} readings for {len(self._count)} channels")
-        return np.array(readings, dtype=np.float64)
-
-    @property
-    def known(self) -> bool:
-        return sum(self._learnt) >= min(KNOWN_CHANNELS, len(self._learnt))
-
-    @property
-    def value(self) -> tuple[float, ...]:
-        """Return g per channel; NaN where and until it is not known."""
-        if not self.known:
-            return (math.nan,) * len(self._learnt)
-        return tuple(g if k else math.nan for g, k in zip(self._walks.mean.tolist(), self._learnt, strict=True))
+        for channel, g in enumerate(readings):
+            if math.isnan(g):
+                continue
+            before = self._variance[channel]
+            gain = before / (before + self._reading_variance) if before < math.inf else 1.0
+            self._mean[channel] += gain * (g - self._mean[channel])
+            self._variance[channel] = gain * self._reading_variance
+            self._count[channel] += worth
+            self._learnt[channel] = self._count[channel] >= self._needed
+        self.known = sum(self._learnt) >= min(KNOWN_CHANNELS, self._channels)
+        if self.known:
+            self.value = tuple(g if k else math.nan for g, k in zip(self._mean, self._learnt, strict=True))
 
     @property
     def std(self) -> float:
         """What `value` may be off by, relative, in common on all channels; NaN until known."""
         if not self.known:
             return math.nan
-        known = (v for v, k in zip(self._walks.variance.tolist(), self._learnt, strict=True) if k)
+        known = [variance for variance, learnt in zip(self._variance, self._learnt, strict=True) if learnt]
         return math.sqrt(max(known) + self._floor_variance)

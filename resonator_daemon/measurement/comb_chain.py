@@ -16,7 +16,7 @@ from resonator_daemon.measurement.force_tones import SIGMA_HZ, ForceTones, SiteS
 from resonator_daemon.measurement.matching import SiteForce
 from resonator_daemon.measurement.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
-from resonator_daemon.measurement.site_errors import Pressed, SiteErrors
+from resonator_daemon.measurement.site_errors import PressedSites, SiteErrors
 from resonator_daemon.measurement.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.measurement.tone_merging import merge_tones
 
@@ -229,15 +229,14 @@ class CombChain:
         self._told_m = [touch.position_m for touch in touches]
         return [t for t in touches if any(math.dist(t.position_m, place) <= self._reach_m for place in before)]
 
-    def _forces(self, shifts: SiteShifts, drift: DriftReading, time_s: float) -> Pressed:
+    def _forces(self, shifts: SiteShifts, drift: DriftReading, time_s: float) -> PressedSites:
         """Force of every site, (m,), NaN where it is not heard.
 
         Untouched sites are followed, too: what a press leaves in them must not pass for a touch.
         """
         per_shift = 1.0 / np.abs(shifts.sensitivity)
         felt = (shifts.shift - drift.expected_shift) / shifts.sensitivity
-        forces = self._errors.press(
-            np.arange(len(felt)),
+        forces = self._errors.press_all(
             felt,
             np.sqrt(shifts.variance) * per_shift,
             drift.expected_std * per_shift,
@@ -250,7 +249,7 @@ class CombChain:
         kelvin = np.where(np.isnan(shifts.kelvin), theta, shifts.kelvin)
         return forces._replace(calibrated=forces.calibrated & ~((kelvin < low) | (kelvin > high)))
 
-    def _fit(self, spread: SpreadFit | None, forces: Pressed, before: Touches | None) -> Touches:
+    def _fit(self, spread: SpreadFit | None, forces: PressedSites, before: Touches | None) -> Touches:
         assert spread is not None  # noqa: S101 - for the type checker
         return spread.fit(
             forces.force_newton,
@@ -265,7 +264,7 @@ class CombChain:
         self,
         shifts: SiteShifts,
         before: DriftReading,
-        forces: Pressed,
+        forces: PressedSites,
         load: FloatArray,
         pressed: NDArray[np.bool_],
         elapsed_s: float,
@@ -279,7 +278,7 @@ class CombChain:
         variance = error_newton2 * shifts.sensitivity**2
         return self._drift.update(left, variance, elapsed_s, shifts.kelvin, pressed & ~free, free)
 
-    def _touches_of(self, found: Touches, forces: Pressed, status: SensorStatus) -> list[Touch]:
+    def _touches_of(self, found: Touches, forces: PressedSites, status: SensorStatus) -> list[Touch]:
         # Misfit widens the errors; it is none of the noise.
         widening = max(found.chi2 / found.freedom, 1.0) if found.freedom else 1.0
         touches = []
@@ -290,7 +289,7 @@ class CombChain:
             other = math.sqrt(max(widening * float(covariance[2, 2]) - noise**2, 0.0))
             x, y = position_m.tolist()
             over = newton > self._sites.force_max_newton
-            untold = max(float(forces.untold_newton[nearest]), float(self._errors.untold_newton(np.array(newton))))
+            untold = max(float(forces.untold_newton[nearest]), self._errors.untold_newton(newton))
             touches.append(
                 Touch(
                     nearest,
@@ -306,7 +305,7 @@ class CombChain:
             )
         return touches
 
-    def _site_force(self, forces: Pressed, site: np.intp) -> SiteForce:
+    def _site_force(self, forces: PressedSites, site: np.intp) -> SiteForce:
         newton, largest = float(forces.force_newton[site]), self._sites.force_max_newton
         own = math.hypot(self._sites.model_error * newton, float(forces.untold_newton[site]))
         over = newton > largest

@@ -54,8 +54,9 @@ class ForceSites:
 
     def newton_per_shift(self, site: int, channels: tuple[int, ...]) -> float:
         """Force that a relative shift common to `channels` passes for: 1/|K| where K is equal on all of them."""
-        sensitivity = self.sensitivity[site, list(channels)]
-        return abs(float(sensitivity.sum() / (sensitivity @ sensitivity)))
+        row: list[float] = self.sensitivity[site].tolist()
+        sensitivity = [row[channel] for channel in channels]
+        return abs(sum(sensitivity) / sum([k * k for k in sensitivity]))
 
 
 def known_coefficients(coefficients: FloatArray) -> FloatArray:

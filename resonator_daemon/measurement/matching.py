@@ -1,8 +1,9 @@
 """Which sites, and how hard: weighted least squares over the sites' codes, with gate, runner-up and overload."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
@@ -11,10 +12,14 @@ from numpy.typing import ArrayLike, NDArray
 from resonator_daemon.measurement.code_fit import (
     RUNNER_UP_GAP,
     Channels,
+    Code,
     Codes,
+    Reading,
+    fit_code,
     fit_codes,
     gates,
     uncertainty_newton,
+    uncertainty_of_one,
 )
 from resonator_daemon.measurement.force import FloatArray, force_newton
 from resonator_daemon.measurement.joining import Account, explain_groups, heard_alone, join, leave_one_out
@@ -131,24 +136,41 @@ class Matcher:
         loaded_hz = f0_hz[..., None] / (1.0 - sensitivity[..., None] * ends)
         self._low_hz, self._high_hz = loaded_hz.min(axis=2), loaded_hz.max(axis=2)
         self._model_variance = (model_error * force_max_newton * np.abs(sensitivity).max(axis=0)) ** 2
-        self._hidden = np.zeros(len(f0_hz)) if hidden_fraction is None else hidden_fraction
-        self._gates = gates(f0_hz.shape[1])
+        self._hidden: list[float] = [0.0] * len(f0_hz) if hidden_fraction is None else hidden_fraction.tolist()
+        self._gates: list[float] = gates(f0_hz.shape[1]).tolist()
+        self._rows = [Code(f0, k) for f0, k in zip(f0_hz.tolist(), sensitivity.tolist(), strict=True)]
+        bands = self._low_hz.T.tolist(), self._high_hz.T.tolist(), self._model_variance.tolist()
+        self._bands: list[tuple[list[float], list[float], float]] = list(zip(*bands, strict=True))
 
     def match(
-        self, frequency_hz: FloatArray, counter_std: FloatArray, oscillator_std: float, common_mode_std: float
+        self,
+        frequency_hz: Sequence[float] | FloatArray,
+        counter_std: Sequence[float] | FloatArray,
+        oscillator_std: float,
+        common_mode_std: float,
     ) -> Match:
         """Name the sites whose codes explain the channels' frequencies; `match_many` with one reading, (channels,)."""
-        reading = self._channels(frequency_hz[None], counter_std, oscillator_std, common_mode_std)
-        best = self._best(reading)
-        status, site, chi2 = int(best.status[0]), int(best.site[0]), float(best.chi2[0])
-        if status == REJECTED:
-            return self._apart(reading, chi2)
-        if status == AMBIGUOUS:
-            candidates = tuple(sorted((site, int(best.rival[0]))))
-            return Match("ambiguous", "two sites explain the channels alike", chi2, (), candidates)
-        force = self._site_force(site, float(best.force_newton[0]), best.weights, reading)
-        over = status == OVERLOAD
-        return Match("overload" if over else "ok", self._overload_reason if over else "", chi2, (force,))
+        reading = _reading(frequency_hz, counter_std, oscillator_std, common_mode_std)
+        used = sum([inverse > 0.0 for inverse in reading.inverse_variance])
+        if used < 2:
+            return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
+        error, span = self._codes.model_error, self._codes.range_newton
+        fits = [fit_code(site, self._rows[site], error, span, reading) for site in self._near_one(reading)]
+        fits.sort(key=attrgetter("score"))
+        if not fits or not fits[0].chi2 <= self._gates[used]:
+            chi2 = fits[0].chi2 if fits else math.nan
+            channels = self._channels(
+                np.array([frequency_hz]), np.array([counter_std]), oscillator_std, common_mode_std
+            )
+            return self._apart(channels, chi2)
+        best, *others = fits
+        if others and others[0].score - best.score < RUNNER_UP_GAP:
+            candidates = tuple(sorted((best.site, others[0].site)))
+            return Match("ambiguous", "two sites explain the channels alike", best.chi2, (), candidates)
+        force = self._site_force(best.site, best.force_newton, best.weights, reading)
+        if best.force_newton > span[1]:
+            return Match("overload", self._overload_reason, best.chi2, (force,))
+        return Match("ok", "", best.chi2, (force,))
 
     def match_many(
         self,
@@ -214,6 +236,19 @@ class Matcher:
         near: NDArray[np.bool_] = (upper[:, None] >= self._low_hz) & (lower[:, None] <= self._high_hz)
         return near
 
+    def _near_one(self, reading: Reading) -> list[int]:
+        """Sites that are near, as `_near` has it, on all channels of one reading that are used."""
+        sites = list(range(len(self._rows)))
+        common_variance = reading.oscillator_variance + reading.common_mode_variance
+        for (low_hz, high_hz, model_variance), frequency, variance, inverse in zip(
+            self._bands, reading.frequency_hz, reading.counter_variance, reading.inverse_variance, strict=True
+        ):
+            if inverse > 0.0:
+                slack = REACH_STD * math.sqrt(variance + common_variance + model_variance)
+                upper, lower = frequency * (1.0 + slack), frequency * (1.0 - slack)
+                sites = [site for site in sites if low_hz[site] <= upper and high_hz[site] >= lower]
+        return sites
+
     def _best(self, readings: Channels) -> _Best:
         """Fit one site on all channels."""
         used = readings.used.sum(axis=1)
@@ -244,7 +279,7 @@ class Matcher:
             second = np.flatnonzero(new[:-1] & ~new[1:]) + 1  # in the order: next to the best of the same reading
             near = fit.score[order[second]] - fit.score[order[second - 1]] < RUNNER_UP_GAP
             best.rival[rows[second[near]]] = sites[order[second[near]]]
-        accepted = best.chi2 <= self._gates[used]
+        accepted = best.chi2 <= gates(readings.frequency_hz.shape[1])[used]
         status = np.where(best.force_newton > self._codes.range_newton[1], OVERLOAD, OK)
         status[best.rival >= 0] = AMBIGUOUS
         best.status[accepted] = status[accepted]
@@ -275,7 +310,8 @@ class Matcher:
         if not account.named:
             return Match(account.status, account.reason, chi2, (), account.candidates)
         forces = [
-            self._site_force(group.site, group.force_newton, group.weights[None], reading) for group in account.named
+            self._site_force(group.site, group.force_newton, group.weights.tolist(), reading.first)
+            for group in account.named
         ]
         chi2 = sum(group.chi2 for group in account.named)
         if any(force.status == "overload" for force in forces):
@@ -305,21 +341,37 @@ class Matcher:
         off_together = ((alone > least - excess) & (alone < most)) | ~reading.used
         if off_together.all(axis=1).any():
             return None
-        force = self._site_force(site, float(fit.force_newton[site]), fit.weights[site : site + 1], reading)
+        force = self._site_force(site, float(fit.force_newton[site]), fit.weights[site].tolist(), reading.first)
         return Match("overload", self._overload_reason, float(fit.chi2[site]), (force,))
 
     @property
     def _overload_reason(self) -> str:
         return f"force above {self._codes.range_newton[1]:g} N, the largest of this plate"
 
-    def _site_force(self, site: int, force_newton: float, weights: FloatArray, reading: Channels) -> SiteForce:
-        channels, largest = tuple(int(c) for c in np.flatnonzero(weights[0])), self._codes.range_newton[1]
+    def _site_force(self, site: int, force_newton: float, weights: list[float], reading: Reading) -> SiteForce:
+        channels = tuple([channel for channel, weight in enumerate(weights) if weight])
+        largest = self._codes.range_newton[1]
         if force_newton > largest:
             return SiteForce(site, math.nan, math.nan, math.nan, "overload", largest, math.nan, channels)
-        noise, systematic = uncertainty_newton(
-            self._codes, np.array([site]), np.array([force_newton]), weights, reading
+        noise, systematic = uncertainty_of_one(
+            self._rows[site].sensitivity, self._codes.model_error, force_newton, weights, reading
         )
-        hidden = float(self._hidden[site]) * abs(force_newton)
-        return SiteForce(
-            site, force_newton, float(noise[0]), float(systematic[0]), "ok", hidden_newton=hidden, channels=channels
-        )
+        hidden = self._hidden[site] * abs(force_newton)
+        return SiteForce(site, force_newton, noise, systematic, "ok", hidden_newton=hidden, channels=channels)
+
+
+def _reading(
+    frequency_hz: Sequence[float] | FloatArray,
+    counter_std: Sequence[float] | FloatArray,
+    oscillator_std: float,
+    common_mode_std: float,
+) -> Reading:
+    oscillator, common_mode = oscillator_std * oscillator_std, common_mode_std * common_mode_std
+    if not math.isfinite(oscillator + common_mode):
+        raise ValueError(f"oscillator_std {oscillator_std!r} and common_mode_std {common_mode_std!r} must be finite")
+    known = [
+        (f, std * std, 1.0 / (std * std)) if 0.0 < f < math.inf and 0.0 < std < math.inf else (1.0, 0.0, 0.0)
+        for f, std in zip(frequency_hz, counter_std, strict=True)
+    ]
+    frequency, variance, inverse = (list(part) for part in zip(*known, strict=True))
+    return Reading(frequency, variance, inverse, oscillator, common_mode)

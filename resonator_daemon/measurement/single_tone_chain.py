@@ -3,30 +3,22 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.measurement.baseline import CommonMode
 from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.measurement.counting import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
-from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fraction
+from resonator_daemon.measurement.counting import Sums, frequency_hz, oscillator_std
+from resonator_daemon.measurement.force import cell_std_m, hidden_fraction
 from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.matching import Match, Matcher, SiteForce
-from resonator_daemon.measurement.other_tones import (
-    beat_bound_hz,
-    beat_std_hz,
-    hears_another_tone,
-    pilot_residual_ticks2,
-)
 from resonator_daemon.measurement.overload_latch import OverloadLatch
-from resonator_daemon.measurement.quantisation import EXCESS_LIMIT, STAMPS_MIN, excess_bound, stamp_jitter_ticks
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
-from resonator_daemon.measurement.record_faults import Gate
 from resonator_daemon.measurement.site_errors import SiteErrors
 from resonator_daemon.measurement.sliding_window import SlidingWindow
+from resonator_daemon.measurement.tone_count import UNHEARD, ToneCount, count_tone
 
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
 BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
@@ -34,19 +26,6 @@ BASELINE_READINGS: Final = 20  # untouched readings before the common mode count
 UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
 CROWDED_FRAMES: Final = 3
-EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
-
-
-_NO_GATE: Final = Gate(Sums(0, 0, 0, 0, 0, 0, 0, 0, 0), math.nan, math.nan)
-
-
-class _Counted(NamedTuple):
-    """Channels (c,): frequency without the common mode, relative noise, whether more is heard, and which beat."""
-
-    frequency_hz: FloatArray
-    std: FloatArray
-    others: NDArray[np.bool_]
-    beats: tuple[int, ...]
 
 
 class SingleToneChain:
@@ -92,7 +71,7 @@ class SingleToneChain:
         shifted_hz = 2.0 * float(np.abs(sites.sensitivity).max()) * sites.force_max_newton * sites.f0_hz.max(axis=0)
         codes_hz = np.diff(np.sort(sites.f0_hz, axis=0), axis=0)
         apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
-        self._apart_hz = apart_hz - shifted_hz
+        self._apart_hz: list[float] = (apart_hz - shifted_hz).tolist()
         self._latch = OverloadLatch()
         self._errors = SiteErrors(sites)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
@@ -150,7 +129,8 @@ class SingleToneChain:
         self._step_frames = step_frames
         self._window_frames = window_frames
         self._onset_frames = min(ONSET_FRAMES, window_frames)
-        self._distance_hz = np.maximum(self._apart_hz, 1.0 / (window_frames * self._gate_s))
+        least_hz = 1.0 / (window_frames * self._gate_s)
+        self._distance_hz = [max(apart_hz, least_hz) for apart_hz in self._apart_hz]
 
     @property
     def compensation(self) -> Compensation:
@@ -222,11 +202,11 @@ class SingleToneChain:
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            counted = self._counted(sums, heard_hz, pilot, frames)
-            beats = counted.beats
-            match = self._latch.apply(self._match(counted, frames))
+            counts = self._counted(sums, heard_hz, pilot, frames)
+            beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
+            match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
-            if status == "ok" and counted.others.any():
+            if status == "ok" and any(count.others for count in counts):
                 status, reason = "possibly_more", "more than the counted tone is heard"
             elif status == "ok" and max(self._crowded) >= CROWDED_FRAMES:
                 status, reason = "possibly_more", f"two tones are alike: {self._missing()}"
@@ -271,34 +251,27 @@ class SingleToneChain:
 
     def _counted(
         self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float], frames: int
-    ) -> _Counted:
+    ) -> list[ToneCount]:
         """Tell what the channels that hear another tone than the pilot count, and how well."""
-        used = np.array([s is not None and math.isnan(g) for s, g in zip(sums, pilot, strict=True)])
-        frequency = np.where(used, heard_hz, np.nan)
-        parts = np.array([_parts(s, f, self._reference_hz) for s, f in zip(sums, heard_hz, strict=True)])
-        window_std, interval, jitter, stamps, noise_ticks2 = parts.T
-        excess = np.minimum(np.maximum(excess_bound(interval, jitter, stamps), 0.0), EXCESS_CAP)
+        counts = [UNHEARD] * len(sums)
+        for channel, (channel_sums, g) in enumerate(zip(sums, pilot, strict=True)):
+            if channel_sums is not None and math.isnan(g):
+                counts[channel] = count_tone(
+                    channel_sums,
+                    heard_hz[channel],
+                    self._windows[channel].gates[-frames:],
+                    reference_hz=self._reference_hz,
+                    over_pilot_db=self._attenuation_db[channel] - self._pilot_attenuation_db[channel],
+                    distance_hz=self._distance_hz[channel],
+                    window_s=frames * self._gate_s,
+                )
+        return counts
 
-        blank = (_NO_GATE,) * frames
-        gates = [w.gates[-frames:] if u else blank for w, u in zip(self._windows, used, strict=True)]
-        gate_hz = np.array([[gate.frequency_hz for gate in held] for held in gates])
-        residual_ticks2 = np.array([[gate.residual_ticks2 for gate in held] for held in gates]).mean(axis=1)
-        ratio_db = np.subtract(self._attenuation_db, self._pilot_attenuation_db)
-        ratio = np.fmin(10.0 ** (ratio_db / 20.0), 1.0)
-        pilot_ticks2 = pilot_residual_ticks2(ratio, frequency, self._reference_hz)
-        others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_ticks2)
-        beat_std = beat_std_hz(gate_hz, frequency * window_std * frames**1.5) / frequency
-        bound_hz = beat_bound_hz(
-            residual_ticks2, noise_ticks2, frequency, self._reference_hz, self._distance_hz, frames * self._gate_s
-        )
-        beat_std = np.fmax(beat_std, np.where(others, bound_hz / frequency, 0.0))
-        std = np.sqrt(window_std**2 * (1.0 + excess) + np.where(np.isnan(beat_std), 0.0, beat_std) ** 2)
-        rational = tuple(np.flatnonzero(used & (excess > EXCESS_LIMIT)).tolist())
-        return _Counted(frequency / (1.0 + np.array(self._common_mode.value)), std, others, rational)
-
-    def _match(self, counted: _Counted, frames: int) -> Match:
+    def _match(self, counts: Sequence[ToneCount], frames: int) -> Match:
+        common_mode = self._common_mode
+        frequency_hz = [count.frequency_hz / (1.0 + g) for count, g in zip(counts, common_mode.value, strict=True)]
         oscillator = oscillator_std(frames * self._gate_s)
-        return self._matcher.match(counted.frequency_hz, counted.std, oscillator, self._common_mode.std)
+        return self._matcher.match(frequency_hz, [count.std for count in counts], oscillator, common_mode.std)
 
     def _complete(self, force: SiteForce, time_s: float, status: SensorStatus) -> SiteForce:
         """Return the force with the site's response taken out and with every systematic error."""
@@ -306,20 +279,15 @@ class SingleToneChain:
             return force
         per_shift = self._sites.newton_per_shift(force.site, force.channels)
         pressed = self._errors.press(
-            np.array([force.site]),
-            np.array([force.force_newton]),
-            np.array([force.noise_newton]),
-            np.array([force.systematic_newton]),
-            np.array([per_shift]),
-            time_s,
+            force.site, force.force_newton, force.noise_newton, force.systematic_newton, per_shift, time_s
         )
         worth: Literal["ok", "possibly_more"] = "possibly_more" if status == "possibly_more" else "ok"
         return SiteForce(
             force.site,
-            float(pressed.force_newton[0]),
-            float(pressed.noise_newton[0]),
-            float(np.hypot(pressed.systematic_newton, pressed.untold_newton)[0]),
-            worth if pressed.calibrated[0] else "uncalibrated",
+            pressed.force_newton,
+            pressed.noise_newton,
+            math.hypot(pressed.systematic_newton, pressed.untold_newton),
+            worth if pressed.calibrated else "uncalibrated",
             force.at_least_newton,
             force.hidden_newton,
             force.channels,
@@ -372,11 +340,3 @@ class SingleToneChain:
             if not window.full
         ]
         return ", ".join(causes)
-
-
-def _parts(sums: Sums | None, frequency: float, reference_hz: float) -> tuple[float, float, float, int, float]:
-    """Relative noise, ticks between stamps, their jitter, number and variance; without sums, any that do not beat."""
-    if sums is None:
-        return math.nan, 0.5, 1.0, STAMPS_MIN, math.nan
-    interval_ticks = sums.stride_edges * reference_hz / frequency
-    return counter_std(sums), interval_ticks, stamp_jitter_ticks(sums), sums.stamps, stamp_std_ticks(sums) ** 2

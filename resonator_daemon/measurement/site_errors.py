@@ -19,11 +19,21 @@ RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force co
 
 
 class Pressed(NamedTuple):
-    """Forces (k,) that press, their noise and systematic standard deviations, and whether calibration covers them.
+    """A force that presses, its noise and systematic standard deviations, and whether calibration covers it.
 
     `untold_newton` is what comes to the latter once it is known that something presses: hysteresis and creep that were
-    not calibrated, a rest that is not known yet, and of sites that are heard untouched the warmth of a touch.
+    not calibrated, a rest that is not known yet, and of a site that is heard untouched the warmth of a touch.
     """
+
+    force_newton: float
+    noise_newton: float
+    systematic_newton: float
+    untold_newton: float
+    calibrated: bool
+
+
+class PressedSites(NamedTuple):
+    """The same of all sites, (m,)."""
 
     force_newton: FloatArray
     noise_newton: FloatArray
@@ -37,6 +47,8 @@ class SiteErrors:
 
     def __init__(self, sites: ForceSites) -> None:
         self._sites = sites
+        self._slope_per_kelvin: list[float] = sites.warmth.coefficients[:, 0].tolist()
+        self._contact_std_kelvin: list[float] = sites.warmth.contact_std_kelvin.tolist()
         low, high = sites.valid_newton
         margin = RANGE_MARGIN * high if math.isfinite(high) else 0.0
         self._lowest_newton, self._highest_newton = low - margin, high + margin
@@ -46,9 +58,9 @@ class SiteErrors:
         """Forget all presses; what was before is not known."""
         response, count = self._sites.response, len(self._sites.positions_m)
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
-        self._since_s = np.full(count, math.nan)
-        self._silent = np.zeros(count, dtype=bool)
-        self._unproven = np.zeros(count, dtype=bool)
+        self._since_s = [math.nan] * count
+        self._heard = set(range(count))  # since all were silent
+        self._unproven = [False] * count
 
     def rest(self, time_s: float) -> None:
         """Take that nothing presses any site now, and that what they feel so counts as nothing.
@@ -57,75 +69,114 @@ class SiteErrors:
         """
         if self._inverse is not None:
             self._inverse.rest(np.arange(len(self._unproven)), time_s)
-            self._unproven[:] = True
+            self._unproven = [True] * len(self._unproven)
 
     def silence(self, time_s: float) -> None:
         """Take that nothing presses any site, and none is heard, until they are pressed again."""
-        begun = np.flatnonzero(~self._silent)
-        if begun.size and self._inverse is not None:
-            self._inverse.release(begun, time_s)
-        self._silent[:] = True
-        self._since_s[:] = math.nan
+        if not self._heard:
+            return
+        if self._inverse is not None:
+            self._inverse.release(np.array(sorted(self._heard)), time_s)
+        self._heard.clear()
+        self._since_s = [math.nan] * len(self._since_s)
 
     def press(
         self,
-        sites: NDArray[np.intp],
+        site: int,
+        felt_newton: float,
+        noise_newton: float,
+        systematic_newton: float,
+        newton_per_shift: float,
+        time_s: float,
+    ) -> Pressed:
+        """Take what a site feels that is touched now.
+
+        `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
+        that of a warm or cold touch, which `newton_per_shift` makes a force of.
+        """
+        force, noise, of_response = felt_newton, noise_newton, 0.0
+        if self._inverse is not None:
+            at = np.array([site])
+            answer = self._inverse.press(at, np.array([felt_newton]), np.array([noise_newton]), time_s)
+            (force,), (noise,), (of_response,) = (part.tolist() for part in answer)
+        return self._pressed(site, (force, noise, of_response), systematic_newton, newton_per_shift, time_s)
+
+    def press_all(
+        self,
         felt_newton: FloatArray,
         noise_newton: FloatArray,
         systematic_newton: FloatArray,
         newton_per_shift: FloatArray,
         time_s: float,
-        touched: NDArray[np.bool_] | None = None,
-    ) -> Pressed:
-        """Take what sites (k,) feel now; those that are not `touched` are heard all the same, and rest.
+        touched: NDArray[np.bool_],
+    ) -> PressedSites:
+        """Take what all sites (m,) feel, NaN for one that is not heard; those that are not `touched` rest.
 
-        `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
-        that of a warm or cold touch, which `newton_per_shift` makes a force of.
+        The other arguments are those of `press`, and one for each site.
         """
-        since_s = self._since_s[sites]
-        since_s = np.where(np.isnan(since_s), time_s, since_s)
-        self._since_s[sites] = since_s if touched is None else np.where(touched, since_s, math.nan)
-        self._silent[sites] = False
-        force, noise, of_response, untold = felt_newton, noise_newton, np.zeros(len(sites)), np.zeros(len(sites))
-        if self._inverse is None:
-            untold = self.untold_newton(force)
-        else:
-            force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
-            untold = self._unknown_rest(sites, force)
+        count = len(self._since_s)
+        answer: tuple[FloatArray, ...] = felt_newton, noise_newton, np.zeros(count)
+        if self._inverse is not None:
+            answer = self._inverse.press(np.arange(count), felt_newton, noise_newton, time_s)
+        columns = (*answer, systematic_newton, newton_per_shift, touched)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        pressed = [
+            self._pressed(site, (force, noise, of_response), systematic, per_shift, time_s, touched=presses)
+            for site, (force, noise, of_response, systematic, per_shift, presses) in enumerate(rows)
+        ]
+        force, noise, systematic, untold, calibrated = (np.array(part) for part in zip(*pressed, strict=True))
+        return PressedSites(force, noise, systematic, untold, calibrated)
+
+    def _pressed(
+        self,
+        site: int,
+        answer: tuple[float, float, float],
+        systematic_newton: float,
+        newton_per_shift: float,
+        time_s: float,
+        *,
+        touched: bool | None = None,
+    ) -> Pressed:
+        """Add up what the `answer` of a site's response may be off by: force, noise and the response's own share.
+
+        `touched` tells of a site that is heard untouched, too, whether it is pressed; None where only touched ones are.
+        """
+        force, noise, of_response = answer
+        since_s = self._since_s[site]
+        if math.isnan(since_s):
+            since_s = time_s
+        self._since_s[site] = math.nan if touched is False else since_s
+        self._heard.add(site)
+        untold = self.untold_newton(force) if self._inverse is None else self._unknown_rest(site, force)
         warmth = self._sites.warmth
-        held_s = time_s - since_s
-        per_kelvin = warming_std(
-            held_s,
-            warmth.coefficients[sites, 0],
-            1.0,
-            transient_s=warmth.transient_s,
-            relaxation_s=warmth.contact_time_s,
-        )
+        held_s, contact_time_s = time_s - since_s, warmth.contact_time_s
+        slope = self._slope_per_kelvin[site]
+        per_kelvin = warming_std(held_s, slope, 1.0, transient_s=warmth.transient_s, relaxation_s=contact_time_s)
         # The slope itself is not known better than that.
-        unknown = warmth.coefficient_std * -np.expm1(-held_s / warmth.contact_time_s)
-        warming = warmth.contact_std_kelvin[sites] * np.hypot(per_kelvin, unknown)
+        unknown = warmth.coefficient_std * -math.expm1(-held_s / contact_time_s)
+        warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
         if touched is not None:
             # What only a touch can do must not hide it.
-            untold = np.hypot(untold, np.where(touched, warming, 0.0) * newton_per_shift)
-            warming = np.zeros(len(sites))
-        parts = systematic_newton, self._sites.sensitivity_std * force, warming * newton_per_shift, of_response
-        systematic = np.sqrt(sum(part**2 for part in parts))
-        calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
+            untold, warming = math.hypot(untold, warming if touched else 0.0), 0.0
+        of_sensitivity = self._sites.sensitivity_std * force
+        systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
+        calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
         return Pressed(force, noise, systematic, untold, calibrated)
 
-    def _unknown_rest(self, sites: NDArray[np.intp], force_newton: FloatArray) -> FloatArray:
+    def _unknown_rest(self, site: int, force_newton: float) -> float:
+        if not self._unproven[site]:
+            return 0.0
         response = self._sites.response
         hysteresis = response.hysteresis_newton if response else 0.0
-        unproven = self._unproven[sites]
-        self._unproven[sites] = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        self._unproven[site] = not force_newton > PROVEN_HYSTERESES * hysteresis
         # Up to its hysteresis a site answers alike wherever it was at rest.
-        beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
-        return np.where(unproven, np.nan_to_num(beyond), 0.0)
+        beyond = min(max(force_newton - hysteresis, 0.0), hysteresis) / 2.0
+        return 0.0 if math.isnan(force_newton) else beyond
 
-    def untold_newton(self, force_newton: FloatArray) -> FloatArray:
+    def untold_newton(self, force_newton: float) -> float:
         """Return what hysteresis and creep may make of a force, one standard deviation, where they are not known."""
         if self._inverse is not None:
-            return np.zeros(force_newton.shape)
+            return 0.0
         # A site lags by half of its hysteresis, but by no more than presses it.
-        lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
-        return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
+        lag = min(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, abs(force_newton))
+        return math.hypot(lag, USUAL_CREEP / 2.0 * force_newton)

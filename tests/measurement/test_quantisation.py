@@ -7,6 +7,7 @@ from resonator_daemon.measurement.quantisation import (
     EXCESS_LIMIT,
     beats,
     excess_bound,
+    excess_bound_of_one,
     quantisation_excess,
     stamp_jitter_ticks,
 )
@@ -177,3 +178,12 @@ def test_channels_are_told_apart_and_unknown_ones_are_not_flagged():
 def test_too_few_stamps_and_impossible_jitter_are_refused(jitter, stamps, message):
     with pytest.raises(ValueError, match=message):
         quantisation_excess(1000.0, jitter, stamps)
+
+
+def test_one_tone_is_bounded_as_many_are():
+    # On either side of where lines are added up one by one, slow lines and quick ones, many harmonics and a single one.
+    for jitter in (0.0, 0.05, 0.074, 0.076, 0.2, 0.29, 0.31, 0.6, 0.7):
+        for interval in (1000.0, 1000.0003, 999.5, 1000.3334, 1234.5678):
+            for stamps in (3, 99, 1000):
+                together = float(excess_bound(interval, jitter, stamps))
+                assert excess_bound_of_one(interval, jitter, stamps) == pytest.approx(together, rel=1e-9, abs=1e-12)

@@ -8,7 +8,6 @@ from resonator_daemon.measurement.site_errors import Pressed, SiteErrors
 from resonator_daemon.measurement.site_response import SiteResponse
 
 K = 6.3e-6
-PER_SHIFT = np.array([1 / K])
 HYSTERESIS_NEWTON = 0.1
 RESPONSE = SiteResponse(HYSTERESIS_NEWTON, 0.0, 20.0, 0.0, 0.0, 0.0)
 
@@ -31,18 +30,17 @@ def errors(*, slope=-3e-7, slope_std=0.0, contact_std_kelvin=0.0, transient_s=0.
     )
 
 
-def press(errors, newton, time_s, *, site=1, noise=1e-3, systematic=0.0, touched=None):
-    """Press one site."""
-    pressed = errors.press(
-        np.array([site]),
-        np.array([newton]),
-        np.array([noise]),
-        np.array([systematic]),
-        PER_SHIFT,
-        time_s,
-        None if touched is None else np.array([touched]),
+def press(errors, newton, time_s, *, site=1, noise=1e-3, systematic=0.0):
+    return errors.press(site, newton, noise, systematic, 1 / K, time_s)
+
+
+def press_all(errors, newton, time_s, *, touched, noise=1e-3):
+    """Press site 1 of three that are all heard."""
+    felt, nothing = np.array([0.0, newton, 0.0]), np.zeros(3)
+    pressed = errors.press_all(
+        felt, np.full(3, noise), nothing, np.full(3, 1 / K), time_s, np.array([False, touched, False])
     )
-    return Pressed(*(part[0].item() for part in pressed))
+    return Pressed(*(part[1].item() for part in pressed))
 
 
 def test_without_a_response_and_warmth_a_force_is_what_the_site_feels():
@@ -98,7 +96,7 @@ def test_the_warmth_of_a_touch_ends_with_it(end):
     elif end == "reset":
         warm.reset()
     else:
-        press(warm, 0.0, 10.1, touched=False)
+        press_all(warm, 0.0, 10.1, touched=False)
     assert press(warm, 1.0, 10.2).systematic_newton == 0.0
     assert press(warm, 1.0, 20.2).systematic_newton > 0.1
 
@@ -108,6 +106,18 @@ def test_sites_are_warmed_each_by_its_own_touch():
     press(warm, 1.0, 0.0, site=0)
     assert press(warm, 1.0, 10.0, site=2).systematic_newton == 0.0
     assert press(warm, 1.0, 10.0, site=0).systematic_newton > 0.1
+
+
+def test_the_warmth_of_a_touch_must_not_hide_it_where_sites_are_heard_untouched():
+    warm = errors(contact_std_kelvin=3.0)
+    press_all(warm, 1.0, 0.0, touched=True)
+    pressed = press_all(warm, 1.0, 10.0, touched=True)
+    alone = errors(contact_std_kelvin=3.0)
+    press(alone, 1.0, 0.0)
+    warmth_newton = press(alone, 1.0, 10.0).systematic_newton
+    assert warmth_newton > 0.1
+    assert pressed.systematic_newton == 0.0
+    assert pressed.untold_newton == pytest.approx(math.hypot(press(errors(), 1.0, 0.0).untold_newton, warmth_newton))
 
 
 @pytest.mark.parametrize(
@@ -146,7 +156,7 @@ def test_what_a_press_leaves_in_a_site_is_no_force():
     followed(calibrated, np.concatenate([np.linspace(0, 5, 200), np.linspace(5, 0, 200)]))
     left_newton = HYSTERESIS_NEWTON / 2  # z stays h above 0: (0 + h) / 2 is felt
     for number in range(20):
-        force = press(calibrated, left_newton, 2.0 + 0.005 * number, noise=0.0, touched=False).force_newton
+        force = press_all(calibrated, left_newton, 2.0 + 0.005 * number, noise=0.0, touched=False).force_newton
         assert force == pytest.approx(0.0, abs=1e-9)
 
 
