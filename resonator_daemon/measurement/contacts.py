@@ -13,7 +13,7 @@ ONSET_NEWTON: Final = 0.020
 RELEASE_NEWTON: Final = 0.010
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
 class Touch:
     """What one reading tells of one touch: the nearest site, an index, and the place with its covariance (2, 2)."""
 
@@ -45,7 +45,7 @@ def touch_of(force: SiteForce, position_m: FloatArray, covariance_m2: FloatArray
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
 class Contact:
     """A touch from its onset on. While its force is not known it is NaN, and the touch's status and reason say why.
 

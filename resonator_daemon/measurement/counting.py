@@ -146,8 +146,12 @@ def lambda_counter_std(sums: Sums) -> float:
 
 def counter_std(sums: Sums) -> float:
     """Relative standard deviation of `frequency_hz` from white noise of the stamps: sqrt(12 s^2 / (N T^2))."""
-    stamps = sums.stamps
-    return stamp_std_ticks(sums) / _interval_ticks(sums) * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
+    return regression_std(stamp_std_ticks(sums), sums.stamps, sums.span_ticks)
+
+
+def regression_std(stamp_ticks: float, stamps: int, span_ticks: int) -> float:
+    """Return sqrt(12 s^2 / (N T^2)), of `counter_std`, for stamps that are off by `stamp_ticks`."""
+    return stamp_ticks * (stamps - 1) / span_ticks * math.sqrt(12 / (stamps * (stamps * stamps - 1)))
 
 
 def _interval_ticks(sums: Sums) -> float:

@@ -5,10 +5,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
-import numpy as np
-
 from resonator_daemon.measurement.baseline import COMMON_MODE_WALK
-from resonator_daemon.measurement.random_walk import FloatArray
 
 SPAN_S: Final = 10.0
 WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room
@@ -28,7 +25,7 @@ class DriftWatch:
     """
 
     def __init__(self) -> None:
-        self._seen: deque[tuple[float, FloatArray]] = deque()
+        self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
         self._drifting = False
 
     def reset(self) -> None:
@@ -46,14 +43,13 @@ class DriftWatch:
             return ""
         if self._seen and 0 <= time_s - self._seen[-1][0] < _EVERY_S:
             return self._told
-        now = np.array(told, np.float64)
         if self._seen:
             last_s, last = self._seen[-1]
             if time_s < last_s:
                 self.reset()
-            elif np.array_equal(now, last, equal_nan=True):
+            elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(told, last, strict=True)):
                 return self._told
-        self._seen.append((time_s, now))
+        self._seen.append((time_s, told))
         while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:
             self._seen.popleft()
         self._judge()
@@ -61,10 +57,10 @@ class DriftWatch:
 
     def _judge(self) -> None:
         (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
-        moved = np.abs(last - first)
-        if last_s - first_s < _LEAST_S or np.isnan(moved).all():
+        moved = [abs(now - then) for now, then in zip(last, first, strict=True) if not math.isnan(now - then)]
+        if last_s - first_s < _LEAST_S or not moved:
             return
-        self._moved, self._span_s = float(np.nanmax(moved)), last_s - first_s
+        self._moved, self._span_s = max(moved), last_s - first_s
         limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
         self._drifting = self._moved > limit * (_OVER if self._drifting else 1.0)
 

@@ -32,6 +32,9 @@ _HARMONICS: Final[FloatArray] = np.arange(1.0, 1.0 + HARMONICS_MAX)
 _LINES_TICKS2: Final[FloatArray] = 0.5 / (np.pi * _HARMONICS) ** 2  # powers without jitter
 _FIRST_LINE_DAMPING: Final = -4.0 * math.pi**2
 _DAMPING: Final[FloatArray] = -((2.0 * np.pi * _HARMONICS) ** 2)
+_FEW_LINES: Final[list[tuple[float, float, float]]] = list(
+    zip(*(table[:FEW_HARMONICS].tolist() for table in (_HARMONICS, _LINES_TICKS2, _DAMPING)), strict=True)
+)
 
 
 def quantisation_excess(
@@ -69,12 +72,11 @@ def excess_bound_of_one(interval_ticks: float, jitter_ticks: float, stamps: int)
     jitter_ticks2 = jitter_ticks * jitter_ticks
     steepest, slowest = stamps * stamps - 1.0, WORST_TURN / stamps
     excess_ticks2 = 0.0
-    for harmonic in range(1, 2 + int(HARMONICS_REACH / jitter_ticks)):
+    for harmonic, line_ticks2, damping in _FEW_LINES[: 1 + int(HARMONICS_REACH / jitter_ticks)]:
         turns = harmonic * interval_ticks
         sine2 = math.sin(math.pi * max(abs(turns - round(turns)), slowest)) ** 2
         gain = (1.0 / sine2 + steepest) / sine2 * (3.0 / (stamps * steepest))
-        line_ticks2 = 0.5 / (math.pi * harmonic) ** 2 * math.exp(-((2.0 * math.pi * harmonic) ** 2) * jitter_ticks2)
-        excess_ticks2 += line_ticks2 * (gain - 1.0)
+        excess_ticks2 += line_ticks2 * math.exp(damping * jitter_ticks2) * (gain - 1.0)
     return excess_ticks2 / (jitter_ticks2 + QUANTISATION_TICKS2)
 
 

@@ -21,7 +21,7 @@ SensorStatus = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each reading
 class Compensation:
     """What was taken out of the frequencies before they became forces.
 
@@ -39,7 +39,7 @@ class Compensation:
     response: Literal["on", "off"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each step
 class ForceReading:
     """Forces and contacts from one window; NaN or absent where not known, `status` and `reason` say why.
 

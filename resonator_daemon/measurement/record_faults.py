@@ -53,7 +53,7 @@ def read_gate(record: SingleToneRecord, reference_hz: float) -> Gate | str:
     slope = slope_numerator / slope_denominator
     end_points = span / (stamps - 1)
     differences = stamps - 2
-    noise_ticks = math.sqrt(2.0) * math.sqrt(max(q2 / (6 * differences), QUANTISATION_TICKS2))
+    noise_ticks = math.sqrt(2.0 * max(q2 / (6 * differences), QUANTISATION_TICKS2))
     if noise_ticks > end_points:
         return "impossible_counts"  # stamps that scatter by more than their distance are not in order
     if abs(slope / end_points - 1.0) > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:

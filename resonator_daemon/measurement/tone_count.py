@@ -8,7 +8,7 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
-from resonator_daemon.measurement.counting import Sums, counter_std, stamp_std_ticks
+from resonator_daemon.measurement.counting import Sums, regression_std, stamp_std_ticks
 from resonator_daemon.measurement.other_tones import (
     beat_bound_hz,
     beat_std_hz,
@@ -58,9 +58,11 @@ def count_tone(
         The least that another tone may be away.
     """
     frames = len(gates)
-    window_std, interval_ticks = counter_std(sums), sums.stride_edges * reference_hz / frequency_hz
-    excess = min(max(excess_bound_of_one(interval_ticks, stamp_jitter_ticks(sums), sums.stamps), 0.0), EXCESS_CAP)
-    noise_ticks2 = stamp_std_ticks(sums) ** 2
+    stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
+    window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
+    interval_ticks = sums.stride_edges * reference_hz / frequency_hz
+    excess = min(max(excess_bound_of_one(interval_ticks, stamp_jitter_ticks(sums), stamps), 0.0), EXCESS_CAP)
+    noise_ticks2 = noise_ticks * noise_ticks
     residual_ticks2 = sum([gate.residual_ticks2 for gate in gates]) / frames
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
     others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
