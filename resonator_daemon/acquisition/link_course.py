@@ -75,17 +75,17 @@ class LinkCourse:
             self._tell_standing(event.now)
         self._tap(event)
         match event:
-            case Said():
-                self._state.say(event.state, event.reason, event.now.utc_ns)
-                self._tell_standing(event.now)
-            case Opened():
-                self._open(event.now)
             case Received():
                 with self._lock:
                     self._opened().receive(event.data, event.now)
             case Tended():
                 with self._lock:
                     self._opened().tend(event.now, idle=event.idle)
+            case Said():
+                self._state.say(event.state, event.reason, event.now.utc_ns)
+                self._tell_standing(event.now)
+            case Opened():
+                self._open(event.now)
             case Overrun():
                 with self._lock:
                     self._opened().overrun()

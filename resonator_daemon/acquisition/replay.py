@@ -117,6 +117,13 @@ class Replay:
             self._begun = event.now
         self._now = event.now
         match event:
+            case Received() | Tended() if self._raised is None and self._course.connection is not None:
+                # What of all events nearly every one is. It was sent before the link was read again; one reading may
+                # have come in pieces.
+                if event.idle if isinstance(event, Tended) else not self._reading:
+                    self._compare_sent(event, b"")
+                self._reading = isinstance(event, Received)
+                self._take(event)
             case Said() | Skipped() | Steered():
                 self._take(event)
                 if isinstance(event, Skipped):
@@ -143,11 +150,8 @@ class Replay:
             case Sent():
                 self._take(event)
                 self._compare_sent(event, event.data)
-            case Received() | Tended() | Overrun() | Goodbye() | Locate():
-                # It was sent before the link was read again; one reading may have come in pieces.
-                if (isinstance(event, Received) and not self._reading) or (isinstance(event, Tended) and event.idle):
-                    self._compare_sent(event, b"")
-                self._reading = isinstance(event, Received)
+            case Overrun() | Goodbye() | Locate():
+                self._reading = False
                 self._take(event)
 
     def _take(self, event: WireEvent) -> None:

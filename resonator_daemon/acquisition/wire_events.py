@@ -179,13 +179,15 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
     number, boottime_less_monotonic_ns = _HEAD.unpack_from(data)
     if number >= len(_KINDS):
         raise ValueError(f"no event has number {number}; the highest is {len(_KINDS) - 1}")
-    kind = _KINDS[number]
-    body = data[_HEAD.size :]
-    now = HostTime(monotonic_ns, utc_ns - monotonic_ns, boottime_less_monotonic_ns)
-    if kind is Received or kind is Sent:
-        return kind(now, body)
+    # Two thousand events a second of recorded time: tuples are made without the detour of their classes.
+    new_tuple, kind, body = tuple.__new__, _KINDS[number], data[_HEAD.size :]
+    now = new_tuple(HostTime, (monotonic_ns, utc_ns - monotonic_ns, boottime_less_monotonic_ns))
+    if kind is Received:
+        return new_tuple(Received, (now, body))
     if kind is Tended:
-        return Tended(now, body == b"\1")
+        return new_tuple(Tended, (now, body == b"\1"))
+    if kind is Sent:
+        return Sent(now, body)
     if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed or kind is Locate:
         return kind(now)
     if kind is Standing:

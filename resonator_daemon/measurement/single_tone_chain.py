@@ -160,8 +160,7 @@ class SingleToneChain:
                 self.unusable[fault] += 1
         at_step = (sequence + 1) % self._step_frames == 0
         reading = None
-        touched = bool(self._tracker.contacts)
-        if at_step or (self._tone_has_changed() if touched else self._something_new()):
+        if at_step or (self._tone_has_changed() if self._tracker.any_open else self._something_new()):
             reading = self._read(sequence, board_ticks, at_step=at_step)
         return reading if reading is not None and (at_step or reading.events) else None
 

@@ -88,6 +88,8 @@ class BoardCourse:
         self._board_boot_id: int | None = None
         self._boots = 0
         self._loss = FrameLoss()
+        self._told_lost = Lost()  # as the last message has it
+        self._told_loss = self._loss, 0  # of what that was made
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
@@ -180,15 +182,18 @@ class BoardCourse:
         self._say_info()
 
     def _lost(self) -> Lost:
-        loss = self._loss
-        return Lost(
-            link_gap=loss.link_gap,
-            damaged=loss.damaged,
-            board_overflow=loss.board_overflow,
-            host_overrun=loss.host_overrun,
-            ring_overflow=loss.ring_overflow,
-            publish_dropped=self._publish_dropped(),
-        )
+        loss, dropped = told = self._loss, self._publish_dropped()
+        if told != self._told_loss:  # hundreds of messages a second have nothing new to say
+            self._told_loss = told
+            self._told_lost = Lost(
+                link_gap=loss.link_gap,
+                damaged=loss.damaged,
+                board_overflow=loss.board_overflow,
+                host_overrun=loss.host_overrun,
+                ring_overflow=loss.ring_overflow,
+                publish_dropped=dropped,
+            )
+        return self._told_lost
 
     def _say_link(self, link: LinkChange) -> None:
         self._publish(STATE_LINK, self.reporter.link_state(link, self._outage, self._boots))

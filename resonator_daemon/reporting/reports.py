@@ -64,6 +64,7 @@ from resonator_daemon.reporting.surface_reports import ContactFields, HeaderFiel
 _NS = 1_000_000_000
 _DAY_NS = 86_400 * _NS
 _EPOCH_DAY = date(1970, 1, 1).toordinal()
+_STATUS = {str(word): word for word in Status}
 
 
 class Reporter:
@@ -82,6 +83,8 @@ class Reporter:
     def __init__(self, config: Config, daemon_boot_id: str, lost: Callable[[], Lost]) -> None:
         self._config = config
         self._plate = config.plate
+        self._gate_s = 1 / self._plate.counter.frame_rate_hz
+        self._site_numbers: list[int] = self._plate.site_ids.tolist()
         self._daemon_boot_id = daemon_boot_id
         self.measurement = config.measurement
         self.allowed: Collection[str] = config.commands.allow
@@ -98,7 +101,7 @@ class Reporter:
 
     def header(self, topic: Topic[Any], utc_ns: int) -> HeaderFields:
         """Return the header of a message that tells of a moment on the host's clock."""
-        return self._header(topic, Instant(utc_ns, 0))
+        return self._header(topic, utc_ns, 0)
 
     def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
         return State(
@@ -210,9 +213,9 @@ class Reporter:
         return Forces(
             **self._measured(FORCES, reading, gate_middle),
             window_s=reading.window_s,
-            status=Status(reading.status),
+            status=_STATUS[reading.status],
             reason=reading.reason,
-            sites=tuple(self._site_force(force, gate_middle) for force in reading.sites),
+            sites=tuple([self._site_force(force, gate_middle) for force in reading.sites]),
             beats=reading.beats,
             compensation=_compensation(reading.compensation),
         )
@@ -220,9 +223,9 @@ class Reporter:
     def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
         return Contacts(
             **self._measured(CONTACTS, reading, gate_middle),
-            status=Status(reading.status),
+            status=_STATUS[reading.status],
             reason=reading.reason,
-            contacts=tuple(Contact(**self._contact(contact, reading, gate_middle)) for contact in reading.contacts),
+            contacts=tuple([Contact(**self._contact(contact, reading, gate_middle)) for contact in reading.contacts]),
         )
 
     def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
@@ -241,7 +244,7 @@ class Reporter:
             **self._measured(SIGNALS, reading, gate_middle),
             signals=reading.signals,
             noise_std=reading.noise_std,
-            status=Status(reading.status),
+            status=_STATUS[reading.status],
         )
 
     def decoded(self, reading: SkinReading, gate_middle: Instant, frame: DecodedFrame) -> Decoded:
@@ -268,30 +271,29 @@ class Reporter:
             response="on" if self._plate.response else "off",
         )
 
-    def _header(self, topic: Topic[Any], at: Instant) -> HeaderFields:
+    def _header(self, topic: Topic[Any], utc_ns: int, uncertainty_ns: int) -> HeaderFields:
         seq = self._seq[topic.path]
         self._seq[topic.path] += 1
         return HeaderFields(
             seq=seq,
             daemon_boot_id=self._daemon_boot_id,
             board_boot_id=self.board_boot_id,
-            t_ns=at.utc_ns,
-            t_unc_ns=at.uncertainty_ns,
+            t_ns=utc_ns,
+            t_unc_ns=uncertainty_ns,
             lost=self._lost(),
         )
 
     def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> MeasuredFields:
-        middle = gate_middle._replace(utc_ns=self._window_middle_ns(reading, gate_middle))
-        return MeasuredFields(**self._header(topic, middle), board_ticks=reading.board_ticks)
+        header = self._header(topic, self._window_middle_ns(reading, gate_middle), gate_middle.uncertainty_ns)
+        return MeasuredFields(**header, board_ticks=reading.board_ticks)
 
     def _window_middle_ns(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> int:
         """Return the UTC of the middle of a window from that of its last gate."""
-        gate_s = 1 / self._plate.counter.frame_rate_hz
-        return gate_middle.utc_ns - round((reading.window_s - gate_s) * _NS / 2)
+        return gate_middle.utc_ns - round((reading.window_s - self._gate_s) * _NS / 2)
 
     def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> SiteForce:
         return SiteForce(
-            site=int(self._plate.site_ids[force.site]),
+            site=self._site_numbers[force.site],
             force_newton=force.force_newton,
             noise_newton=force.noise_newton,
             systematic_newton=force.systematic_newton,
@@ -302,8 +304,10 @@ class Reporter:
 
     def _worth(self, status: str, gate_middle: Instant) -> Status:
         """Return what a force is worth: less once its calibration has expired."""
-        expired = self._plate.calibration.expired(utc_day(gate_middle.utc_ns))
-        return Status.UNCALIBRATED if expired and status in ("ok", "possibly_more") else Status(status)
+        calibration = self._plate.calibration
+        if calibration.expiry is not None and calibration.expired(utc_day(gate_middle.utc_ns)):
+            status = "uncalibrated" if status in ("ok", "possibly_more") else status
+        return _STATUS[status]
 
     def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> ContactFields:
         if contact.id not in self._since_utc_ns:
@@ -316,7 +320,7 @@ class Reporter:
         correlation = covariance / (x_std * y_std) if x_std * y_std > 0 else 0.0
         return ContactFields(
             id=contact.id,
-            site=int(self._plate.site_ids[touch.site]),
+            site=self._site_numbers[touch.site],
             position_m=touch.position_m,
             position_std_m=(x_std, y_std),
             position_correlation=correlation,
