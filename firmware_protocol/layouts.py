@@ -5,6 +5,7 @@
 
 import struct
 from enum import IntEnum, IntFlag
+from functools import partial
 from typing import NamedTuple
 
 PROTOCOL_MAJOR = 1
@@ -150,6 +151,9 @@ TONE_STRUCT = struct_of(TONE_FIELDS)
 BLOCK_STRUCT = struct_of(BLOCK_FIELDS)
 
 
+_new_record = partial(tuple.__new__, SingleToneRecord)  # without the detour of the class: four thousand a second
+
+
 def single_tone_records(payload: bytes) -> tuple[SingleToneRecord, ...]:
     """Return the records of a FRAME, channel 0 first; the payload is a whole number of them."""
-    return tuple(map(SingleToneRecord._make, SINGLE_TONE_STRUCT.iter_unpack(payload)))
+    return tuple(map(_new_record, SINGLE_TONE_STRUCT.iter_unpack(payload)))

@@ -126,11 +126,6 @@ class LinkCourse:
         return self._opened().awaits_answer
 
     @property
-    def follows(self) -> bool:
-        """Whether the link was joined while it was open: what goes out is told, and not made."""
-        return self._opened().follows
-
-    @property
     def within_packet(self) -> bool:
         """Whether the last bytes that were received end in the middle of a packet."""
         return self._opened().within_packet

@@ -182,9 +182,10 @@ class Replay:
             self._course.apply(Closed(now))
 
     def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
-        if self._course.follows:
+        connection = self._course.connection
+        if connection is None or connection.follows:
             return
-        wanted = self._course.data_to_send()
+        wanted = connection.data_to_send()
         if wanted != sent:
             self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")
 

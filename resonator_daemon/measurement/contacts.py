@@ -101,6 +101,8 @@ class ContactTracker:
         `complete` says that there are no touches but these; else `status` and `reason` say why the force of contacts
         without a touch is not known.
         """
+        if not touches and not self._open:
+            return ()
         events = [
             self._release(contact.id, board_ticks, "its state was unknown for too long")
             for contact in self.contacts

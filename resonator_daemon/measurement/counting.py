@@ -56,11 +56,13 @@ class Sums(NamedTuple):
 
 def continues(earlier: Sums, later: Sums) -> bool:
     """Tell whether the stamps of `later` run on from those of `earlier` without a missing or an extra one."""
-    gap_ticks = (later.first_ticks - earlier.first_ticks - earlier.span_ticks) & WRAP_MASK
+    first_edge, first_ticks, stamps, stride_edges, span_ticks, _, _, _, _ = earlier
+    next_edge, next_ticks, _, next_stride_edges, _, _, _, _, _ = later
+    gap_ticks = (next_ticks - first_ticks - span_ticks) & WRAP_MASK
     return (
-        later.stride_edges == earlier.stride_edges
-        and (earlier.first_edge + earlier.stamps * earlier.stride_edges - later.first_edge) & WRAP_MASK == 0
-        and 0 < gap_ticks * (earlier.stamps - 1) < 2 * earlier.span_ticks
+        next_stride_edges == stride_edges
+        and (first_edge + stamps * stride_edges - next_edge) & WRAP_MASK == 0
+        and 0 < gap_ticks * (stamps - 1) < 2 * span_ticks
     )
 
 
@@ -87,8 +89,9 @@ def merge_adjacent(parts: Iterable[Sums]) -> Sums:
     for _, part_ticks, count, _, part_span, part_s1, part_s2, part_q2, part_differences in rest:
         # Distance of the two first stamps: the gap after the last one is below a wrap, the whole need not be.
         offset = span + ((part_ticks - first_ticks - span) & WRAP_MASK)
-        s2 += part_s2 + stamps * part_s1 + offset * (count * (count - 1) // 2) + stamps * count * offset
-        s1 += part_s1 + count * offset
+        shift = count * offset
+        s2 += part_s2 + stamps * (part_s1 + shift) + (count - 1) * shift // 2
+        s1 += part_s1 + shift
         span = offset + part_span
         stamps += count
         q2 += part_q2

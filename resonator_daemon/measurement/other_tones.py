@@ -59,7 +59,7 @@ def beat_std_hz(gate_hz: Sequence[float], gate_std_hz: float) -> float:
     gates = len(gate_hz)
     if gates < GATES_MIN:
         return 0.0
-    second, third = gate_hz[1:], gate_hz[2:]
-    differences = [d - a - 3.0 * (c - b) for a, b, c, d in zip(gate_hz, second, third, gate_hz[3:], strict=False)]
-    scatter_hz2 = sum([difference * difference for difference in differences]) / (WHITE_GAIN * len(differences))
+    shifted = zip(gate_hz, gate_hz[1:], gate_hz[2:], gate_hz[3:], strict=False)
+    differences_hz2 = [(d - a - 3.0 * (c - b)) ** 2 for a, b, c, d in shifted]
+    scatter_hz2 = sum(differences_hz2) / (WHITE_GAIN * len(differences_hz2))
     return math.sqrt(max(scatter_hz2 - gate_std_hz * gate_std_hz, 0.0)) / gates**2

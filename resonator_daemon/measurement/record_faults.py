@@ -53,11 +53,14 @@ def read_gate(record: SingleToneRecord, reference_hz: float) -> Gate | str:
     slope = slope_numerator / slope_denominator
     end_points = span / (stamps - 1)
     differences = stamps - 2
-    noise_ticks = math.sqrt(2.0 * max(q2 / (6 * differences), QUANTISATION_TICKS2))
-    if noise_ticks > end_points:
+    # A second difference of stamps has six times the variance of one, the distance of two has twice that.
+    if q2 > 3 * differences * end_points * end_points:
         return "impossible_counts"  # stamps that scatter by more than their distance are not in order
-    if abs(slope / end_points - 1.0) > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
-        return "impossible_counts"
+    off = abs(slope / end_points - 1.0)
+    if off > FREQUENCY_JUMP:  # up to which no noise is needed to explain it
+        noise_ticks = math.sqrt(2.0 * max(q2 / (6 * differences), QUANTISATION_TICKS2))
+        if off > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
+            return "impossible_counts"
     sums = new_tuple(Sums, (first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences))
     gate_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
     return new_tuple(Gate, (sums, gate_hz, end_residual_ticks2(stamps, span, s1, slope)))

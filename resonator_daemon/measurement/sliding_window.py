@@ -46,18 +46,18 @@ class SlidingWindow:
             gates.clear()
             self.fault = gate
             return gate
-        gate_hz = gate.frequency_hz
+        sums, gate_hz, _ = gate
         if not self._lowest_hz <= gate_hz <= self._highest_hz:
             gates.clear()
             self.fault = "impossible_frequency"
             return self.fault
         self.fault = None
         if gates:
-            last = gates[-1]
+            last_sums, last_hz, _ = gates[-1]
             if (
                 record.flags & _STRIDE_BREAK
-                or abs(gate_hz - last.frequency_hz) > FREQUENCY_JUMP * gate_hz
-                or not continues(last.sums, gate.sums)
+                or abs(gate_hz - last_hz) > FREQUENCY_JUMP * gate_hz
+                or not continues(last_sums, sums)
             ):
                 gates.clear()
         gates.append(gate)

@@ -57,16 +57,17 @@ def count_tone(
     distance_hz
         The least that another tone may be away.
     """
+    _, gate_hz, gate_residual_ticks2 = zip(*gates, strict=True)
     frames = len(gates)
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
     interval_ticks = sums.stride_edges * reference_hz / frequency_hz
     excess = min(max(excess_bound_of_one(interval_ticks, stamp_jitter_ticks(sums), stamps), 0.0), EXCESS_CAP)
     noise_ticks2 = noise_ticks * noise_ticks
-    residual_ticks2 = sum([gate.residual_ticks2 for gate in gates]) / frames
+    residual_ticks2 = sum(gate_residual_ticks2) / frames
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
     others = hears_another_tone(residual_ticks2, noise_ticks2, pilot_residual_ticks2(ratio, frequency_hz, reference_hz))
-    beat_hz = beat_std_hz([gate.frequency_hz for gate in gates], frequency_hz * window_std * frames**1.5)
+    beat_hz = beat_std_hz(gate_hz, frequency_hz * window_std * frames**1.5)
     if others:
         bound_hz = beat_bound_hz(residual_ticks2, noise_ticks2, frequency_hz, reference_hz, distance_hz, window_s)
         beat_hz = max(beat_hz, bound_hz)
