@@ -58,9 +58,9 @@ class SiteErrors:
         """Forget all presses; what was before is not known."""
         response, count = self._sites.response, len(self._sites.positions_m)
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
-        self._since_s = [math.nan] * count
-        self._heard = set(range(count))  # since all were silent
-        self._unproven = [False] * count
+        self._since_s = np.full(count, math.nan)
+        self._silent = np.zeros(count, dtype=bool)
+        self._unproven = np.zeros(count, dtype=bool)
 
     def rest(self, time_s: float) -> None:
         """Take that nothing presses any site now, and that what they feel so counts as nothing.
@@ -69,16 +69,16 @@ class SiteErrors:
         """
         if self._inverse is not None:
             self._inverse.rest(np.arange(len(self._unproven)), time_s)
-            self._unproven = [True] * len(self._unproven)
+            self._unproven[:] = True
 
     def silence(self, time_s: float) -> None:
         """Take that nothing presses any site, and none is heard, until they are pressed again."""
-        if not self._heard:
+        if self._silent.all():
             return
         if self._inverse is not None:
-            self._inverse.release(np.array(sorted(self._heard)), time_s)
-        self._heard.clear()
-        self._since_s = [math.nan] * len(self._since_s)
+            self._inverse.release(np.flatnonzero(~self._silent), time_s)
+        self._silent[:] = True
+        self._since_s[:] = math.nan
 
     def press(
         self,
@@ -99,7 +99,21 @@ class SiteErrors:
             at = np.array([site])
             answer = self._inverse.press(at, np.array([felt_newton]), np.array([noise_newton]), time_s)
             (force,), (noise,), (of_response,) = (part.tolist() for part in answer)
-        return self._pressed(site, (force, noise, of_response), systematic_newton, newton_per_shift, time_s)
+        since_s = float(self._since_s[site])
+        if math.isnan(since_s):
+            self._since_s[site] = since_s = time_s
+        self._silent[site] = False
+        untold = self.untold_newton(force) if self._inverse is None else self._unknown_rest(site, force)
+        warmth = self._sites.warmth
+        held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
+        per_kelvin = warming_std(held_s, slope, 1.0, transient_s=warmth.transient_s, relaxation_s=warmth.contact_time_s)
+        # The slope itself is not known better than that.
+        unknown = warmth.coefficient_std * -math.expm1(-held_s / warmth.contact_time_s)
+        warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
+        of_sensitivity = self._sites.sensitivity_std * force
+        systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
+        calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
+        return Pressed(force, noise, systematic, untold, calibrated)
 
     def press_all(
         self,
@@ -112,56 +126,41 @@ class SiteErrors:
     ) -> PressedSites:
         """Take what all sites (m,) feel, NaN for one that is not heard; those that are not `touched` rest.
 
-        The other arguments are those of `press`, and one for each site.
+        The other arguments are those of `press`, and one for each site. Warmth counts as untold: what only a touch can
+        do must not hide it.
         """
-        count = len(self._since_s)
-        answer: tuple[FloatArray, ...] = felt_newton, noise_newton, np.zeros(count)
-        if self._inverse is not None:
-            answer = self._inverse.press(np.arange(count), felt_newton, noise_newton, time_s)
-        columns = (*answer, systematic_newton, newton_per_shift, touched)
-        rows = zip(*(column.tolist() for column in columns), strict=True)
-        pressed = [
-            self._pressed(site, (force, noise, of_response), systematic, per_shift, time_s, touched=presses)
-            for site, (force, noise, of_response, systematic, per_shift, presses) in enumerate(rows)
-        ]
-        force, noise, systematic, untold, calibrated = (np.array(part) for part in zip(*pressed, strict=True))
+        sites = np.arange(len(felt_newton))
+        since_s = np.where(np.isnan(self._since_s), time_s, self._since_s)
+        self._since_s = np.where(touched, since_s, math.nan)
+        self._silent[:] = False
+        force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
+        if self._inverse is None:
+            untold = self._untold_all(force)
+        else:
+            force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
+            untold = self._unknown_rest_all(force)
+        warmth = self._sites.warmth
+        held_s = np.where(touched, time_s - since_s, 0.0)
+        left = np.exp(-held_s / warmth.contact_time_s)
+        per_kelvin = warmth.coefficients[:, 0] * (1.0 - left) + warmth.transient_s / warmth.contact_time_s * left
+        unknown = warmth.coefficient_std * (1.0 - left)
+        warming = warmth.contact_std_kelvin * np.hypot(per_kelvin, unknown)
+        untold = np.hypot(untold, np.where(touched, warming, 0.0) * newton_per_shift)
+        of_sensitivity = self._sites.sensitivity_std * force
+        systematic = np.sqrt(systematic_newton**2 + of_sensitivity**2 + of_response**2)
+        calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
         return PressedSites(force, noise, systematic, untold, calibrated)
 
-    def _pressed(
-        self,
-        site: int,
-        answer: tuple[float, float, float],
-        systematic_newton: float,
-        newton_per_shift: float,
-        time_s: float,
-        *,
-        touched: bool | None = None,
-    ) -> Pressed:
-        """Add up what the `answer` of a site's response may be off by: force, noise and the response's own share.
+    def _untold_all(self, force_newton: FloatArray) -> FloatArray:
+        lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
+        return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
 
-        `touched` tells of a site that is heard untouched, too, whether it is pressed; None where only touched ones are.
-        """
-        force, noise, of_response = answer
-        since_s = self._since_s[site]
-        if math.isnan(since_s):
-            since_s = time_s
-        self._since_s[site] = math.nan if touched is False else since_s
-        self._heard.add(site)
-        untold = self.untold_newton(force) if self._inverse is None else self._unknown_rest(site, force)
-        warmth = self._sites.warmth
-        held_s, contact_time_s = time_s - since_s, warmth.contact_time_s
-        slope = self._slope_per_kelvin[site]
-        per_kelvin = warming_std(held_s, slope, 1.0, transient_s=warmth.transient_s, relaxation_s=contact_time_s)
-        # The slope itself is not known better than that.
-        unknown = warmth.coefficient_std * -math.expm1(-held_s / contact_time_s)
-        warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
-        if touched is not None:
-            # What only a touch can do must not hide it.
-            untold, warming = math.hypot(untold, warming if touched else 0.0), 0.0
-        of_sensitivity = self._sites.sensitivity_std * force
-        systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
-        calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
-        return Pressed(force, noise, systematic, untold, calibrated)
+    def _unknown_rest_all(self, force_newton: FloatArray) -> FloatArray:
+        response, unproven = self._sites.response, self._unproven
+        hysteresis = response.hysteresis_newton if response else 0.0
+        self._unproven = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
+        return np.where(unproven, np.nan_to_num(beyond), 0.0)
 
     def _unknown_rest(self, site: int, force_newton: float) -> float:
         if not self._unproven[site]:

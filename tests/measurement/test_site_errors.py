@@ -171,3 +171,22 @@ def test_an_error_of_the_response_is_a_systematic_one():
     assert press(unsure, last, 1.25, noise=0.0).systematic_newton == pytest.approx(
         0.3 * HYSTERESIS_NEWTON / 2, rel=0.05
     )
+
+
+@pytest.mark.parametrize("response", [None, RESPONSE])
+def test_all_sites_are_pressed_as_one_is(response):
+    together, alone = (
+        errors(contact_std_kelvin=3.0, slope_std=5e-8, transient_s=-2e-7, sensitivity_std=0.01, response=response)
+        for _ in range(2)
+    )
+    for each in (together, alone):
+        each.rest(0.0)
+    for number, newton in enumerate((0.15, 0.3, 2.0, 0.15, math.nan)):
+        time_s = 0.005 + 0.01 * number
+        of_all = press_all(together, newton, time_s, touched=True)
+        of_one = press(alone, newton, time_s)
+        # Of sites that are heard untouched, warmth counts as untold; the whole is the same.
+        assert of_all.calibrated == of_one.calibrated
+        assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
+        whole = [math.hypot(each.systematic_newton, each.untold_newton) for each in (of_all, of_one)]
+        assert whole[0] == pytest.approx(whole[1], rel=1e-9, nan_ok=True)
