@@ -79,3 +79,11 @@ def test_sums_that_contradict_each_other_give_no_frequency() -> None:
 
 def test_a_slope_of_nothing_is_no_frequency() -> None:
     assert fault(SingleToneRecord(0, 0, 3, 1, 2, 3, 3, 0, 0, 0)) == "impossible_counts"
+
+
+def test_stamps_that_scatter_by_more_than_their_distance_are_refused():
+    # sqrt(2) s reaches the distance u of two stamps where Q2, 6 (N - 2) s^2, reaches 3 (N - 2) u^2.
+    interval = GOOD.span_ticks / (GOOD.stamps - 1)
+    limit_ticks2 = 3 * (GOOD.stamps - 2) * interval**2
+    assert read_gate(GOOD._replace(q2_ticks2=int(1.01 * limit_ticks2)), REFERENCE_HZ) == "impossible_counts"
+    assert read_gate(GOOD._replace(q2_ticks2=int(0.99 * limit_ticks2)), REFERENCE_HZ) != "impossible_counts"

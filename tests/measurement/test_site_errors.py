@@ -190,3 +190,11 @@ def test_all_sites_are_pressed_as_one_is(response):
         assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
         whole = [math.hypot(each.systematic_newton, each.untold_newton) for each in (of_all, of_one)]
         assert whole[0] == pytest.approx(whole[1], rel=1e-9, nan_ok=True)
+
+
+def test_a_site_falls_silent_again_after_each_press():
+    warm = errors(contact_std_kelvin=3.0)
+    warm.silence(-1.0)
+    press(warm, 1.0, 0.0)
+    warm.silence(10.0)
+    assert press(warm, 1.0, 20.0).systematic_newton == 0.0
