@@ -53,7 +53,8 @@ def list_places(*, as_json: bool) -> None:
             sys.stdout.write(f"    {note}\n")
         sys.stdout.write(f'    link = "{place.link}"\n')
     if not all(place.held_by_all_seen for place in places):
-        sys.stderr.write("programs of other users that hold a port are not shown; root sees them\n")
+        who = "sees more" if os.geteuid() else "outside of this container sees more"
+        sys.stderr.write(f"programs that this user may not look at are not shown as holders; root {who}\n")
     if not places:
         sys.stderr.write("no serial port and no USB board is present; plug one in, or try: resonatord emulate --help\n")
 

@@ -79,7 +79,7 @@ async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosq
     assert (code, said) == (1, "")
     assert told == (
         "resonatord: not tared: tare is not permitted; "
-        'add "tare" to allow in [commands] of the daemon\'s configuration, and start it again\n'
+        'add "tare" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP\n'
     )
 
 

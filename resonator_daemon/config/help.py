@@ -82,8 +82,8 @@ def explained(path: str) -> tuple[Key, ...]:
     if not found:
         alike = [key.path for key in keys if key.path.rpartition(".")[2] == path.rpartition(".")[2]]
         alike += get_close_matches(path, [key.path for key in keys], n=1)
-        near = f"did you mean {alike[0]}? " if alike else ""
-        raise UnknownKeyError(f"no key is called {path!r}; {near}All of them: resonatord config explain")
+        near = f"did you mean {alike[0]}? All" if alike else "all"
+        raise UnknownKeyError(f"no key is called {path!r}; {near} of them: resonatord config explain")
     return found
 
 

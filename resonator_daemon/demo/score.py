@@ -103,7 +103,9 @@ class PlateScore:
     def take(self, message: Message, arrived_ns: int) -> None:
         """Take a message at the moment the subscriber got it."""
         if isinstance(message, Header):
-            self._lost = message.lost
+            # A state may come after messages that were made later: losses never become fewer.
+            told, known = message.lost.model_dump(), self._lost.model_dump()
+            self._lost = Lost(**{cause: max(count, known[cause]) for cause, count in told.items()})
         match message:
             case Forces() | DecodedSummary():
                 self._waiting.append((message, arrived_ns))

@@ -70,7 +70,8 @@ def doctor(options: DoctorOptions) -> ExitCode:
     try:
         examination = _Examination(options)
     except ConfigError as error:
-        runs = "" if options.config_path is None else asyncio.run(works_by(options.config_path))
+        bad_file = None if isinstance(error, _NoBoardError) else options.config_path
+        runs = "" if bad_file is None else asyncio.run(works_by(bad_file))
         refusal = ConfigError(*error.messages, *filter(None, [runs]))
         if options.json:
             told = {"code": "config", "message": str(refusal), "hint": "resonatord check"}
@@ -81,6 +82,10 @@ def doctor(options: DoctorOptions) -> ExitCode:
     return report.exit_code
 
 
+class _NoBoardError(ConfigError):
+    """The configuration can be used, and there is nothing to look at."""
+
+
 class _Examination:
     def __init__(self, options: DoctorOptions) -> None:
         self._options = options
@@ -88,7 +93,7 @@ class _Examination:
         self._config: Config | None = None if options.config_path is None else load_config(options.config_path)
         link = options.link or (self._config.link if self._config else None)
         if isinstance(link, ReplayLink):
-            raise ConfigError(f"link: {link} is a recording, which has no wiring; name the link of a board")
+            raise _NoBoardError(f"link: {link} is a recording, which has no wiring; name the link of a board")
         self._link = link
 
     def findings(self) -> Iterator[Finding]:

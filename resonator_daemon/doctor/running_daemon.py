@@ -50,10 +50,10 @@ async def works_by(config_path: Path) -> str:
 
 
 def _read(config: Mapping[str, Any]) -> str:
-    loaded_t_ns = config.get("loaded_t_ns")
-    if not isinstance(loaded_t_ns, int) or not 0 <= loaded_t_ns < _NS_MAX:
+    loaded_t_ns = config.get("loaded_t_ns")  # a decimal string, as all times of messages
+    if not isinstance(loaded_t_ns, str) or not loaded_t_ns.isdecimal() or not 0 <= int(loaded_t_ns[:20]) < _NS_MAX:
         return "it does not say when"
-    return datetime.fromtimestamp(loaded_t_ns // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
+    return datetime.fromtimestamp(int(loaded_t_ns) // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
 
 
 def same_link(one: LinkTarget, other: LinkTarget) -> bool:

@@ -19,7 +19,7 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise OperatorError("Parquet needs pyarrow: pip install 'resonatord[export]'") from error
+    raise OperatorError("Parquet needs pyarrow: pip install pyarrow") from error
 
 _TYPES: Final = {
     "int64": pa.int64(),

@@ -24,7 +24,7 @@ from resonator_daemon.publishing.topics import Topic
 try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError as error:
-    raise OperatorError("messages of ROS 2 need rosbags: pip install 'resonatord[ros2]'") from error
+    raise OperatorError("messages of ROS 2 need rosbags: pip install rosbags") from error
 
 CONTACT, CONTACTS, EVENT = (f"resonator_msgs/msg/{name}" for name in ("Contact", "Contacts", "ContactEvent"))
 

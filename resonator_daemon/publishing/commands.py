@@ -202,7 +202,7 @@ class Commands:
             raise CommandRefusedError(
                 "not_permitted",
                 f"{asked.verb} is not permitted",
-                f'add "{asked.verb}" to allow in [commands] of the daemon\'s configuration, and start it again',
+                f'add "{asked.verb}" to allow in [commands] of the daemon\'s configuration, and send it SIGHUP',
             )
         return handler(_request(verb, asked.payload))
 

@@ -24,7 +24,7 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
         from amqtt.broker import Broker
     except ImportError as error:
-        raise OperatorError("the embedded broker needs amqtt: pip install resonatord[demo]") from error
+        raise OperatorError("the embedded broker needs amqtt: pip install amqtt") from error
 
     for name in ("amqtt", "transitions"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

@@ -98,7 +98,7 @@ def test_a_key_and_a_table_and_all() -> None:
 def test_an_unknown_key_is_told_the_nearest(path: str, near: str) -> None:
     with pytest.raises(UnknownKeyError, match=rf"'{path}'; did you mean {near}\? All of them: resonatord config expl"):
         explained(path)
-    with pytest.raises(UnknownKeyError, match=r"no key is called 'x\\x1b'; All of them"):
+    with pytest.raises(UnknownKeyError, match=r"no key is called 'x\\x1b'; all of them"):
         explained("x\x1b")
 
 

@@ -230,6 +230,13 @@ def test_losses_are_those_since_the_beginning(run: Run) -> None:
     }
 
 
+def test_a_state_that_comes_late_takes_no_loss_back(run: Run) -> None:
+    run.health(100, damaged=3)
+    run.score.begin(T0_NS)
+    run.health(90, damaged=2, link_gap=1)
+    assert (run.score.lost["damaged"], run.score.lost["link_gap"]) == (0, 1)
+
+
 def test_frames_are_those_since_the_last_before_the_beginning(run: Run) -> None:
     assert run.score.frames == 0
     run.ramp(*[0.0] * 12)

@@ -191,5 +191,18 @@ def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.
     path = configuration(tmp_path, "nothing")
     code, said = asked(capsys, "--config", path)
     assert (code, said["ok"]) == (78, False)
+
+
+def test_a_recording_is_no_board_and_its_file_is_not_called_bad(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def runs(_config: Path) -> str:
+        return "a daemon runs all the same"
+
+    monkeypatch.setattr(run, "works_by", runs)
     assert main(["doctor", "--config", str(configuration(tmp_path, "replay:x.mcap"))]) == 78
-    assert "is a recording" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "is a recording" in err
+    assert "a daemon runs" not in err
+    assert main(["doctor", "--config", str(configuration(tmp_path, "nothing"))]) == 78
+    assert "a daemon runs" in capsys.readouterr().err

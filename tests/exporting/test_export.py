@@ -161,8 +161,8 @@ def test_a_place_that_is_not_there_is_said(form: str, tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("form", "library", "remedy"),
     [
-        ("parquet", "pyarrow", "Parquet needs pyarrow: pip install 'resonatord[export]'"),
-        ("ros2", "rosbags.typesys", "messages of ROS 2 need rosbags: pip install 'resonatord[ros2]'"),
+        ("parquet", "pyarrow", "Parquet needs pyarrow: pip install pyarrow"),
+        ("ros2", "rosbags.typesys", "messages of ROS 2 need rosbags: pip install rosbags"),
     ],
 )
 def test_a_missing_library_is_named(

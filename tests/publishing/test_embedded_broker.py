@@ -48,6 +48,6 @@ async def test_it_is_quiet_and_stops_at_once_with_clients_connected(caplog: pyte
 
 async def test_what_to_install_where_amqtt_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "amqtt.broker", None)
-    with pytest.raises(OperatorError, match=r"pip install resonatord\[demo\]"):
+    with pytest.raises(OperatorError, match=r"pip install amqtt"):
         async with embedded_broker():
             pass
