@@ -1,6 +1,7 @@
 """A counter's record to what one gate tells; or why it tells nothing: the board says so, or no tone has such sums."""
 
 import math
+from functools import cache
 from typing import Final, NamedTuple
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
@@ -36,22 +37,21 @@ def read_gate(record: SingleToneRecord, reference_hz: float) -> Gate | str:
     new_tuple = tuple.__new__
     first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, _, flags = record
     if flags & _UNUSABLE:
-        return next(name for flag, name in _FLAG_FAULTS if flags & flag)
+        return _flag_fault(flags & _UNUSABLE)
     if stamps < STAMPS_MIN or stride_edges == 0 or span < stamps - 1:
         return "impossible_counts"
     # On the line through the end points S1 = N u / 2 and S2 = N (2N - 1) u / 6.
-    slack = span // LINE_TOLERANCE + 1
-    if abs(2 * s1 - stamps * span) > 2 * stamps * slack:
-        return "impossible_counts"
-    if abs(6 * s2 - stamps * (2 * stamps - 1) * span) > 3 * stamps * (stamps - 1) * slack:
+    steps, line = stamps - 1, stamps * span
+    slack = stamps * (span // LINE_TOLERANCE + 1)
+    if abs(2 * s1 - line) > 2 * slack or abs(6 * s2 - (stamps + steps) * line) > 3 * steps * slack:
         return "impossible_counts"
     # Regression and end points give one frequency but for noise and the chirp of a press.
-    slope_numerator = 6 * (2 * s2 - (stamps - 1) * s1)
+    slope_numerator = 6 * (2 * s2 - steps * s1)
     if slope_numerator <= 0:
         return "impossible_counts"
     slope_denominator = stamps * (stamps * stamps - 1)
     slope = slope_numerator / slope_denominator
-    end_points = span / (stamps - 1)
+    end_points = span / steps
     differences = stamps - 2
     # A second difference of stamps has six times the variance of one, the distance of two has twice that.
     if q2 > 3 * differences * end_points * end_points:
@@ -64,3 +64,9 @@ def read_gate(record: SingleToneRecord, reference_hz: float) -> Gate | str:
     sums = new_tuple(Sums, (first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences))
     gate_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
     return new_tuple(Gate, (sums, gate_hz, end_residual_ticks2(stamps, span, s1, slope)))
+
+
+@cache
+def _flag_fault(unusable: int) -> str:
+    """Name the first of these flags."""
+    return next(name for flag, name in _FLAG_FAULTS if unusable & flag)

@@ -76,7 +76,7 @@ class SingleToneChain:
         self._errors = SiteErrors(sites)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
-        self._attenuation_db = [math.nan] * channels
+        self._records: Sequence[SingleToneRecord] = ()  # of the last frame
         self._pilot_attenuation_db = [math.nan] * channels
         self._told_sites: set[int] = set()  # by the last reading
         self._crowded = [0] * channels  # frames in a row in which no tone was the strongest
@@ -150,13 +150,12 @@ class SingleToneChain:
             for window in self._windows:
                 window.restart()
         self._last = sequence, board_ticks
+        self._records = records
+        crowded = self._crowded
         for channel, (window, record) in enumerate(zip(self._windows, records, strict=True)):
-            self._attenuation_db[channel] = record.attenuation_db256 / 256.0
             fault = window.push(record)
-            if fault is None:
-                self._crowded[channel] = 0
-            else:
-                self._crowded[channel] = self._crowded[channel] + 1 if fault == "capture_switch" else 0
+            crowded[channel] = crowded[channel] + 1 if fault == "capture_switch" else 0
+            if fault is not None:
                 self.unusable[fault] += 1
         at_step = (sequence + 1) % self._step_frames == 0
         reading = None
@@ -166,7 +165,8 @@ class SingleToneChain:
 
     def _tone_has_changed(self) -> bool:
         """Tell whether a channel has heard another tone, or its own anew, for just as long as tells of a touch."""
-        return any(0 <= window.held - self._onset_frames <= 1 for window in self._windows)
+        begun = self._onset_frames, self._onset_frames + 1
+        return any([window.held in begun for window in self._windows])
 
     def _something_new(self) -> bool:
         """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""
@@ -246,7 +246,11 @@ class SingleToneChain:
             self._errors.silence(board_ticks / self._reference_hz)
             for channel, g in enumerate(pilot):
                 if not math.isnan(g):
-                    self._pilot_attenuation_db[channel] = self._attenuation_db[channel]
+                    self._pilot_attenuation_db[channel] = self._attenuation_db(channel)
+
+    def _attenuation_db(self, channel: int) -> float:
+        """Of the last frame."""
+        return self._records[channel].attenuation_db256 / 256.0
 
     def _counted(
         self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float], frames: int
@@ -260,7 +264,7 @@ class SingleToneChain:
                     heard_hz[channel],
                     self._windows[channel].gates[-frames:],
                     reference_hz=self._reference_hz,
-                    over_pilot_db=self._attenuation_db[channel] - self._pilot_attenuation_db[channel],
+                    over_pilot_db=self._attenuation_db(channel) - self._pilot_attenuation_db[channel],
                     distance_hz=self._distance_hz[channel],
                     window_s=frames * self._gate_s,
                 )

@@ -13,7 +13,15 @@ _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
 
 
 class SlidingWindow:
-    """The last `frames` gates of one channel, for as long as the same tone's stamps run on without a break."""
+    """The last `frames` gates of one channel, for as long as the same tone's stamps run on without a break.
+
+    Attributes
+    ----------
+    held
+        How many gates are held.
+    fault
+        Why the last record was not usable; None where it was, or after a gap.
+    """
 
     def __init__(self, frames: int, reference_hz: float, band_hz: tuple[float, float]) -> None:
         """`band_hz` is the lowest and the highest frequency that the plate could ever send."""
@@ -23,17 +31,18 @@ class SlidingWindow:
         self._reference_hz = reference_hz
         self._lowest_hz, self._highest_hz = band_hz
         self.fault: str | None = None
+        self.held = 0
 
     def restart(self) -> None:
         """Forget everything, as after a gap."""
-        self._gates.clear()
-        self.fault = None
+        self._empty(None)
 
     def resize(self, frames: int) -> None:
         """Hold so many gates from here; of those held now the newest stay."""
         if frames < 1:
             raise ValueError(f"window of {frames} frames, at least 1")
         self._gates = deque(self._gates, maxlen=frames)
+        self.held = len(self._gates)
 
     def push(self, record: SingleToneRecord) -> str | None:
         """Take one gate's record; returns why it is not usable, else None.
@@ -43,14 +52,10 @@ class SlidingWindow:
         gates = self._gates
         gate = read_gate(record, self._reference_hz)
         if isinstance(gate, str):
-            gates.clear()
-            self.fault = gate
-            return gate
+            return self._empty(gate)
         sums, gate_hz, _ = gate
         if not self._lowest_hz <= gate_hz <= self._highest_hz:
-            gates.clear()
-            self.fault = "impossible_frequency"
-            return self.fault
+            return self._empty("impossible_frequency")
         self.fault = None
         if gates:
             last_sums, last_hz, _ = gates[-1]
@@ -61,16 +66,18 @@ class SlidingWindow:
             ):
                 gates.clear()
         gates.append(gate)
+        self.held = len(gates)
         return None
 
-    @property
-    def held(self) -> int:
-        """How many gates are held."""
-        return len(self._gates)
+    def _empty(self, fault: str | None) -> str | None:
+        self._gates.clear()
+        self.held = 0
+        self.fault = fault
+        return fault
 
     @property
     def full(self) -> bool:
-        return len(self._gates) == self._gates.maxlen
+        return self.held == self._gates.maxlen
 
     @property
     def last_hz(self) -> float:
@@ -91,7 +98,6 @@ class SlidingWindow:
         wanted = most if frames is None else frames
         if not 1 <= wanted <= most:
             raise ValueError(f"sums of {wanted} frames, the window has 1 to {most}")
-        held = len(self._gates)
-        if held < wanted:
+        if self.held < wanted:
             return None
-        return merge_adjacent([gate.sums for gate in islice(self._gates, held - wanted, None)])
+        return merge_adjacent([gate.sums for gate in islice(self._gates, self.held - wanted, None)])
