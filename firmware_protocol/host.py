@@ -28,7 +28,7 @@ from firmware_protocol.messages import (
     decode_message,
     encode_message,
 )
-from firmware_protocol.packets import Damage, ForeignVersion, Packet, PacketDecoder
+from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, Damage, ForeignVersion, Packet, PacketDecoder
 from firmware_protocol.requests import Request, Requests
 from firmware_protocol.states import HOST, Cue, HostState
 
@@ -115,7 +115,9 @@ class MessageCounts:
     unknown: int = 0
 
 
+_FRAME = int(MessageType.FRAME)  # compared with every packet: a plain integer
 _FRAME_BYTES = CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
+_FRAME_PACKET_BYTES = PACKET_OVERHEAD_BYTES + _FRAME_BYTES
 _HANDSHAKE: Mapping[tuple[int, int], Cue] = {
     (MessageType.IDENTIFY, MessageType.IDENTITY): Cue.IDENTITY,
     (MessageType.DESCRIBE, MessageType.DESCRIPTION): Cue.DESCRIPTION,
@@ -236,13 +238,14 @@ class HostSession:
         events: list[HostEvent] = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
+                message_type, sequence, board_ticks, boot_id, payload = found
                 if (
-                    found.type == MessageType.FRAME
+                    message_type == _FRAME
                     and self.state is HostState.RUNNING
-                    and found.boot_id == self._boot_id
-                    and len(found.payload) == _FRAME_BYTES
+                    and boot_id == self._boot_id
+                    and len(payload) == _FRAME_BYTES
                 ):
-                    events.append(Frame(found.sequence, found.board_ticks, found.size_bytes, found.payload))
+                    events.append(Frame(sequence, board_ticks, _FRAME_PACKET_BYTES, payload))
                     continue
                 try:
                     self._interpret(found, events)

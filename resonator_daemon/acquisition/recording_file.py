@@ -14,11 +14,11 @@ from types import TracebackType
 from typing import IO, Final, NamedTuple, Self
 
 from mcap.exceptions import McapError
-from mcap.records import Attachment, Header, McapRecord, Message, Metadata
+from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.mcap_messages import ChunkReader, messages
+from resonator_daemon.acquisition.mcap_messages import ChunkReader, Logged, messages
 from resonator_daemon.acquisition.wire_events import WireEvent, decode
 from resonator_daemon.plate import Plate
 
@@ -75,9 +75,9 @@ def encode_mark(mark: Mark) -> bytes:
     return json.dumps(line).encode()
 
 
-def decode_mark(message: Message) -> Mark:
+def decode_mark(message: Logged) -> Mark:
     """Return the mark that a message of its channel holds; the host's time since boot is not in it."""
-    now = HostTime(message.publish_time, message.log_time - message.publish_time, 0)
+    now = HostTime(message.publish_ns, message.log_ns - message.publish_ns, 0)
     return Mark(now, str(json.loads(message.data)["message"]))
 
 
@@ -205,11 +205,9 @@ class Recording:
     def entries(self) -> Iterator[WireEvent | Mark]:
         """Give events and marks in order, up to the end or to the first damage."""
         try:
-            for topic, message in messages(self._records, (TOPIC, MARKS)):
-                if topic == TOPIC:
-                    yield decode(message.data, message.publish_time, message.log_time)
-                else:
-                    yield decode_mark(message)
+            for message in messages(self._records, (TOPIC, MARKS)):
+                topic, data, publish_ns, log_ns = message
+                yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(message)
         except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)

@@ -60,7 +60,7 @@ class Ring:
             ahead, self._ahead = self._ahead, []
             items, self._items = self._items, deque()
             self._bytes = 0
-        return [*ahead, *(arrival for _, arrival in items)]
+        return [*ahead, *[arrival for _, arrival in items]]
 
     @property
     def loss(self) -> FrameLoss:

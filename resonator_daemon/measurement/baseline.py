@@ -88,7 +88,7 @@ class CommonMode:
             self._learnt[channel] = self._count[channel] >= self._needed
         self.known = sum(self._learnt) >= min(KNOWN_CHANNELS, self._channels)
         if self.known:
-            self.value = tuple(g if k else math.nan for g, k in zip(self._mean, self._learnt, strict=True))
+            self.value = tuple([g if k else math.nan for g, k in zip(self._mean, self._learnt, strict=True)])
 
     @property
     def std(self) -> float:

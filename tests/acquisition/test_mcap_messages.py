@@ -11,7 +11,7 @@ from mcap.records import Chunk, Footer, Message, MessageIndex
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.acquisition.mcap_messages import MAX_CHUNK_BYTES, ChunkReader, chunk_data, messages
+from resonator_daemon.acquisition.mcap_messages import MAX_CHUNK_BYTES, ChunkReader, Logged, chunk_data, messages
 
 TOPICS = ("wanted", "second")
 
@@ -33,8 +33,8 @@ def reader_of(content):
 
 
 def append_numbers(told, content):
-    for _, message in messages(reader_of(content).records, TOPICS):
-        told.append(message.sequence)
+    for message in messages(reader_of(content).records, TOPICS):
+        told.append(message.publish_ns // 10)
 
 
 @pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.LZ4])
@@ -45,8 +45,8 @@ def test_messages_are_those_that_a_reader_of_records_gives(compression, use_chun
     assert len(every) == 200
     expected = [m for m in every if m.sequence % 3 != 1]
     told = list(messages(reader_of(content).records, TOPICS))
-    assert [message for _, message in told] == expected
-    assert [topic for topic, _ in told] == [TOPICS[message.sequence % 3 // 2] for message in expected]
+    assert told == [(TOPICS[m.sequence % 3 // 2], m.data, m.publish_time, m.log_time) for m in expected]
+    assert {type(message) for message in told} == {Logged}
 
 
 def test_indexes_are_passed_over_and_what_follows_them_is_read():
