@@ -235,6 +235,7 @@ class HostSession:
 
     def receive(self, data: bytes) -> list[HostEvent]:
         """Take received bytes and return what they mean, in order."""
+        new_tuple = tuple.__new__  # without the detour of the class: a thousand frames a second
         events: list[HostEvent] = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
@@ -245,7 +246,7 @@ class HostSession:
                     and boot_id == self._boot_id
                     and len(payload) == _FRAME_BYTES
                 ):
-                    events.append(Frame(sequence, board_ticks, _FRAME_PACKET_BYTES, payload))
+                    events.append(new_tuple(Frame, (sequence, board_ticks, _FRAME_PACKET_BYTES, payload)))
                     continue
                 try:
                     self._interpret(found, events)

@@ -261,16 +261,20 @@ class BoardClock:
         if self._line is None or self._origin is None:
             raise ValueError("the board's clock is not known before the first ping was answered")
         line = self._line
-        elapsed_ns = self._nominal_ns(board_ticks - self._origin.board_ticks) - line.nominal_ns
-        monotonic_ns = line.monotonic_ns + elapsed_ns + round(elapsed_ns * line.rate)
-        uncertainty_ns = line.uncertainty_ns + abs(elapsed_ns) * (
-            line.rate_uncertainty + abs(elapsed_ns) * (RATE_WANDER_PER_S / (2 * _NS))
-        )
-        return Instant(
-            monotonic_ns + self.utc_less_monotonic_ns,
-            math.ceil(uncertainty_ns),
-            monotonic_ns,
-            monotonic_ns + self._boottime_less_monotonic_ns,
+        nominal_ns, drawn_ns, uncertainty_ns, rate, rate_uncertainty = line
+        elapsed_ns = self._nominal_ns(board_ticks - self._origin.board_ticks) - nominal_ns
+        monotonic_ns = drawn_ns + elapsed_ns + round(elapsed_ns * rate)
+        away_ns = abs(elapsed_ns)
+        uncertainty_ns += away_ns * (rate_uncertainty + away_ns * (RATE_WANDER_PER_S / (2 * _NS)))
+        # Once a frame: made without the detour of its class.
+        return tuple.__new__(
+            Instant,
+            (
+                monotonic_ns + self.utc_less_monotonic_ns,
+                math.ceil(uncertainty_ns),
+                monotonic_ns,
+                monotonic_ns + self._boottime_less_monotonic_ns,
+            ),
         )
 
     def ping_due_ns(self, now_monotonic_ns: int) -> int:

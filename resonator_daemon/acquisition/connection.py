@@ -192,7 +192,8 @@ class Connection:
         elif now_ns >= self._next_ask_ns:
             self._session.ask_again()
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
-        self._locating.tend(self._session, now_ns)  # after what takes all unanswered requests for lost
+        if self._locating.due_ns is not None:
+            self._locating.tend(self._session, now_ns)  # after what takes all unanswered requests for lost
         if self.clock is not None and now_ns >= self._next_ping_ns:
             self._ping(self.clock)
 

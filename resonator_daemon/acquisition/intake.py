@@ -87,7 +87,8 @@ class FrameIntake:
             self._account.messages_stale += 1
             return None
         self.last_frame_ns = now.monotonic_ns
-        self.newest_ticks = max(self.newest_ticks, frame.board_ticks)
+        if frame.board_ticks > self.newest_ticks:
+            self.newest_ticks = frame.board_ticks
         boot, gap = self._account.boots[-1], accepted.gap
         boot.frames += 1
         self._account.frames += 1

@@ -7,7 +7,7 @@ from resonator_daemon.acquisition.account import FrameLoss
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import Gap
 
-_HALF_RANGE = 1 << 31
+_HALF_RANGE, _RANGE = 1 << 31, 1 << 32
 _QUEUED_NS = 30_000_000_000  # far beyond what any queue on the way can hold
 _SETTLED_FRAMES = 2  # from the second on, their spacing has been looked at
 _CLOCKS_AGREE = 5e-4  # share of an outage by which ticks and the host's clock may differ: rates, and their drift
@@ -120,7 +120,7 @@ class FrameNumbering:
         BrokenSpacingError
             When its ticks are not where its number puts them; nothing has been counted then.
         """
-        missing = (sequence - self._next_sequence) % (2 * _HALF_RANGE)
+        missing = (sequence - self._next_sequence) % _RANGE
         if missing >= _HALF_RANGE or self._cannot_be_missing(missing, time):
             return None
         self._check_spacing(missing, board_ticks)
@@ -135,7 +135,7 @@ class FrameNumbering:
                 gap = Gap(index, loss)
                 index += lost
         self._next_index = index + 1
-        self._next_sequence = (sequence + 1) % (2 * _HALF_RANGE)
+        self._next_sequence = (sequence + 1) % _RANGE
         self._last = (boot_id, board_ticks, time)
         self._frames_of_run += 1
         return Accepted(index, gap, previous)

@@ -151,22 +151,25 @@ class SingleToneChain:
                 window.restart()
         self._last = sequence, board_ticks
         self._records = records
-        crowded = self._crowded
-        for channel, (window, record) in enumerate(zip(self._windows, records, strict=True)):
-            fault = window.push(record)
-            crowded[channel] = crowded[channel] + 1 if fault == "capture_switch" else 0
-            if fault is not None:
-                self.unusable[fault] += 1
+        faults = [window.push(record) for window, record in zip(self._windows, records, strict=True)]
+        if any(faults) or any(self._crowded):
+            self._note(faults)
         at_step = (sequence + 1) % self._step_frames == 0
         reading = None
         if at_step or (self._tone_has_changed() if self._tracker.any_open else self._something_new()):
             reading = self._read(sequence, board_ticks, at_step=at_step)
         return reading if reading is not None and (at_step or reading.events) else None
 
+    def _note(self, faults: Sequence[str | None]) -> None:
+        self.unusable.update([fault for fault in faults if fault is not None])
+        self._crowded = [
+            frames + 1 if fault == "capture_switch" else 0 for frames, fault in zip(self._crowded, faults, strict=True)
+        ]
+
     def _tone_has_changed(self) -> bool:
         """Tell whether a channel has heard another tone, or its own anew, for just as long as tells of a touch."""
-        begun = self._onset_frames, self._onset_frames + 1
-        return any([window.held in begun for window in self._windows])
+        held = [window.held for window in self._windows]
+        return self._onset_frames in held or self._onset_frames + 1 in held
 
     def _something_new(self) -> bool:
         """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""

@@ -57,7 +57,8 @@ def count_tone(
     distance_hz
         The least that another tone may be away.
     """
-    _, gate_hz, gate_residual_ticks2 = zip(*gates, strict=True)
+    gate_hz = [gate.frequency_hz for gate in gates]
+    gate_residual_ticks2 = [gate.residual_ticks2 for gate in gates]
     frames = len(gates)
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)

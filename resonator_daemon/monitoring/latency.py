@@ -38,7 +38,10 @@ class Latencies:
     def count(self, topic: Topic[Any], gate_middle: Instant) -> None:
         """Count a message that goes to the publisher now; `gate_middle` is that of the last gate of its window."""
         waited_ns = monotonic_ns() - (gate_middle.monotonic_ns + self._half_a_gate_ns)
-        self._histograms.setdefault(topic.path, LatencyHistogram()).add(waited_ns * 1e-9)
+        histogram = self._histograms.get(topic.path)
+        if histogram is None:
+            histogram = self._histograms[topic.path] = LatencyHistogram()
+        histogram.add(waited_ns * 1e-9)
 
     def info(self) -> dict[str, LatencyInfo]:
         """Return the histograms by topic, as `health` publishes them."""

@@ -157,7 +157,8 @@ class Measuring:
     def _measure_single_tone(self, frame: SingleToneFrame) -> None:
         if isinstance(self._chain, SingleToneChain):
             reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
-            self._publish_forces(reading, frame.gate_middle)
+            if reading is not None:
+                self._publish_forces(reading, frame.gate_middle)
 
     def _measure_channelised(self, frame: ChannelisedFrame) -> None:
         if isinstance(self._chain, SkinChain):
@@ -166,11 +167,10 @@ class Measuring:
             reading = self._chain.push(
                 frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
             )
-            self._publish_forces(reading, frame.gate_middle)
+            if reading is not None:
+                self._publish_forces(reading, frame.gate_middle)
 
-    def _publish_forces(self, reading: ForceReading | None, gate_middle: Instant) -> None:
-        if reading is None:
-            return
+    def _publish_forces(self, reading: ForceReading, gate_middle: Instant) -> None:
         self._last_forces = (reading, gate_middle)
         self._tell(reading.events, reading, gate_middle)
         if reading.at_step:
