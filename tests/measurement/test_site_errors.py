@@ -181,15 +181,17 @@ def test_all_sites_are_pressed_as_one_is(response):
     )
     for each in (together, alone):
         each.rest(0.0)
-    for number, newton in enumerate((0.15, 0.3, 2.0, 0.15, math.nan)):
-        time_s = 0.005 + 0.01 * number
+    draw = np.random.default_rng(1)
+    newtons = [0.15, 0.3, 2.0, 0.15, math.nan, *draw.uniform(-0.5, 12.0, 100)]
+    times_s = np.cumsum([0.005, 0.01, 0.01, 0.01, 0.01, *draw.uniform(0.001, 1.0, 100)]).tolist()
+    for newton, time_s in zip(newtons, times_s, strict=True):
         of_all = press_all(together, newton, time_s, touched=True)
         of_one = press(alone, newton, time_s)
         # Of sites that are heard untouched, warmth counts as untold; the whole is the same.
         assert of_all.calibrated == of_one.calibrated
         assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
         whole = [math.hypot(each.systematic_newton, each.untold_newton) for each in (of_all, of_one)]
-        assert whole[0] == pytest.approx(whole[1], rel=1e-9, nan_ok=True)
+        assert whole[0] == pytest.approx(whole[1], rel=1e-12, nan_ok=True)
 
 
 def test_a_site_falls_silent_again_after_each_press():
