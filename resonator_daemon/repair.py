@@ -239,7 +239,7 @@ class _Copier:
             if topic == TOPIC:
                 decode(message.data, message.publish_time, message.log_time)
             elif topic == MARKS:
-                decode_mark(message)
+                decode_mark(message.data, message.publish_time, message.log_time)
         except DAMAGE:
             self.unreadable += 1
             self._miss(Hole(len(message.data), {message.channel_id: 1}))

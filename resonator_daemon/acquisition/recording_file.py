@@ -18,7 +18,7 @@ from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.mcap_messages import ChunkReader, Logged, messages
+from resonator_daemon.acquisition.mcap_messages import ChunkReader, messages
 from resonator_daemon.acquisition.wire_events import WireEvent, decode
 from resonator_daemon.plate import Plate
 
@@ -75,10 +75,9 @@ def encode_mark(mark: Mark) -> bytes:
     return json.dumps(line).encode()
 
 
-def decode_mark(message: Logged) -> Mark:
+def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:
     """Return the mark that a message of its channel holds; the host's time since boot is not in it."""
-    now = HostTime(message.publish_ns, message.log_ns - message.publish_ns, 0)
-    return Mark(now, str(json.loads(message.data)["message"]))
+    return Mark(HostTime(monotonic_ns, utc_ns - monotonic_ns, 0), str(json.loads(data)["message"]))
 
 
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
@@ -205,9 +204,8 @@ class Recording:
     def entries(self) -> Iterator[WireEvent | Mark]:
         """Give events and marks in order, up to the end or to the first damage."""
         try:
-            for message in messages(self._records, (TOPIC, MARKS)):
-                topic, data, publish_ns, log_ns = message
-                yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(message)
+            for topic, data, publish_ns, log_ns in messages(self._records, (TOPIC, MARKS)):
+                yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
         except DAMAGE as error:
             at = self._file.tell()
             whole = self._file.seek(0, 2)
