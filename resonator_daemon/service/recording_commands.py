@@ -1,6 +1,7 @@
 """Recordings of the link, by command or without end; where they go and what they are called is the daemon's word."""
 
 import asyncio
+import logging
 from typing import Final
 
 from resonator_daemon.acquisition.recording_budget import Series
@@ -25,6 +26,8 @@ from resonator_daemon.publishing.verbs import (
     StopRecording,
     StopRecordingAnswer,
 )
+
+log = logging.getLogger(__name__)
 
 _MINUTE_NS: Final = 60 * 10**9
 _DIRECTORY_HINT: Final = "see directory in [recording] of the daemon's configuration, and the room on that disk"
@@ -61,6 +64,7 @@ class RecordingCommands:
         self._config_sha256 = config_sha256
         self._one_at_a_time = asyncio.Lock()
         self._label: str | None = None  # of the recording that runs
+        self._by_config = False  # whether the configuration began it
         self._last: RecordingSummaryInfo | None = None
 
     async def start(self, request: StartRecording) -> StartRecordingAnswer:
@@ -73,7 +77,7 @@ class RecordingCommands:
                 await asyncio.to_thread(self._begin, request.label)
             except (OperatorError, OSError) as error:
                 raise CommandRefusedError("recording_failed", str(error), _DIRECTORY_HINT) from None
-            self._label = request.label
+            self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:
                 raise CommandRefusedError("recording_failed", "the daemon is stopping", "send it again when it is back")
             return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=False)
@@ -84,22 +88,31 @@ class RecordingCommands:
             wanted = self._config.recording.continuous and not isinstance(self._config.link, ReplayLink)
             if wanted and self._switch.current is None:
                 await asyncio.to_thread(self._begin, None)
-                self._label = None
+                self._label, self._by_config = None, True
 
     async def adopt(self, config: Config, config_sha256: str | None) -> None:
-        """Take another configuration; what it says of files holds for recordings that begin from now on."""
+        """Take another configuration; what it says of files holds for recordings that begin from now on.
+
+        Where it records no longer without end, a recording that the configuration began ends; one by a command goes on.
+        """
         ended = self._config.recording.continuous and not config.recording.continuous
         self._config, self._config_sha256 = config, config_sha256
         if ended:
-            await self.stop(StopRecording())
+            async with self._one_at_a_time:
+                if self._by_config and (summary := await self._end()) is not None:
+                    log.info("recording ended with %s: continuous in [recording] was switched off", summary.file)
         await self.keep_recording()
 
     async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
         async with self._one_at_a_time:
-            summary = await asyncio.to_thread(self._switch.stop)
-            if summary is not None:
-                self._last = _told(summary)
+            summary = await self._end()
             return StopRecordingAnswer(recording=self._last, already=summary is None)
+
+    async def _end(self) -> RecordingSummary | None:
+        summary = await asyncio.to_thread(self._switch.stop)
+        if summary is not None:
+            self._last = _told(summary)
+        return summary
 
     def mark(self, request: Mark) -> MarkAnswer:
         try:

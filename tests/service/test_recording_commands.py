@@ -1,6 +1,7 @@
 """Recordings that the configuration starts: when, where, and with which limits."""
 
 import json
+import logging
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -75,6 +76,45 @@ async def test_a_recording_that_a_command_began_outlasts_another_configuration(t
     await commands.adopt(config(tmp_path, file_max_mb=5.0), None)
     assert switch.current is not None
     switch.close()
+
+
+@pytest.mark.parametrize("config_began_before", [False, True])
+async def test_what_a_command_began_goes_on_where_the_configuration_stops_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, config_began_before: bool
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = RecordingSwitch()
+    endless = config(tmp_path, continuous=True)
+    commands = RecordingCommands(endless if config_began_before else config(tmp_path), "left", switch)
+    await commands.keep_recording()
+    await commands.stop(StopRecording())
+    began = await commands.start(StartRecording(label="mine"))
+    await commands.adopt(endless, None)
+    await commands.adopt(config(tmp_path), None)
+    assert switch.current is not None
+    assert str(switch.current.path) == began.file
+    assert caplog.messages == []
+    assert not (await commands.stop(StopRecording())).already
+
+
+async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path), "left", switch)
+    await commands.start(StartRecording(label="mine"))
+    await commands.stop(StopRecording())
+    await commands.adopt(config(tmp_path, continuous=True), None)
+    assert switch.current is not None
+    path = switch.current.path
+    await commands.adopt(config(tmp_path), None)
+    assert switch.current is None
+    assert caplog.messages == [f"recording ended with {path}: continuous in [recording] was switched off"]
+    await commands.adopt(config(tmp_path, continuous=True), None)
+    await commands.stop(StopRecording())
+    await commands.adopt(config(tmp_path), None)
+    assert len(caplog.messages) == 1
 
 
 async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
