@@ -59,9 +59,9 @@ class ConfigStore:
     """
 
     def __init__(self, path: Path, directory: Path) -> None:
-        self.path = path
-        absolute = os.path.abspath(path)
-        self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(absolute)).hexdigest()[:16]}.json"
+        self.path = path.absolute()  # what follows from it is told to programs that run elsewhere
+        normal = os.path.abspath(path)
+        self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(normal)).hexdigest()[:16]}.json"
         self._told: str | None = None  # why no copy can be kept
 
     def load(self) -> Loaded:

@@ -88,6 +88,20 @@ def test_paths_of_the_copy_are_relative_to_the_file_as_before(path: Path) -> Non
     assert "mqtt.password_file: got 'pw'" in copy
 
 
+def test_what_is_told_of_files_names_them_from_everywhere_and_by_the_users_own_links(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path.write_text(GOOD + '[recording]\ndirectory = "runs"\n')
+    (path.parent / "way").symlink_to(path.parent)
+    monkeypatch.chdir(path.parent)
+    relative = ConfigStore(Path("way") / path.name, path.parent / "state" / "last-good")
+    loaded = relative.load()
+    assert relative.path == path.parent / "way" / path.name
+    assert loaded.config.recording.directory == path.parent / "way" / "runs"
+    (path.parent / "way" / path.name).write_text("bad\n")
+    assert relative.load().config.recording.directory == path.parent / "way" / "runs"
+
+
 def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
     path.write_text(GOOD.replace("tcp:", "tpc:"))
     (message,) = refused(path)
