@@ -302,9 +302,9 @@ class Run:
 
     def _take_totals(self, health: dict[str, Any]) -> None:
         self.seen.spooled_at_end = health["messages"]["spooled"]
-        if (recording := health["recording"]) is not None:
-            self.seen.events_missing = recording["events_missing"]
-            self.seen.files, self.seen.files_removed = recording["files"], recording["files_removed"]
+        recording = health["recording"]
+        self.seen.events_missing = recording["events_missing"]
+        self.seen.files, self.seen.files_removed = recording["files"], recording["files_removed"]
 
     async def _read_log(self) -> None:
         looked_s, waited_s = time.monotonic(), waited_for_cpu_s()

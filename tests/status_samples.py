@@ -35,6 +35,17 @@ RECORDING = RecordingInfo(
     messages=42,
     messages_missing=43,
 )
+NOT_RECORDING = RecordingInfo(
+    file=None,
+    since_t_ns=None,
+    failure=None,
+    file_bytes=0,
+    files=0,
+    files_removed=0,
+    events_missing=0,
+    messages=0,
+    messages_missing=0,
+)
 
 
 def ago_ns(seconds: float) -> int:

@@ -240,13 +240,23 @@ async def test_in_a_terminal_long_lines_go_on_below_their_beginning(
 
 
 async def test_early_there_is_less_to_say(capsys: pytest.CaptureFixture[str]) -> None:
-    early: dict[str, Any] = dict.fromkeys(("health", "sensor", "link", "recording"))
-    async with daemons(status_samples.status(**early)):
+    early: dict[str, Any] = dict.fromkeys(("health", "sensor", "link"))
+    async with daemons(status_samples.status(**early, recording=status_samples.NOT_RECORDING)):
         assert await run() == 0
     lines = [line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:]]
     assert ["sensor", "-"] in lines
     assert ["recording", "off"] in lines
     assert "frames" not in [label for label, _ in lines]
+
+
+async def test_what_was_recorded_is_told_while_nothing_is(capsys: pytest.CaptureFixture[str]) -> None:
+    counts = {"files": 2, "files_removed": 1, "events_missing": 3}
+    async with daemons(status_samples.status(recording=status_samples.NOT_RECORDING.model_copy(update=counts))):
+        assert await run() == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("  recording ")]
+    assert line.split(maxsplit=1)[1] == (
+        "off; 2 files since the start, 1 old ones removed for the budget; 3 pieces missing"
+    )
 
 
 @pytest.mark.parametrize("form", [["--json"], []])

@@ -1,6 +1,7 @@
 """Recording switched on and off while a link is read, also in the middle of a connection."""
 
 import logging
+import operator
 import threading
 from collections.abc import Mapping
 from pathlib import Path
@@ -35,7 +36,6 @@ class RecordingNow(NamedTuple):
     path: Path
     since_utc_ns: int
     failure: str | None
-    counts: RecordingCounts = RecordingCounts()
 
 
 class RecordingSummary(NamedTuple):
@@ -69,6 +69,8 @@ class RecordingSwitch:
         self._size_bytes = 0
         self._board: BoardOnline | None = None
         self._recorder: Recorder | None = None
+        self._last: Recorder | None = None  # that one, or the one that ran last: it still counts while it is closed
+        self._before = RecordingCounts()  # of all earlier ones
         self._states: dict[str, tuple[str, int, bytes, Mapping[str, Any]]] = {}
         self._awaits_standing = False
         self._since: HostTime | None = None
@@ -135,7 +137,8 @@ class RecordingSwitch:
                 for event in kept:
                     recorder.put(event)
                 self._awaits_standing = self._kept is None
-                self._recorder = recorder
+                self._before = self._all_counts()
+                self._recorder = self._last = recorder
 
     def stop(self) -> RecordingSummary | None:
         """End the recording; waits for the disk. Return None where none ran."""
@@ -182,7 +185,20 @@ class RecordingSwitch:
             if self._recorder is None or self._since is None:
                 return None
             recorder = self._recorder
-            return RecordingNow(recorder.path, self._since.utc_ns, recorder.failure, recorder.counts)
+            return RecordingNow(recorder.path, self._since.utc_ns, recorder.failure)
+
+    @property
+    def totals(self) -> RecordingCounts:
+        """What all recordings since this was made have come to; `file_bytes` is 0 while nothing is recorded."""
+        with self._lock:
+            totals = self._all_counts()
+            return totals if self._recorder is not None else totals._replace(file_bytes=0)
+
+    def _all_counts(self) -> RecordingCounts:
+        if self._last is None:
+            return self._before
+        last = self._last.counts
+        return RecordingCounts(*map(operator.add, self._before, last))._replace(file_bytes=last.file_bytes)
 
     def close(self) -> None:
         """End the recording, if one runs; call it once the reader has stopped."""

@@ -37,7 +37,7 @@ class Vitals(TypedDict):
     threads: int
     file_descriptors: int
     latency: dict[str, LatencyInfo]
-    recording: RecordingInfo | None
+    recording: RecordingInfo
     commands: dict[str, int]
     messages: MessageAccount
 
@@ -94,7 +94,7 @@ class HealthMonitor:
         frames_not_decoded: int,
         records_unusable: dict[str, int],
         latency: dict[str, LatencyInfo],
-        recording: RecordingInfo | None,
+        recording: RecordingInfo,
         commands: dict[str, int],
     ) -> Vitals:
         """Take stock; from a task of the event loop, whose tasks are counted."""

@@ -60,17 +60,16 @@ class _Families:
 
     def _of_the_recording(self) -> Iterator[Metric]:
         recording = self._status.recording
-        writes, failed = recording is not None and not recording.failure, recording is not None and recording.failure
-        yield self._gauge("resonatord_recording", "1 while a recording is being written", writes)
-        yield self._gauge("resonatord_recording_failed", "1 while a recording takes nothing more", bool(failed))
-        if recording is not None:
-            missing = {"events": recording.events_missing, "messages": recording.messages_missing}
-            yield self._gauge("resonatord_recording_file_bytes", "Of the present file", recording.file_bytes)
-            yield self._counter("resonatord_recording_files", "Files of this recording", recording.files)
-            yield self._counter(
-                "resonatord_recording_files_removed", "Old recordings gone for the budget", recording.files_removed
-            )
-            yield self._counters("resonatord_recording_missing", "What is in no file of this one", "what", missing)
+        runs, failed = recording.file is not None, recording.failure is not None
+        missing = {"events": recording.events_missing, "messages": recording.messages_missing}
+        yield self._gauge("resonatord_recording", "1 while a recording is being written", runs and not failed)
+        yield self._gauge("resonatord_recording_failed", "1 while a recording takes nothing more", failed)
+        yield self._gauge("resonatord_recording_file_bytes", "Of the present file", recording.file_bytes)
+        yield self._counter("resonatord_recording_files", "Files that were begun", recording.files)
+        yield self._counter(
+            "resonatord_recording_files_removed", "Old recordings gone for the budget", recording.files_removed
+        )
+        yield self._counters("resonatord_recording_missing", "What was recorded and is in no file", "what", missing)
 
     def _of_the_states(self) -> Iterator[Metric]:
         link = self._status.link

@@ -10,7 +10,7 @@ from resonator_daemon.publishing.payloads import Health, Int64, Message, Recordi
 class ConfigStatus(Message):
     """Which configuration a daemon works by."""
 
-    file: str = Field(description="that the daemon was started with")
+    file: str = Field(description="that the daemon was started with, absolute")
     in_use: Literal["file", "last_good"] = Field(
         description="`file`: what it said when it was last read without problems; `last_good`: a copy kept from an "
         "earlier run, because the file had problems at the start"
@@ -45,4 +45,4 @@ class Status(Message):
     sensor: State | None = Field(description="as last published on `state/sensor`")
     health: Health | None = Field(description="as last made for `health`; null in the first second")
     broker: BrokerStatus = Field(description="how it stands with its broker")
-    recording: RecordingInfo | None = Field(description="null where none was started")
+    recording: RecordingInfo = Field(description="as in `health`")

@@ -148,16 +148,19 @@ class LatencyInfo(Message):
 
 
 class RecordingInfo(Message):
-    """A recording of the link, which may have gone through many files."""
+    """What is being recorded of the link, and what all recordings since the daemon started have come to."""
 
-    file: str = Field(description="the present one, on the daemon's machine")
-    since_t_ns: Int64 = Field(description="UTC, when the recording began")
-    failure: str | None = Field(description="why nothing more is written; null while it is")
-    file_bytes: int = Field(description="what is written of the present file")
-    files: int = Field(description="files since the recording began")
-    files_removed: int = Field(description="old recordings that went because of `budget_mb`, since it began")
-    events_missing: int = Field(description="pieces of the link's traffic that are in no file: the disk was too slow")
-    messages: int = Field(description="published messages that are in the files")
+    file: str | None = Field(description="the present one, on the daemon's machine; null while nothing is recorded")
+    since_t_ns: Int64 | None = Field(description="UTC, when the recording began; null while nothing is recorded")
+    failure: str | None = Field(description="why nothing is written to it; null while all is well")
+    file_bytes: int = Field(description="what is written of the present file, 0 while nothing is recorded")
+    files: int = Field(description="files that were begun since the daemon started")
+    files_removed: int = Field(description="old recordings that went because of `budget_mb`, since then")
+    events_missing: int = Field(
+        description="pieces of the link's traffic that are in no file although it was recorded since then: the disk "
+        "was too slow or failed"
+    )
+    messages: int = Field(description="published messages that are in files, since then")
     messages_missing: int = Field(description="those that are not, because the disk was too slow or failed")
 
 
@@ -192,7 +195,7 @@ class Health(Header):
     threads: int = Field(description="of the daemon")
     file_descriptors: int = Field(description="that the daemon holds open")
     latency: dict[str, LatencyInfo] = Field(description="by topic")
-    recording: RecordingInfo | None = Field(description="null where none was started")
+    recording: RecordingInfo = Field(description="what is recorded, and was since the daemon started")
     commands: dict[str, int] = Field(
         default_factory=dict,
         description="commands since the daemon started, by what became of them: `done`, an error's code, `unanswered`",

@@ -347,7 +347,7 @@ class Service:
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
-        last, running = self._outlet.last_messages, self._recording.current
+        last = self._outlet.last_messages
         return Status.model_validate(
             {
                 "name": self._name,
@@ -361,7 +361,7 @@ class Service:
                 "sensor": last.get(STATE_SENSOR.path),
                 "health": self._health,
                 "broker": BrokerStatus(url=self._config.mqtt.anonymous().url, connected=self._outlet.connected),
-                "recording": recording_info(running) if running else None,
+                "recording": recording_info(self._recording),
             }
         )
 
@@ -371,7 +371,6 @@ class Service:
             self._health = self._report_health()
 
     def _report_health(self) -> Health:
-        running = self._recording.current
         measuring = self._course.measuring
         vitals = self._monitor.vitals(
             self.link_account,
@@ -380,7 +379,7 @@ class Service:
             measuring.frames_not_decoded,
             measuring.records_unusable,
             latency=measuring.latencies.info(),
-            recording=recording_info(running) if running else None,
+            recording=recording_info(self._recording),
             commands=self._outlet.command_counts,
         )
         health = Health(**self._course.reporter.header(HEALTH, time.time_ns()), **vitals)

@@ -187,13 +187,14 @@ def _told(summary: RecordingSummary) -> RecordingSummaryInfo:
     )
 
 
-def recording_info(now: RecordingNow) -> RecordingInfo:
-    """Return what `health` says of a recording that runs."""
+def recording_info(switch: RecordingSwitch) -> RecordingInfo:
+    """Return what `health` says of recordings."""
+    now = switch.current
     return RecordingInfo(
-        file=as_json_text(now.path),
-        since_t_ns=now.since_utc_ns,
-        failure=as_json_text(now.failure) if now.failure else None,
-        **now.counts._asdict(),
+        file=as_json_text(now.path) if now else None,
+        since_t_ns=now.since_utc_ns if now else None,
+        failure=as_json_text(now.failure) if now and now.failure else None,
+        **switch.totals._asdict(),
     )
 
 

@@ -124,12 +124,12 @@ def _messages(health: Health) -> Text:
 
 def _recording(status: Status, now_ns: int) -> Text:
     recording = status.recording
-    if recording is None:
-        return Text("off")
-    size = f"{recording.file_bytes / 1e6:.1f} MB"
-    text = Text(f"{printable(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
-    if recording.files > 1:
-        text.append(f", {_count(recording.files)} files")
+    text = Text("off")
+    if recording.file is not None and recording.since_t_ns is not None:
+        size = f"{recording.file_bytes / 1e6:.1f} MB"
+        text = Text(f"{printable(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
+    if recording.files > (recording.file is not None):
+        text.append(f"; {_count(recording.files)} files since the start")
     if recording.files_removed:
         text.append(f", {_count(recording.files_removed)} old ones removed for the budget")
     if missing := recording.events_missing + recording.messages_missing:

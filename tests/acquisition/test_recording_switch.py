@@ -426,3 +426,23 @@ def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp
     assert all(same(frame, by_index[frame.index]) for frame in seen)
     assert [frame.index for frame in seen] == [index for index in by_index if seen[0].index <= index <= seen[-1].index]
     assert len(seen) > 1200
+
+
+def test_counts_of_all_recordings_never_fall_while_one_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    switch = RecordingSwitch()
+    seen: list[tuple[int, int]] = []
+    close = Recorder.close
+
+    def look(recorder: Recorder) -> None:
+        seen.append((switch.totals.files, switch.totals.file_bytes))
+        close(recorder)
+
+    monkeypatch.setattr(Recorder, "close", look)
+    for number in (1, 2):
+        switch.start(tmp_path / f"{number}.mcap", ORIGIN)
+        assert switch.totals.files == number
+        switch.stop()
+        assert switch.totals.files == number
+    assert seen == [(1, 0), (2, 0)]

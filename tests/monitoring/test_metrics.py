@@ -147,7 +147,15 @@ def test_what_is_down_is_zero_and_not_left_out() -> None:
     assert found[of("resonatord_recording")] == 0
     assert found[of("resonatord_recording_failed")] == 1
     assert metrics(status_samples.status(link=None))[of("resonatord_link_up")] == 0
-    assert metrics(status_samples.status(recording=None))[of("resonatord_recording")] == 0
+    idle = metrics(status_samples.status(recording=status_samples.NOT_RECORDING.model_copy(update={"files": 5})))
+    assert idle[of("resonatord_recording")] == idle[of("resonatord_recording_failed")] == 0
+    assert idle[of("resonatord_recording_file_bytes")] == 0
+    assert idle[of("resonatord_recording_files_total")] == 5
+    assert idle[of("resonatord_recording_files_removed_total")] == 0
+    assert {what for name, labels in idle if "recording_missing" in name for _, what in labels} == {
+        "events",
+        "messages",
+    }
 
 
 def test_what_is_not_known_is_left_out() -> None:

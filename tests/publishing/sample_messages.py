@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import status_samples
 
 from resonator_daemon.publishing.payloads import (
     BootInfo,
@@ -212,7 +213,7 @@ class Messages:
             threads=4,
             file_descriptors=23,
             latency={"signals": LatencyInfo(bounds_ms=(1.0, 2.0), counts=(5000, 990, 10))},
-            recording=None,
+            recording=status_samples.NOT_RECORDING,
             messages=ACCOUNT,
         )
 

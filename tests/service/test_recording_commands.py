@@ -147,9 +147,23 @@ async def test_a_recording_without_end_waits_for_room_and_says_so(
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=1))
     switch = RecordingSwitch()
     await RecordingCommands(config(tmp_path, continuous=True), "left", switch).keep_recording()
-    now = switch.current
-    assert now is not None
-    told = json.loads(recording_info(now).model_dump_json())
+    told = json.loads(recording_info(switch).model_dump_json())
     assert "MB are kept free" in told["failure"]
     assert (told["files"], told["file_bytes"], told["file"]) == (0, 0, str(tmp_path))
     switch.close()
+
+
+async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path), "left", switch)
+    idle = {"file": None, "since_t_ns": None, "failure": None, "file_bytes": 0}
+    none = {"files_removed": 0, "events_missing": 0, "messages_missing": 0}
+    assert json.loads(recording_info(switch).model_dump_json()) == {**idle, **none, "files": 0, "messages": 0}
+    for number in (1, 2):
+        began = await commands.start(StartRecording())
+        told = recording_info(switch)
+        assert (told.file, told.since_t_ns, told.files) == (began.file, began.since_t_ns, number)
+        switch.put_message("forces", number, b"{}", {"title": "Forces", "type": "object"})
+        await commands.stop(StopRecording())
+        told = recording_info(switch)
+        assert json.loads(told.model_dump_json()) == {**idle, **none, "files": number, "messages": number}

@@ -77,7 +77,10 @@ async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_b
             path.write_text(bare)
             service.reload()
             await heard.until(
-                lambda: (heard.payloads("resonator/hand/health") or [{"recording": 1}])[-1]["recording"] is None
+                lambda: (
+                    bool(told := heard.payloads("resonator/hand/health"))
+                    and (told[-1]["recording"]["file"], told[-1]["recording"]["files"]) == (None, 1)
+                )
             )
         (file,) = (tmp_path / "runs").glob("*.mcap")
     with open_recording(str(file)) as recording:
@@ -147,7 +150,8 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
                 await heard.until_last("resonator/EMU-0001/state/link", state="online")
                 await heard.until(
                     lambda: (
-                        bool(states := heard.payloads("resonator/EMU-0001/health")) and bool(states[-1]["recording"])
+                        bool(states := heard.payloads("resonator/EMU-0001/health"))
+                        and bool(states[-1]["recording"]["file"])
                     )
                 )
 

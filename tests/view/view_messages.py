@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 import numpy as np
+import status_samples
 from numpy.typing import NDArray
 
 from resonator_daemon.publishing.payloads import (
@@ -138,7 +139,7 @@ def health(**changes: Any) -> Health:
         "threads": 4,
         "file_descriptors": 23,
         "latency": {},
-        "recording": None,
+        "recording": status_samples.NOT_RECORDING,
     }
     return Health(**header(), **{**fields, **changes})
 
