@@ -78,6 +78,7 @@ class Recorder:
         self._events = 0
         self._counts = RecordingCounts()
         self._failure: str | None = None
+        self._said_failure = False  # once, until all is well again
         self._path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
         self._board: BoardOnline | None = None  # those of the thread: what each file begins with
@@ -309,6 +310,7 @@ class Recorder:
             file.publish(state)
         with self._lock:
             failed, self._failure = self._failure, None
+            self._said_failure = False
             self._path, self._file = file.path, file
             self._counts = self._counts._replace(files=self._counts.files + 1)
         if failed is not None:
@@ -334,10 +336,12 @@ class Recorder:
         self._take_stock()
 
     def _leave(self) -> None:
-        """End a file that nobody will find; the next begins as soon as it can."""
+        """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
         self._end_file(wait=False)
-        self._fail(f"{self._path} was removed, moved or replaced")
+        then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
+        self._tell_failure(f"{self._path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
+        self._said_failure = not self._resumes  # why none can be begun is news
 
     def _take_stock(self) -> None:
         with self._lock:
@@ -379,10 +383,13 @@ class Recorder:
         self._fail(f"{self._path}: {reason}")
 
     def _fail(self, reason: str) -> None:
-        first = self._failure is None
+        then = f"it is tried again every {_RETRY_S:g} s" if self._resumes else "nothing more is recorded"
+        self._tell_failure(f"{reason}: {then}; what was written stays")
+
+    def _tell_failure(self, said: str) -> None:
         with self._lock:
-            self._failure = f"{reason}: nothing more is recorded; what was written stays"
+            self._failure = said
         self._retry_s = time.monotonic() + _RETRY_S
-        if first:
-            again = "; it is tried again" if self._resumes else ""
-            self._say(logging.WARNING, self._failure + again)
+        if not self._said_failure:
+            self._said_failure = True
+            self._say(logging.WARNING, said)

@@ -290,7 +290,7 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         assert contents(tmp_path)[1:] == [[standing(at(4)), Received(at(4), b"y")]]
         assert recorder.skipped_events == 3
         assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
-        assert said[0][1].endswith("; it is tried again")
+        assert said[0][1].endswith(": it is tried again every 0 s; what was written stays")
         assert said[1][1] == f"recording goes on in {recorder.path}"
     else:
         assert len(contents(tmp_path)) == 1
@@ -398,10 +398,42 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
         assert read(tmp_path / "elsewhere" / first.name) == ([standing(at(0))], None)
     if how == "replaced":
         assert first.read_bytes() == b"theirs"
-    gone = (
-        f"{first} was removed, moved or replaced: nothing more is recorded; what was written stays; it is tried again"
-    )
+    gone = f"{first} was removed, moved or replaced: a new file is begun as soon as that can be"
     assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
+
+
+def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    said: list[tuple[int, str]] = []
+    directory = tmp_path / "recordings"
+    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        directory.rename(tmp_path / "elsewhere")
+        directory.touch()
+        wait_until(lambda: recorder.failure is not None)
+        for ms in (1, 2):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), b"x"))
+        wait_until(lambda: recorder.skipped_events == 2)
+        directory.unlink()
+        recorder.put(standing(at(3)))
+        wait_until(lambda: recorder.failure is None)
+    assert [level for level, _ in said] == [logging.WARNING, logging.WARNING, logging.INFO]
+    assert said[1][1].startswith(f"{directory} cannot be used: ")
+
+
+def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:
+    said: list[tuple[int, str]] = []
+    with Recorder(Series(tmp_path, "left"), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        path = recorder.path
+        path.unlink()
+        wait_until(lambda: recorder.failure is not None)
+    assert said == [(logging.WARNING, f"{path} was removed, moved or replaced: nothing more is recorded")]
 
 
 def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None:
