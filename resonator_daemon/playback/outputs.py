@@ -30,7 +30,7 @@ class Output(Protocol):
 
 
 class Lines:
-    """One line of JSON for each message, in a new file or on stdout.
+    """One line of JSON for each message, in a new file or on stdout; without any message there is no file.
 
     Raises
     ------
@@ -44,6 +44,7 @@ class Lines:
         self._path = path
         self._closing = contextlib.ExitStack()
         self._file: TextIO = sys.stdout
+        self._empty = True
 
     async def __aenter__(self) -> Self:
         if str(self._path) != "-":
@@ -62,11 +63,14 @@ class Lines:
     ) -> None:
         try:
             self._closing.close()
+            if self._empty and self._file is not sys.stdout:  # it would stand in the way of the next try
+                self._path.unlink(missing_ok=True)
         except OSError as failure:
             if error is None:
                 raise self._failed(failure) from failure
 
     async def put(self, published: Published) -> None:
+        self._empty = False
         try:
             self._file.write(line(published) + "\n")
         except BrokenPipeError:

@@ -26,7 +26,7 @@ from resonator_daemon.playback.outputs import Lines, Output, OutputFailedError
 from resonator_daemon.playback.pacing import AtOnce, AtSpeed, Pacing, StepByStep
 from resonator_daemon.playback.progress import Progress
 from resonator_daemon.playback.source import open_playback
-from resonator_daemon.playback.span import NoSuchMarkError, Span, find_span
+from resonator_daemon.playback.span import BackwardSpanError, NoSuchMarkError, Span, find_span
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.requests import BrokerUnreachableError
 from resonator_daemon.publishing.topics import Topic
@@ -40,6 +40,7 @@ class NotReplayableError(OperatorError):
 
 
 _CODES: Final[dict[type[OperatorError], str]] = {
+    BackwardSpanError: "no_span",
     BrokerUnreachableError: "no_broker",
     NameTakenError: "name_taken",
     NoSuchMarkError: "no_mark",

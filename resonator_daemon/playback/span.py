@@ -15,6 +15,12 @@ class NoSuchMarkError(OperatorError):
     exit_code = ExitCode.USAGE
 
 
+class BackwardSpanError(OperatorError):
+    """The end of a part is not after its beginning."""
+
+    exit_code = ExitCode.USAGE
+
+
 @dataclass(frozen=True)
 class Span:
     """A part of a recording, in its monotonic time; None: from its beginning, to its end.
@@ -51,6 +57,8 @@ def find_span(path: Path, start: str | None, end: str | None) -> Span:
     ------
     NoSuchMarkError
         There is no such mark up to the end, or to the first damage.
+    BackwardSpanError
+        The end is not after the beginning.
     LinkUnavailableError
         The file cannot be opened as a recording.
     """
@@ -75,7 +83,14 @@ def find_span(path: Path, start: str | None, end: str | None) -> Span:
         seconds = _seconds(text)
         return marks[text] if seconds is None else begun.monotonic_ns + round(seconds * 1e9)
 
-    return Span(begun, place_ns(start), place_ns(end))
+    from_ns, until_ns = place_ns(start), place_ns(end)
+    if from_ns is not None and until_ns is not None and from_ns >= until_ns:
+        from_s, until_s = ((at_ns - begun.monotonic_ns) * 1e-9 for at_ns in (from_ns, until_ns))
+        raise BackwardSpanError(
+            f"--from is at {from_s:.10g} s, --until at {until_s:.10g} s of {path}: nothing lies between them; give a "
+            "later --until, or an earlier --from"
+        )
+    return Span(begun, from_ns, until_ns)
 
 
 def _seconds(text: str) -> float | None:

@@ -5,6 +5,7 @@ import io
 import json
 import os
 import pty
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -92,17 +93,33 @@ def test_a_mark_that_is_not_there_is_said_with_those_that_are(capsys: pytest.Cap
     assert f"{TOUCHES} has no mark 'lunch'; its marks: 'half time'. A number" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(
-    ("part", "words"), [(("--from", "1e6"), "from 1000000 s"), (("--from", 1, "--until", 0.5), "from 1 s until 0.5 s")]
-)
+@pytest.mark.parametrize(("part", "words"), [(("--from", "1e6"), "from 1000000 s"), (("--until", "0"), "until 0 s")])
 def test_a_part_in_which_nothing_is_is_said(
     part: tuple[object, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 1
     assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages {words}\n")
+    assert list(tmp_path.iterdir()) == []
     arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
     assert cli.main([*arguments, *map(str, part)]) == 1
     assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages of forces {words}\n")
+
+
+@pytest.mark.parametrize("part", [("--from", 5, "--until", 2), ("--from", "half time", "--until", "half time")])
+def test_a_part_that_ends_before_it_begins_is_a_matter_of_usage(
+    part: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 2
+    said = capsys.readouterr().err
+    assert re.fullmatch(
+        r"resonatord: --from is at \S+ s, --until at \S+ s of \S+: nothing lies between them; give a later --until, "
+        r"or an earlier --from\n",
+        said,
+    )
+    arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
+    assert cli.main([*arguments, *map(str, part)]) == 2
+    assert capsys.readouterr().err == said
+    assert list(tmp_path.iterdir()) == []
 
 
 async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(
