@@ -91,17 +91,18 @@ class RecordingCommands:
                 self._label, self._by_config = None, True
 
     async def adopt(self, config: Config, config_sha256: str | None) -> None:
-        """Take another configuration; what it says of files holds for recordings that begin from now on.
+        """Take another configuration.
 
-        Where it records no longer without end, a recording that the configuration began ends; one by a command goes on.
+        A recording that the configuration began ends where `[recording]` changed, and one by the new configuration
+        begins, if that says so; a recording by a command goes on as it began.
         """
-        ended = self._config.recording.continuous and not config.recording.continuous
+        changed = config.recording != self._config.recording
         self._config, self._config_sha256 = config, config_sha256
-        if ended:
+        if changed:
             async with self._one_at_a_time:
                 if self._by_config and (summary := await self._end()) is not None:
-                    log.info("recording ended with %s: continuous in [recording] was switched off", summary.file)
-        await self.keep_recording()
+                    log.info("recording ended with %s: [recording] was changed", summary.file)
+            await self.keep_recording()
 
     async def stop(self, _request: StopRecording) -> StopRecordingAnswer:
         async with self._one_at_a_time:

@@ -90,7 +90,7 @@ async def test_force_sites_replay_as_they_were_published(tmp_path: Path, mosquit
     counts = check_same(heard, again)
     assert counts["forces"] >= 400
     assert counts["contacts/event"] >= 4
-    assert counts["state/link"] >= 8
+    assert counts["state/link"] >= 6  # one that is overtaken by the next is not sent
     assert any(message["lost"]["damaged"] for message in again["forces"])
     assert any(message["last_outage"] for message in again["state/link"])
     assert again["state/link"][-1]["boots"] == 2
