@@ -144,11 +144,15 @@ class _Sitting:
             self._ended_s = time.monotonic()
             self._reader.stop()
             self._recorder.close()
-            if self._reader.account().frames == 0:
+            is_kept = self._reader.account().frames > 0
+            if not is_kept:
                 self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
                 signal.signal(number, handler)
-            self._say_progress(end="\n")
+            if is_kept:
+                self._say_progress(end="\n")
+            elif sys.stderr.isatty():
+                sys.stderr.write("\r\x1b[K")  # no line of a file that is gone
 
     def wait(self, arrived: threading.Event, seconds: float | None) -> None:
         begun_s = said_s = time.monotonic()

@@ -1,5 +1,6 @@
 """`resonatord record` as a user meets it: a file of what happened, what went wrong in one line, and the exit code."""
 
+import io
 import json
 import os
 import signal
@@ -150,6 +151,8 @@ def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> N
         refused = run("--config", config(tmp_path, emulator.link.address), "--output", output, "--json")
     assert refused.returncode == 69
     assert "plate: the board describes skin32, the plate file has quartz16" in refused.stderr
+    assert str(output) not in refused.stderr  # there is no such file
+    assert not output.exists()
     assert json.loads(refused.stdout)["error"]["code"] == "refused"
 
 
@@ -159,6 +162,21 @@ def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: p
     with pytest.raises(NoBoardError, match=r"no board counts after 0\.2 s: no port ") as raised:
         record(path, RecordOptions(tmp_path / "run.mcap"), as_json=False)
     assert raised.value.exit_code == 69
+
+
+def test_a_terminal_keeps_no_line_of_a_file_that_is_gone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    terminal, output = Terminal(), tmp_path / "run.mcap"
+    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.2)
+    monkeypatch.setattr("resonator_daemon.record._PROGRESS_S", 0.0)
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with pytest.raises(NoBoardError):
+        record(config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000"), RecordOptions(output), as_json=False)
+    assert f"\r{output}: 0 frames, " in terminal.getvalue()
+    assert terminal.getvalue().endswith("MB\x1b[K\r\x1b[K")
 
 
 @pytest.mark.parametrize(
