@@ -22,6 +22,7 @@ from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.mcap_attachments import DamagedAttachment
 from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
 from resonator_daemon.acquisition.recording_file import (
     DAMAGE,
@@ -40,22 +41,30 @@ from resonator_daemon.host.printable import printable
 
 
 class RepairError(OperatorError):
-    """The file is no recording, nothing of it can be read, or its copy cannot be written."""
+    """Nothing of the recording can be read, or its copy cannot be written."""
 
     exit_code = ExitCode.FAILED
+
+
+class NotRepairableError(RepairError):
+    """The file is no recording of this format."""
+
+    exit_code = ExitCode.UNAVAILABLE
 
 
 class Repaired(NamedTuple):
     """What came of it; `cut_bytes` of the file's end are in no copy, nor are `holes` chunks before.
 
-    `unreadable` of the messages, marks and attachments of chunks that are whole are in no copy, since no replay can
-    read them. `carries_config`: plate file and settings are in it.
+    `unreadable` of the messages and marks of chunks that are whole, and of attachments, are in no copy, since no replay
+    can read them; nor are `damaged_attachments`, by their names, which are not what was written. `carries_config`:
+    plate file and settings are in it.
     """
 
     ended: bool
     cut_bytes: int
     holes: int
     unreadable: int
+    damaged_attachments: tuple[str, ...]
     events: int
     events_missing: int
     last_event_utc_ns: int | None
@@ -63,7 +72,7 @@ class Repaired(NamedTuple):
 
     @property
     def was_whole(self) -> bool:
-        return self.ended and not self.holes and not self.unreadable
+        return self.ended and not (self.holes or self.unreadable or self.damaged_attachments)
 
 
 def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
@@ -78,7 +87,7 @@ def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
     InterruptedVerbError
         Somebody ended it before.
     """
-    copy = output or path.with_name(f"{path.stem}-repaired.mcap")
+    copy = output or path.parent / f"{path.stem}-repaired.mcap"
     try:
         with interruptible("no copy is made"):
             done = repaired(path, copy)
@@ -109,7 +118,7 @@ def repaired(path: Path, copy: Path) -> Repaired:
             pass
         file = path.open("rb")
     except (LinkUnavailableError, OSError) as error:
-        raise RepairError(str(error)) from error
+        raise NotRepairableError(str(error)) from error
     with file:
         with suppress(PermissionError):  # a file system without locks
             try:
@@ -151,6 +160,7 @@ def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
         0 if records.ended else whole_bytes - records.good_bytes,
         copier.holes,
         copier.unreadable,
+        tuple(copier.damaged_attachments),
         copier.events,
         copier.events_missing,
         copier.last_event_utc_ns,
@@ -178,6 +188,7 @@ class _Copier:
         self._hole: Hole | None = None
         self.holes = self.unreadable = self.events = self.events_missing = 0
         self.texts: set[str] = set()
+        self.damaged_attachments: list[str] = []
         self.last_event_utc_ns: int | None = None
 
     def take(self, record: McapRecord | Hole) -> None:
@@ -190,6 +201,8 @@ class _Copier:
                 self._writer.start(record.profile, record.library)
             case Metadata():
                 self._writer.add_metadata(record.name, record.metadata)
+            case DamagedAttachment():
+                self.damaged_attachments.append(record.name)
             case Attachment():
                 self._attach(record)
             case Schema():
@@ -279,6 +292,7 @@ def _sentence(path: Path, copy: Path, done: Repaired) -> str:
         wrong.append(f"{done.holes} damaged chunks are left out")
     if done.unreadable:
         wrong.append(f"{done.unreadable} entries that cannot be read are left out")
+    wrong += [f"its attachment {name} is damaged and left out" for name in done.damaged_attachments]
     if done.events_missing:
         wrong.append(f"{done.events_missing} events are missing")
     end = f"{done.events} events"

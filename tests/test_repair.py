@@ -210,6 +210,12 @@ def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp
     assert not (tmp_path / "copy.mcap").exists()
 
 
+@pytest.mark.parametrize("name", [".", "./", "", "/"])
+def test_a_place_without_a_name_is_no_recording(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    assert cli.main(["repair", name]) == 69
+    assert capsys.readouterr().err == f"resonatord: recording {Path(name)} is no regular file\n"
+
+
 def test_a_disk_without_room_leaves_no_half_of_a_copy(
     made: tuple[Path, list[WireEvent]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -329,7 +335,7 @@ def test_what_a_file_says_does_not_steer_a_terminal(tmp_path: Path, capsys: pyte
         writer.start("resonatord", "")
         writer.add_metadata("recording", {**ORIGIN.metadata, "format": "\x1b[2J"})
         writer.finish()
-    assert cli.main(["repair", str(path)]) == 1
+    assert cli.main(["repair", str(path)]) == 69
     said = capsys.readouterr().err
     assert "two\ufffdlines.mcap has format \ufffd[2J, this version reads" in said
     assert said.removesuffix("\n").isprintable()

@@ -12,6 +12,8 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, Message
 from mcap.stream_reader import CRCValidationError, StreamReader
 
+from resonator_daemon.acquisition.mcap_attachments import read_attachment
+
 _RECORD: Final = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # with channel, sequence, log time, publish time; its data follow
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
@@ -31,7 +33,7 @@ class Logged(NamedTuple):
 
 
 class ChunkReader(StreamReader):
-    """Reads the records of a file but for message indexes, and chunks as they are."""
+    """Reads the records of a file but for message indexes; chunks as they are, attachments checked."""
 
     # Of no use to whoever reads all in order, and two thirds of the time that reading takes. Should another version of
     # mcap have no such method, the indexes are parsed again.
@@ -39,6 +41,8 @@ class ChunkReader(StreamReader):
         if opcode == Opcode.MESSAGE_INDEX:
             self._stream.read(length)
             return None
+        if opcode == Opcode.ATTACHMENT:
+            return read_attachment(self._stream.read(length))
         return super()._read_record(opcode, length)
 
 

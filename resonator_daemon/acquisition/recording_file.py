@@ -18,8 +18,10 @@ from mcap.records import Attachment, Header, McapRecord, Metadata
 
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link import LinkUnavailableError
+from resonator_daemon.acquisition.mcap_attachments import DamagedAttachment
 from resonator_daemon.acquisition.mcap_messages import ChunkReader, messages
 from resonator_daemon.acquisition.wire_events import WireEvent, decode
+from resonator_daemon.host.printable import printable
 from resonator_daemon.plate import Plate
 
 log = logging.getLogger(__name__)
@@ -148,6 +150,8 @@ class Recording:
         What was known when it was begun.
     attachments
         Texts that came with it, by name.
+    damaged_attachments
+        Names, as far as they can be read, of those that are not what was written.
 
     Attributes
     ----------
@@ -161,10 +165,12 @@ class Recording:
         file: IO[bytes],
         header: dict[str, str],
         attachments: dict[str, str],
+        damaged_attachments: tuple[str, ...],
         records: Iterator[McapRecord],
     ) -> None:
         self.path = path
         self.header = header
+        self.damaged_attachments = damaged_attachments
         self._attachments = attachments
         self._file = file
         self._records = records
@@ -180,12 +186,12 @@ class Recording:
 
     @property
     def plate_text(self) -> str | None:
-        """The plate file as it was, in TOML; None where the file does not have it."""
+        """The plate file as it was, in TOML; None where the file does not have it whole."""
         return self._attachments.get(PLATE_FILE)
 
     @property
     def settings_text(self) -> str | None:
-        """The tables [measurement] and [decoding] as they were, in TOML; None where the file does not have them."""
+        """The tables [measurement] and [decoding] as they were, in TOML; None where they are not whole in the file."""
         return self._attachments.get(SETTINGS_FILE)
 
     @property
@@ -230,13 +236,15 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
         records = ChunkReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records
         header = read_header(path, records)
         check_format(path, header)
-        attachments, records = _attachments(records)
+        attachments, damaged, records = _attachments(records)
         if plate is not None:
             _check_plate(path, header, plate)
+            for name in damaged:
+                log.warning("%s: its attachment %s is damaged; the configuration counts", path, printable(name))
     except BaseException:
         file.close()
         raise
-    return Recording(path, file, header, attachments, records)
+    return Recording(path, file, header, attachments, damaged, records)
 
 
 def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
@@ -266,17 +274,28 @@ def check_format(path: str, header: dict[str, str]) -> None:
         )
 
 
-def _attachments(records: Iterator[McapRecord]) -> tuple[dict[str, str], Iterator[McapRecord]]:
-    """Take the attachments that come next; return them, and the records from the first other one on."""
+def _attachments(
+    records: Iterator[McapRecord],
+) -> tuple[dict[str, str], tuple[str, ...], Iterator[McapRecord]]:
+    """Take the attachments that come next; return them, the names of damaged ones, and the records that follow."""
     texts: dict[str, str] = {}
+    damaged: list[str] = []
+    following: Iterator[McapRecord] = iter(())
     try:
         for record in records:
-            if not isinstance(record, Attachment):
-                return texts, chain([record], records)
-            texts[record.name] = record.data.decode()
+            if isinstance(record, DamagedAttachment):
+                damaged.append(record.name)
+            elif isinstance(record, Attachment):
+                try:
+                    texts[record.name] = record.data.decode()
+                except UnicodeDecodeError:
+                    damaged.append(record.name)
+            else:
+                following = chain([record], records)
+                break
     except DAMAGE as error:
-        return texts, _raising(error)
-    return texts, iter(())
+        following = _raising(error)
+    return texts, tuple(damaged), following
 
 
 def _raising(error: Exception) -> Iterator[McapRecord]:

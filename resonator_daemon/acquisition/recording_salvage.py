@@ -14,6 +14,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, MessageIndex, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
+from resonator_daemon.acquisition.mcap_attachments import read_attachment
 from resonator_daemon.acquisition.mcap_messages import MAX_CHUNK_BYTES, chunk_data
 from resonator_daemon.acquisition.recording_file import DAMAGE, MAX_RECORD_BYTES
 
@@ -56,9 +57,11 @@ def known_channels(file: IO[bytes]) -> list[Schema | Channel]:
 
 
 class _BoundedReader(StreamReader):
-    """Reads an index behind a chunk from the bytes of its own record, whatever is in them."""
+    """Reads an attachment, or an index behind a chunk, from the bytes of its own record, whatever is in them."""
 
     def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        if opcode == Opcode.ATTACHMENT:
+            return read_attachment(self._stream.read(length))
         if opcode != Opcode.MESSAGE_INDEX:
             record: McapRecord | None = super()._read_record(opcode, length)
             return record
