@@ -23,8 +23,9 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
         prog="resonatord",
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
-        epilog="Exit codes: 0 done; 1 the run failed (touches or frames lost); 2 usage; 69 link or broker cannot ever "
-        "work; 78 configuration. Start with: resonatord demo",
+        epilog="Exit codes: 0 done, or stopped where a verb runs until it is stopped; 1 the run failed (touches or "
+        "frames lost) or was interrupted; 2 usage; 69 link or broker cannot ever work; 78 configuration. "
+        "Start with: resonatord demo",
     )
     sub_parsers = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 

@@ -9,10 +9,10 @@ import os
 import shutil
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from resonator_daemon.arguments import Verb, make_parser
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, InterruptedVerbError, OperatorError, failure_told
 from resonator_daemon.host.journal import error_prefix, set_up_logging
 from resonator_daemon.host.printable import printable
 
@@ -21,22 +21,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
     options = make_parser(_VERBS).parse_args(arguments)
     set_up_logging()
-    verb: Verb = options.verb
     if sys.stdout is None:  # closed by whoever started us
         sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a sign that this locale has not, and paths that are no text
             stream.reconfigure(errors="backslashreplace")
     try:
-        code = verb(options) or ExitCode.DONE
-        sys.stdout.flush()
-        return code
+        return _run_verb(options)
     except OperatorError as error:
         for message in error.messages:
             sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
         return error.exit_code
-    except KeyboardInterrupt:
-        return ExitCode.DONE
     except BrokenPipeError:
         sys.stderr.close()  # the reader of our output left: nobody is there to tell
         return ExitCode.FAILED
@@ -47,6 +42,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # as where stdout is on a full disk
         sys.stderr.write(f"resonatord: {printable(error)}\n")
         return ExitCode.FAILED
+
+
+def _run_verb(options: argparse.Namespace) -> ExitCode:
+    """Run the verb; Ctrl-C ends well only what runs until it is stopped."""
+    verb: Verb = options.verb
+    try:
+        code = verb(options) or ExitCode.DONE
+        sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        if verb in _UNTIL_STOPPED or (verb is _status and options.watch):
+            return ExitCode.DONE
+        name = next(name for name, function in _VERBS.items() if function is verb)
+        with failure_told(name, as_json=options.json):
+            raise InterruptedVerbError("interrupted") from None
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -319,6 +329,9 @@ _VERBS: dict[str, Verb] = {
     "tare": _tare,
     "watch": _watch,
 }
+
+_UNTIL_STOPPED: Final = (_decode, _emulate, _run, _watch)
+"""Those without an end of their own; `demo` and `record` catch Ctrl-C themselves once they have begun."""
 
 
 if __name__ == "__main__":

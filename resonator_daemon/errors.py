@@ -1,9 +1,14 @@
-"""Who must act on a failure, and the exit code that says so.
+"""Who must act on a failure, the exit code that says so, and the object that tells programs.
 
 A programmer's mistake is a ValueError; noise on the wire is a counted value; neither is here.
 """
 
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import IntEnum
+from typing import Any, ClassVar
 
 
 class ExitCode(IntEnum):
@@ -17,13 +22,35 @@ class ExitCode(IntEnum):
 
 
 class OperatorError(Exception):
-    """Something the operator must mend; each message is one line with quantity, value, limit and remedy."""
+    """Something the operator must mend; each message is one line with quantity, value, limit and remedy.
+
+    Attributes
+    ----------
+    code, hint
+        For programs: a word that stays, and where to read more.
+    so_far
+        Keys of the object for programs beside the failure.
+    """
 
     exit_code = ExitCode.CONFIG
+    code: ClassVar[str] = "config"
+    hint: ClassVar[str] = ""
 
     def __init__(self, *messages: str) -> None:
         super().__init__("\n".join(messages))
         self.messages = messages
+        self.so_far: Mapping[str, Any] = {}
+
+
+class InterruptedVerbError(OperatorError):
+    """Somebody ended a verb before it came to its end; `so_far` is what it had by then."""
+
+    exit_code = ExitCode.FAILED
+    code = "interrupted"
+
+    def __init__(self, message: str, so_far: Mapping[str, Any] | None = None) -> None:
+        super().__init__(message)
+        self.so_far = so_far or {}
 
 
 class ConfigError(OperatorError):
@@ -34,3 +61,17 @@ class IncompatibleBoardError(OperatorError):
     """The board on the link can never serve this configuration."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "refused"
+
+
+@contextmanager
+def failure_told(verb: str, *, as_json: bool) -> Iterator[None]:
+    """Have a failure of a verb printed as one object on stdout, too, where objects are asked for."""
+    try:
+        yield
+    except OperatorError as error:
+        if as_json:
+            failure = {"code": error.code, "message": str(error), "hint": error.hint}
+            told = {"verb": verb, "ok": False, "error": failure}
+            sys.stdout.write(json.dumps({**error.so_far, **told}) + "\n")
+        raise

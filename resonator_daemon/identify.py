@@ -14,7 +14,7 @@ from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.port_inquiry import Inquiry, NoBoardError, inquire, round_trip_s
 from resonator_daemon.acquisition.port_opening import open_link
 from resonator_daemon.config import LinkTarget, load_config
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 
 _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELISED): "channelised"}
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}
@@ -24,6 +24,7 @@ class NoAnswerError(OperatorError):
     """No board answers on the link."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "no_board"
 
 
 def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool, as_json: bool) -> ExitCode:
@@ -41,7 +42,7 @@ def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool
     ValueError
         Neither was named.
     """
-    try:
+    with failure_told("identify", as_json=as_json):
         config = None if config_path is None else load_config(config_path)
         if target is not None:
             where = target
@@ -50,12 +51,6 @@ def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool
         else:
             raise ValueError("identify needs a link or a configuration")
         inquiry = _ask(where, blink=blink)
-    except OperatorError as error:
-        if as_json:
-            code = "no_board" if isinstance(error, NoAnswerError) else "config"
-            told = {"code": code, "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "identify", "ok": False, "error": told}) + "\n")
-        raise
     problems = misfits(inquiry.described.description, config.plate) if config is not None else ()
     if as_json:
         sys.stdout.write(json.dumps(_as_json(where, inquiry, problems, blink=blink)) + "\n")

@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.config import example_config
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.host.printable import printable
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
@@ -43,6 +43,8 @@ class InstallError(OperatorError):
     """Something could not be put in its place."""
 
     exit_code = ExitCode.FAILED
+    code = "install"
+    hint = "docs/service.md"
 
 
 class Action(StrEnum):
@@ -88,13 +90,8 @@ def install(prefix: Path | None, *, dry_run: bool, as_json: bool) -> None:
     InstallError
         It may not or cannot write there, there is no systemd, or services could not reach this program.
     """
-    try:
+    with failure_told("install", as_json=as_json):
         done = _install(prefix, dry_run)
-    except InstallError as error:
-        if as_json:
-            told = {"code": "install", "message": str(error), "hint": "docs/service.md"}
-            _print(json.dumps({"verb": "install", "ok": False, "error": told}))
-        raise
     failed = [f"{' '.join(command)}: {said}" for command, said in done.commands if said]
     if as_json:
         _tell_json(done, dry_run, ok=not failed)

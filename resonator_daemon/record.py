@@ -26,7 +26,14 @@ from resonator_daemon.acquisition.frames import (
 from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Config, ReplayLink, load_config
-from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError, OperatorError
+from resonator_daemon.errors import (
+    ConfigError,
+    ExitCode,
+    IncompatibleBoardError,
+    InterruptedVerbError,
+    OperatorError,
+    failure_told,
+)
 from resonator_daemon.service.recording_commands import origin
 
 if TYPE_CHECKING:
@@ -41,19 +48,14 @@ class NoBoardError(OperatorError):
     """No board counts on the link."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "no_board"
 
 
 class RecordingEndedError(OperatorError):
     """The file takes no more, or the reader failed."""
 
     exit_code = ExitCode.FAILED
-
-
-_CODES: Final[dict[type[OperatorError], str]] = {
-    NoBoardError: "no_board",
-    IncompatibleBoardError: "refused",
-    RecordingEndedError: "ended",
-}
+    code = "ended"
 
 
 @dataclass(frozen=True)
@@ -95,22 +97,19 @@ def record(config_path: Path, options: RecordOptions, *, as_json: bool) -> None:
 
     Raises
     ------
+    InterruptedVerbError
+        One of them came before the time was over.
     OperatorError
         The configuration cannot be used, the file cannot be made or takes no more, or no board counts.
     """
-    try:
+    with failure_told("record", as_json=as_json):
         config = load_config(config_path)
         if isinstance(config.link, ReplayLink):
             raise ConfigError(f"link: {config.link} is a recording already; copy the file")
         sitting = _Sitting(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
         with sitting.open() as arrived:
             sitting.wait(arrived, options.seconds)
-        sitting.check()
-    except OperatorError as error:
-        if as_json:
-            told = {"code": _CODES.get(type(error), "config"), "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "record", "ok": False, "error": told}) + "\n")
-        raise
+        sitting.check(options.seconds)
     if as_json:
         sys.stdout.write(json.dumps({"verb": "record", "ok": True, **sitting.result()}) + "\n")
 
@@ -170,11 +169,17 @@ class _Sitting:
                 said_s = now_s
                 self._say_progress()
 
-    def check(self) -> None:
-        """Raise what is wrong with a recording that has ended."""
+    def check(self, seconds: float | None) -> None:
+        """Raise what is wrong with a recording that has ended; `seconds` is what was asked for."""
         if self._recorder.failure is not None:
             raise RecordingEndedError(self._recorder.failure)
-        if self._reader.account().frames == 0:
+        told = self.result()
+        if seconds is not None and self._stopped and told["seconds"] < seconds:
+            if not told["frames"]:
+                raise InterruptedVerbError("interrupted before a frame came; no file is kept")
+            words = f"{told['seconds']:.1f} of {seconds:g} s are recorded, which stay"
+            raise InterruptedVerbError(f"interrupted: {words}", told)
+        if not told["frames"]:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 
     def result(self) -> dict[str, Any]:

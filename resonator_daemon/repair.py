@@ -35,7 +35,7 @@ from resonator_daemon.acquisition.recording_file import (
 )
 from resonator_daemon.acquisition.recording_salvage import Hole, Records, known_channels
 from resonator_daemon.acquisition.wire_events import Skipped, decode, encode
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.host.new_file import NewFile, interruptible
 from resonator_daemon.host.printable import printable
 
@@ -44,6 +44,7 @@ class RepairError(OperatorError):
     """Nothing of the recording can be read, or its copy cannot be written."""
 
     exit_code = ExitCode.FAILED
+    code = "not_repaired"
 
 
 class NotRepairableError(RepairError):
@@ -88,14 +89,8 @@ def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
         Somebody ended it before.
     """
     copy = output or path.parent / f"{path.stem}-repaired.mcap"
-    try:
-        with interruptible("no copy is made"):
-            done = repaired(path, copy)
-    except OperatorError as error:
-        if as_json:
-            told = {"code": "not_repaired", "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "repair", "ok": False, "error": told}) + "\n")
-        raise
+    with failure_told("repair", as_json=as_json), interruptible("no copy is made"):
+        done = repaired(path, copy)
     if as_json:
         made = None if done.was_whole else str(copy)
         sys.stdout.write(json.dumps({"verb": "repair", "ok": True, "output": made, **done._asdict()}) + "\n")

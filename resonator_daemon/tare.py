@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.config import Client, load_client, parse_link
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.errors import ConfigError, ExitCode, OperatorError, failure_told
 from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Condition, Info, State
-from resonator_daemon.publishing.requests import BrokerUnreachableError, DeniedError, NoAnswerError, reach, request
+from resonator_daemon.publishing.requests import reach, request
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS
 
@@ -23,14 +23,7 @@ class NoDaemonError(OperatorError):
     """No daemon is there to be asked."""
 
     exit_code = ExitCode.FAILED
-
-
-_CODES: Final[dict[type[OperatorError], str]] = {
-    BrokerUnreachableError: "no_broker",
-    NoDaemonError: "no_daemon",
-    NoAnswerError: "no_answer",
-    DeniedError: "denied",
-}
+    code = "no_daemon"
 
 
 def tare(config_path: Path, *, as_json: bool) -> ExitCode:
@@ -41,16 +34,11 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
     OperatorError
         The configuration cannot be used; no broker, no daemon, or no answer.
     """
-    try:
+    with failure_told("tare", as_json=as_json):
         config = load_client(config_path)
         if config.name is None and config.link is None:
             raise ConfigError("name: missing; give the name that the daemon publishes under, or the link it reads")
         answer = asyncio.run(_ask(config))
-    except OperatorError as error:
-        if as_json:
-            told = {"code": _CODES.get(type(error), "config"), "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "tare", "ok": False, "error": told}) + "\n")
-        raise
     done = answer.get("ok") is True
     if as_json:
         sys.stdout.write(json.dumps(answer) + "\n")

@@ -60,7 +60,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     # Nothing is overwritten, and a program is told so as well.
     assert again.returncode == 78
     assert again.stderr == f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
-    assert json.loads(again.stdout)["error"]["code"] == "config"
+    assert json.loads(again.stdout)["error"]["code"] == "output"
 
 
 def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,6 +29,7 @@ from resonator_daemon.acquisition.recording_file import (
 )
 from resonator_daemon.acquisition.wire_events import Skipped, WireEvent, encode
 from resonator_daemon.errors import OperatorError
+from resonator_daemon.host.new_file import NoNewFileError
 
 _TOML: Final = "application/toml"
 
@@ -160,6 +161,6 @@ def _made(path: Path) -> IO[bytes]:
         return path.open("xb")
     except FileExistsError as error:
         remedy = "name a file in it" if path.is_dir() else "and nothing is overwritten; name another file"
-        raise OperatorError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
+        raise NoNewFileError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
     except OSError as error:
-        raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
+        raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error

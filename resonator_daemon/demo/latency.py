@@ -23,7 +23,7 @@ from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, start_emulator
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, InterruptedVerbError, OperatorError, failure_told
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -56,11 +56,25 @@ def bench_latency(options: LatencyOptions) -> ExitCode:
     ------
     OperatorError
         A part does not start, or ends by itself.
+    InterruptedVerbError
+        Somebody ended it before the time was over; what was measured by then is told.
     """
-    report = asyncio.run(_Bench(options).run())
+    with failure_told("bench latency", as_json=options.json):
+        return _bench_latency(options)
+
+
+def _bench_latency(options: LatencyOptions) -> ExitCode:
+    bench = _Bench(options)
+    report = asyncio.run(bench.run())
     if options.picture is not None:
         report.write_picture(options.picture)
-    sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.in_words())
+    if not options.json:
+        sys.stdout.write(report.in_words())
+    if bench.cut_short:
+        words = f"interrupted: measured for {report.seconds:.1f} of {options.seconds:g} s"
+        raise InterruptedVerbError(words, report.as_json())
+    if options.json:
+        sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.FAILED if report.latency.missing else ExitCode.DONE
 
 
@@ -106,6 +120,7 @@ class _Bench:
         if options.apart and self._plate.skin is None:
             raise OperatorError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
         self._ended = asyncio.Event()
+        self.cut_short = False
 
     async def run(self) -> LatencyReport:
         loop = asyncio.get_running_loop()
@@ -131,6 +146,7 @@ class _Bench:
             with truth.open() as lines:
                 gates = read_gates(lines)
         if not subscriber.arrivals:
+            self._refuse_to_go_on()
             raise OperatorError(f"no message on {self._topic.path} within {seconds:.1f} s")
         rate_hz = self._plate.counter.frame_rate_hz
         gates_apart = round(Measurement().step_s * rate_hz) if self._topic is FORCES else 1
@@ -165,8 +181,13 @@ class _Bench:
             while not event.is_set() and not self._ended.is_set() and time.monotonic() < deadline:
                 _complain_of_dead(children)
                 await asyncio.sleep(_LOOK_S)
+        self._refuse_to_go_on()
         if not subscriber.first_came.is_set():
             raise OperatorError(f"no message on {self._topic.path} within {_START_S:g} s")
+
+    def _refuse_to_go_on(self) -> None:
+        if self._ended.is_set():
+            raise InterruptedVerbError("interrupted before a message was measured")
 
     async def _measure(self, subscriber: _Subscriber, children: list[Child]) -> tuple[float, dict[str, float]]:
         """Count messages for the time asked for; return how long that was, and processor time by part."""
@@ -185,6 +206,7 @@ class _Bench:
             _complain_of_dead(children)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), min(left_s, 10.0))
+        self.cut_short = left_s > 0
         subscriber.counting = False
         seconds = time.monotonic() - started
         gc.enable()

@@ -54,9 +54,11 @@ class Report:
             "findings": [_as_json(finding) for finding in self.findings],
         }
 
-    def as_text(self) -> str:
+    def as_text(self, *, whole: bool = True) -> str:
+        """Return the lines for people; without a verdict where not everything was looked at."""
         lines = [line for area in Area for line in self._lines_of(area)]
-        return "\n".join([*lines, *self._not_checked_together(), *self._ending()]) + "\n"
+        ending = self._ending() if whole else ()
+        return "\n".join([*lines, *self._not_checked_together(), *ending]) + "\n"
 
     @property
     def _shared_reasons(self) -> dict[str, list[str]]:

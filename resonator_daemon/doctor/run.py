@@ -38,13 +38,19 @@ from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, wor
 from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError, failure_told
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
 _AFTER_INQUIRY: Final = (*link_checks.OF_AN_INQUIRY, *link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE)
+
+
+class UnusableConfigError(ConfigError):
+    """The configuration cannot be used."""
+
+    hint = "resonatord check"
 
 
 @dataclass(frozen=True)
@@ -64,20 +70,32 @@ def doctor(options: DoctorOptions) -> ExitCode:
 
     Raises
     ------
-    ConfigError
+    UnusableConfigError
         The configuration cannot be used: there is nothing to hold the board against.
+    InterruptedVerbError
+        Ctrl-C came before all was looked at; what was found by then is printed.
     """
+    with failure_told("doctor", as_json=options.json):
+        return _doctor(options)
+
+
+def _doctor(options: DoctorOptions) -> ExitCode:
     try:
         examination = _Examination(options)
     except ConfigError as error:
         bad_file = None if isinstance(error, _NoBoardError) else options.config_path
         runs = "" if bad_file is None else asyncio.run(works_by(bad_file))
-        refusal = ConfigError(*error.messages, *filter(None, [runs]))
-        if options.json:
-            told = {"code": "config", "message": str(refusal), "hint": "resonatord check"}
-            sys.stdout.write(json.dumps({"verb": "doctor", "ok": False, "error": told}) + "\n")
-        raise refusal from error
-    report = Report(list(examination.findings()))
+        raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
+    found: list[Finding] = []
+    try:
+        found.extend(examination.findings())
+    except KeyboardInterrupt:
+        report = Report(found)
+        if found and not options.json:
+            sys.stdout.write(report.as_text(whole=False))
+        words = f"interrupted: {len(found)} things were looked at, which is not all"
+        raise InterruptedVerbError(words, {"findings": report.as_json()["findings"]}) from None
+    report = Report(found)
     sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.as_text())
     return report.exit_code
 
@@ -98,6 +116,12 @@ class _Examination:
 
     def findings(self) -> Iterator[Finding]:
         """Yield everything in the order of causes."""
+        try:
+            yield from self._all()
+        finally:
+            self._say("")
+
+    def _all(self) -> Iterator[Finding]:
         config = self._config
         if self._link is not None:
             yield from self._board(self._link)
@@ -108,7 +132,6 @@ class _Examination:
         for broker in self._brokers():
             self._say(f"broker {broker.host}:{broker.port}")
             yield from asyncio.run(check_broker(broker, Load(self._host)))
-        self._say("")
 
     def _board(self, link: LinkTarget) -> Iterator[Finding]:
         self._say(f"link {link}")

@@ -9,13 +9,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, NoReturn, Protocol
 
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FILE
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
 from resonator_daemon.host.new_file import check_new, interruptible
@@ -31,15 +31,14 @@ class ExportFailedError(OperatorError):
     """What is read could not be written."""
 
     exit_code = ExitCode.FAILED
+    code = "output"
 
 
 class NotExportableError(OperatorError):
     """The file is no recording that can be replayed."""
 
     exit_code = ExitCode.UNAVAILABLE
-
-
-_CODES: Final[dict[type[OperatorError], str]] = {NotExportableError: "no_recording", ExportFailedError: "output"}
+    code = "no_recording"
 
 
 class Output(Protocol):
@@ -72,17 +71,11 @@ def export_as_asked(options: argparse.Namespace) -> ExitCode:
         The recording, the configuration or the options cannot be used, or the files cannot be written.
     """
     asked = target(options)
-    try:
+    with failure_told("export", as_json=options.json), interruptible("what was written is removed"):
         try:
-            with interruptible("what was written is removed"):
-                told, wrong = _export(options, asked)
+            told, wrong = _export(options, asked)
         except LinkUnavailableError as error:
             raise NotExportableError(printable(str(error))) from error
-    except OperatorError as error:
-        if options.json:
-            failure = {"code": _CODES.get(type(error), "config"), "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "export", "ok": False, "error": failure}) + "\n")
-        raise
     if options.json:
         sys.stdout.write(json.dumps({"verb": "export", "ok": not wrong, **told}) + "\n")
     else:

@@ -9,17 +9,17 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Final
 
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import InterruptedVerbError, OperatorError
 
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class InterruptedVerbError(OperatorError):
-    """Somebody ended a verb before what it makes was whole."""
+class NoNewFileError(OperatorError):
+    """There is something of that name already, or nothing can be made there."""
 
-    exit_code = ExitCode.FAILED
+    code = "output"
 
 
 class NewFile:
@@ -32,7 +32,7 @@ class NewFile:
 
     Raises
     ------
-    OperatorError
+    NoNewFileError
         It is being written already, or cannot be made.
     """
 
@@ -44,14 +44,14 @@ class NewFile:
         except FileExistsError as error:
             raise part_is_there(self._part) from error
         except OSError as error:
-            raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
+            raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error
 
     def keep(self) -> int:
         """Have it on the disk and give it its name; returns its size in bytes.
 
         Raises
         ------
-        OperatorError
+        NoNewFileError
             Another has the name by now.
         """
         self.file.flush()
@@ -75,17 +75,23 @@ def part_of(path: Path) -> Path:
     return path.with_name(path.name + ".part")
 
 
-def part_is_there(part: Path) -> OperatorError:
+def part_is_there(part: Path) -> NoNewFileError:
     """Return the error that says that a name for what is not whole yet is taken."""
-    return OperatorError(f"{part} is there: it is being written, or what wrote it was killed; remove it in that case")
+    return NoNewFileError(f"{part} is there: it is being written, or what wrote it was killed; remove it in that case")
 
 
 def check_new(path: Path) -> None:
-    """Check that nothing has that name; OperatorError says so where something has."""
+    """Check that nothing has that name.
+
+    Raises
+    ------
+    NoNewFileError
+        Something has it.
+    """
     if path.is_dir():
-        raise OperatorError(f"{path} is a directory, name a file in it")
+        raise NoNewFileError(f"{path} is a directory, name a file in it")
     if os.path.lexists(path):
-        raise OperatorError(f"{path} is there already, and nothing is overwritten; name another file")
+        raise NoNewFileError(f"{path} is there already, and nothing is overwritten; name another file")
 
 
 @contextmanager

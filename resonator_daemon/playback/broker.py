@@ -32,6 +32,7 @@ class NameTakenError(OperatorError):
     """A daemon publishes under that name."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "name_taken"
 
 
 class AtBroker:

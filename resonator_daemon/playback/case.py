@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, ValidationError
 
 from resonator_daemon.errors import ConfigError
-from resonator_daemon.host.new_file import part_is_there, part_of
+from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
 from resonator_daemon.playback.course import Playback
 from resonator_daemon.playback.lines import payload_json
 from resonator_daemon.playback.outputs import OutputFailedError
@@ -125,7 +125,9 @@ def save_case(recording: Path, directory: Path) -> Outcome:
     Raises
     ------
     LinkUnavailableError, ConfigError
-        The recording cannot be replayed with what it carries, or the directory is there already.
+        The recording cannot be replayed with what it carries.
+    NoNewFileError
+        The directory is there already.
     OutputFailedError
         It cannot be written; nothing is left of it.
     """
@@ -155,7 +157,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
 
 def _check_free(directory: Path) -> None:
     if os.path.lexists(directory):
-        raise ConfigError(f"{directory} is there already, and nothing is overwritten; name another directory")
+        raise NoNewFileError(f"{directory} is there already, and nothing is overwritten; name another directory")
 
 
 def write_expected(outcome: Outcome, directory: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.playback.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
 from resonator_daemon.playback.comparing import (
@@ -72,21 +72,32 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
     ------
     ConfigError
         What is named is no case, or what it expects cannot be read.
+    InterruptedVerbError
+        Ctrl-C came before the last one was checked.
     """
-    expected = {directory: read_expected(directory) for directory in directories}
-    verdicts = []
-    for directory, case in expected.items():
-        verdict = check_case(directory, case)
-        verdicts.append(verdict)
-        if not as_json:
-            sys.stdout.write(_text(verdict))
-    bad = sum(1 for verdict in verdicts if verdict.differences)
+    verdicts: list[Verdict] = []
+    try:
+        expected = {directory: read_expected(directory) for directory in directories}
+        for directory, case in expected.items():
+            verdict = check_case(directory, case)
+            verdicts.append(verdict)
+            if not as_json:
+                sys.stdout.write(_text(verdict))
+    except KeyboardInterrupt:
+        words = f"{len(verdicts)} of {len(set(directories))} cases checked, {_bad(verdicts)} differ"
+        so_far = {"cases": [verdict.as_json() for verdict in verdicts]}
+        raise InterruptedVerbError(f"interrupted: {words}", so_far) from None
+    bad = _bad(verdicts)
     if as_json:
         cases = [verdict.as_json() for verdict in verdicts]
         sys.stdout.write(json.dumps({"verb": "replay", "ok": not bad, "cases": cases}) + "\n")
     else:
         sys.stderr.write(f"{len(verdicts)} cases, {bad} differ\n")
     return ExitCode.FAILED if bad else ExitCode.DONE
+
+
+def _bad(verdicts: Sequence[Verdict]) -> int:
+    return sum(1 for verdict in verdicts if verdict.differences)
 
 
 def check_case(directory: Path, expected: Expected) -> Verdict:

@@ -6,7 +6,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Protocol, Self, TextIO
 
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.host.new_file import NoNewFileError, check_new
 from resonator_daemon.playback.course import Published
 from resonator_daemon.playback.lines import line
 
@@ -15,6 +16,7 @@ class OutputFailedError(OperatorError):
     """What the messages go to takes no more."""
 
     exit_code = ExitCode.FAILED
+    code = "output"
 
 
 class Output(Protocol):
@@ -34,7 +36,7 @@ class Lines:
 
     Raises
     ------
-    ConfigError
+    NoNewFileError
         The file is there already, or cannot be made.
     OutputFailedError
         It takes no more.
@@ -48,14 +50,11 @@ class Lines:
 
     async def __aenter__(self) -> Self:
         if str(self._path) != "-":
+            check_new(self._path)
             try:
                 self._file = self._closing.enter_context(self._path.open("x", encoding="utf-8"))
-            except FileExistsError:
-                raise ConfigError(
-                    f"{self._path} is there already, and nothing is overwritten; name another file"
-                ) from None
             except OSError as error:
-                raise ConfigError(f"{self._path} cannot be made: {error.strerror}") from error
+                raise NoNewFileError(f"{self._path} cannot be made: {error.strerror}") from error
         return self
 
     async def __aexit__(

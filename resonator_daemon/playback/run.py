@@ -7,28 +7,28 @@ import math
 import sys
 import time
 from collections import Counter
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from resonator_daemon.acquisition.link import LinkUnavailableError
 from resonator_daemon.config import Config, Mqtt, load_config, plate_name
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError
+from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError, OperatorError, failure_told
 from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
-from resonator_daemon.playback.broker import AtBroker, NameTakenError
+from resonator_daemon.playback.broker import AtBroker
 from resonator_daemon.playback.case import save_case
 from resonator_daemon.playback.checking import check_cases
 from resonator_daemon.playback.course import Moment, Playback, Published
 from resonator_daemon.playback.options import DEFAULT_URL, check_options
-from resonator_daemon.playback.outputs import Lines, Output, OutputFailedError
+from resonator_daemon.playback.outputs import Lines, Output
 from resonator_daemon.playback.pacing import AtOnce, AtSpeed, Pacing, StepByStep
 from resonator_daemon.playback.progress import Progress
 from resonator_daemon.playback.source import open_playback
-from resonator_daemon.playback.span import BackwardSpanError, NoSuchMarkError, Span, find_span
+from resonator_daemon.playback.span import Span, find_span
 from resonator_daemon.publishing.payloads import Info
-from resonator_daemon.publishing.requests import BrokerUnreachableError
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.view.watch import broker_at
 
@@ -37,16 +37,7 @@ class NotReplayableError(OperatorError):
     """The file is no recording that can be replayed."""
 
     exit_code = ExitCode.UNAVAILABLE
-
-
-_CODES: Final[dict[type[OperatorError], str]] = {
-    BackwardSpanError: "no_span",
-    BrokerUnreachableError: "no_broker",
-    NameTakenError: "name_taken",
-    NoSuchMarkError: "no_mark",
-    NotReplayableError: "no_recording",
-    OutputFailedError: "output",
-}
+    code = "no_recording"
 
 
 @dataclass
@@ -72,18 +63,13 @@ def replay_as_asked(options: argparse.Namespace) -> ExitCode:
         The file, the configuration or the options cannot be used; the broker or the file takes nothing.
     """
     check_options(options)
-    try:
+    with failure_told("replay", as_json=options.json):
         if options.check is not None:
             return check_cases(options.check, as_json=options.json)
         try:
             return _replay(options)
         except LinkUnavailableError as error:
             raise NotReplayableError(printable(str(error))) from error
-    except OperatorError as error:
-        if options.json:
-            told = {"code": _CODES.get(type(error), "config"), "message": str(error), "hint": ""}
-            sys.stdout.write(json.dumps({"verb": "replay", "ok": False, "error": told}) + "\n")
-        raise
 
 
 def _replay(options: argparse.Namespace) -> ExitCode:
@@ -98,8 +84,9 @@ def _replay(options: argparse.Namespace) -> ExitCode:
         told = {"case": str(options.save_case), **case.summary}
         wrong = _what_is_wrong(case.differences, case.damage)
     else:
-        with interruptible("what was written stays") if options.to is not None else nullcontext():
-            told, wrong = asyncio.run(_play_out(options, path, config))
+        tally = Tally()
+        with interruptible("what was written stays") if options.to is not None else _interruptible_at_broker(tally):
+            told, wrong = asyncio.run(_play_out(options, path, config, tally))
     took_s = time.monotonic() - begun_s
     if "seconds" in told:
         told |= {"took_seconds": round(took_s, 3), "speed": round(told["seconds"] / took_s, 2)}
@@ -122,7 +109,20 @@ def _what_is_wrong(differences: int, damage: str | None) -> list[str]:
     return wrong
 
 
-async def _play_out(options: argparse.Namespace, path: Path, config: Config | None) -> tuple[dict[str, Any], list[str]]:
+@contextmanager
+def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
+    """Say what was played until Ctrl-C, which asyncio hears itself, so that the broker is told of the end."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        words = f"{tally.messages.total()} messages were played out, {tally.recorded_s:.1f} s of the recording"
+        so_far = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
+        raise InterruptedVerbError(f"interrupted: {words}", so_far) from None
+
+
+async def _play_out(
+    options: argparse.Namespace, path: Path, config: Config | None, tally: Tally
+) -> tuple[dict[str, Any], list[str]]:
     span = find_span(path, options.start, options.end)
     told: dict[str, Any] = {}
     output: Output
@@ -139,7 +139,7 @@ async def _play_out(options: argparse.Namespace, path: Path, config: Config | No
             pacing = StepByStep(span.begun)
         with Progress(path, shown=not options.step and not options.json) as progress:
             async with output:
-                tally = await play(playback, span, pacing, output, progress)
+                await play(playback, span, pacing, output, progress, tally)
         if isinstance(output, AtBroker):
             told["dropped"] = output.dropped
         account = playback.account
@@ -156,9 +156,10 @@ async def _play_out(options: argparse.Namespace, path: Path, config: Config | No
         return told, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
 
 
-async def play(playback: Playback, span: Span, pacing: Pacing, output: Output, progress: Progress) -> Tally:
+async def play(
+    playback: Playback, span: Span, pacing: Pacing, output: Output, progress: Progress, tally: Tally
+) -> None:
     """Play a part of a recording out; what is before it is played, too, but its retained messages alone are kept."""
-    tally = Tally()
     retained: dict[Topic[Any], Published] = {}
     for moment in playback.moments():
         progress.at(playback.read_bytes)
@@ -184,7 +185,6 @@ async def play(playback: Playback, span: Span, pacing: Pacing, output: Output, p
         if tally.first_ns is None:
             tally.first_ns = moment.now.monotonic_ns
         tally.last_ns = moment.now.monotonic_ns
-    return tally
 
 
 def _broker(url: str | None, config: Config | None) -> Mqtt:

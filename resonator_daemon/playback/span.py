@@ -13,12 +13,14 @@ class NoSuchMarkError(OperatorError):
     """The recording has no mark of this text."""
 
     exit_code = ExitCode.USAGE
+    code = "no_mark"
 
 
 class BackwardSpanError(OperatorError):
     """The end of a part is not after its beginning."""
 
     exit_code = ExitCode.USAGE
+    code = "no_span"
 
 
 @dataclass(frozen=True)

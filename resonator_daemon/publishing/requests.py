@@ -18,21 +18,24 @@ ANSWER_S: Final = 10.0
 
 
 class BrokerUnreachableError(OperatorError):
-    """No broker listens where the configuration says."""
+    """No broker listens where the configuration or the command line says."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "no_broker"
 
 
 class NoAnswerError(OperatorError):
     """The daemon does not answer."""
 
     exit_code = ExitCode.FAILED
+    code = "no_answer"
 
 
 class DeniedError(OperatorError):
     """The broker's access rules do not let this user ask, or hear the answer."""
 
     exit_code = ExitCode.FAILED
+    code = "denied"
 
 
 async def reach(broker: Mqtt) -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.errors import OperatorError
-from resonator_daemon.host.new_file import InterruptedVerbError, NewFile, interruptible
+from resonator_daemon.errors import InterruptedVerbError, OperatorError
+from resonator_daemon.host.new_file import NewFile, interruptible
 
 
 def handlers() -> list[object]:

@@ -15,6 +15,7 @@ import pytest
 
 from resonator_daemon.cli import main
 from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.playback.case import EXPECTED_FILE, play_whole, read_expected, save_case
 from resonator_daemon.playback.checking import Verdict, check_case, check_cases
 from resonator_daemon.playback.course import Playback
@@ -202,7 +203,7 @@ def test_what_is_no_case_is_said(tmp_path: Path, content: bytes | None) -> None:
 def test_a_case_of_a_case_is_the_same(tmp_path: Path) -> None:
     save_case(CORPUS / "refused" / "recording.mcap", tmp_path / "again")
     assert read_expected(tmp_path / "again") == read_expected(CORPUS / "refused")
-    with pytest.raises(ConfigError, match="nothing is overwritten"):
+    with pytest.raises(NoNewFileError, match="nothing is overwritten"):
         save_case(CORPUS / "refused" / "recording.mcap", tmp_path / "again")
 
 
