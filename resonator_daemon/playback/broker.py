@@ -46,6 +46,8 @@ class AtBroker:
         To publish under.
     file_name
         Of the recording.
+    named_by
+        The key or option that names the broker.
 
     Attributes
     ----------
@@ -60,9 +62,10 @@ class AtBroker:
         A daemon publishes under that name, or its state says so.
     """
 
-    def __init__(self, mqtt: Mqtt, name: str, file_name: str) -> None:
+    def __init__(self, mqtt: Mqtt, name: str, file_name: str, *, named_by: str = "mqtt.url") -> None:
         self._mqtt = mqtt
         self._name = name
+        self._named_by = named_by
         self._what = f"replaying {printable(file_name)}"
         self._base = f"{mqtt.prefix}/{name}"
         self._seq = 0
@@ -75,7 +78,7 @@ class AtBroker:
         return {cause: count for cause, count in dropped.items() if cause != Cause.SUPERSEDED}
 
     async def __aenter__(self) -> Self:
-        await reach(self._mqtt)
+        await reach(self._mqtt, named_by=self._named_by)
         await self._refuse_a_taken_name()
         self._state = DaemonState(self.daemon_boot_id, self._say_state, lambda: self._publisher.restore())
         topic = full_topic(self._mqtt.prefix, self._name, STATE_DAEMON.path)

@@ -130,7 +130,8 @@ async def _play_out(
         output, boot_id, speed = Lines(options.to), None, options.speed or math.inf
     else:
         name = options.name or _recorded_name(path, config)
-        output = AtBroker(_broker(options.url, config), _sound(name), path.name)
+        named_by = "--url" if config is None or options.url is not None else "mqtt.url"
+        output = AtBroker(_broker(options.url, config), _sound(name), path.name, named_by=named_by)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         told["name"] = name
     with open_playback(path, config, boot_id) as playback:

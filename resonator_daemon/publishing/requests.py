@@ -38,8 +38,13 @@ class DeniedError(OperatorError):
     code = "denied"
 
 
-async def reach(broker: Mqtt) -> None:
+async def reach(broker: Mqtt, *, named_by: str = "mqtt.url") -> None:
     """Open a connection once: other clients would wait for a broker for ever.
+
+    Parameters
+    ----------
+    named_by
+        The key or option that the operator is to look at.
 
     Raises
     ------
@@ -51,7 +56,7 @@ async def reach(broker: Mqtt) -> None:
             _, writer = await asyncio.open_connection(broker.host, broker.port)
     except (OSError, TimeoutError) as error:
         where = f"{broker.host}:{broker.port}"
-        raise BrokerUnreachableError(f"no broker at {where} ({error or 'no answer'}); see mqtt.url") from None
+        raise BrokerUnreachableError(f"no broker at {where} ({error or 'no answer'}); see {named_by}") from None
     writer.close()
 
 

@@ -14,10 +14,11 @@ from typing import Any
 import pytest
 from brokers import Amqtt, Mosquitto
 from commanded import commanded, state
+from mcap.reader import make_reader
 from observer import Observer, observe
 
 from resonator_daemon import cli
-from resonator_daemon.acquisition.recording_file import FORMAT
+from resonator_daemon.acquisition.recording_file import FORMAT, PLATE_FILE
 from resonator_daemon.playback.case import read_expected
 from resonator_daemon.publishing.topics import STATE_DAEMON
 
@@ -256,3 +257,26 @@ def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ..
     with pytest.raises(SystemExit) as ended:
         replay(*arguments)
     assert ended.value.code == 2
+
+
+def test_a_broker_that_the_command_line_names_is_looked_for_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(TOUCHES, "--url", "mqtt://127.0.0.1:1", "--json") == 69
+    said = capsys.readouterr()
+    assert said.err.startswith("resonatord: no broker at 127.0.0.1:1 (")
+    assert said.err.endswith("; see --url\n")
+    assert json.loads(said.out)["error"]["code"] == "no_broker"
+
+
+def test_a_configuration_that_names_the_broker_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "hand.toml"
+    with TOUCHES.open("rb") as file:
+        texts = {attachment.name: attachment.data for attachment in make_reader(file).iter_attachments()}
+    (tmp_path / PLATE_FILE).write_bytes(texts[PLATE_FILE])
+    path.write_text(
+        f'plate = "{PLATE_FILE}"\nlink = "tcp://127.0.0.1:9"\n[mqtt]\nurl = "mqtt://127.0.0.1:1"\n'
+        "[measurement]\nwindow_ms = 100\nstep_ms = 10\n"
+    )
+    assert replay(TOUCHES, "--config", str(path)) == 69
+    assert capsys.readouterr().err.endswith("; see mqtt.url\n")
+    assert replay(TOUCHES, "--config", str(path), "--url", "mqtt://127.0.0.1:1") == 69
+    assert capsys.readouterr().err.endswith("; see --url\n")
