@@ -195,6 +195,19 @@ def test_a_recording_without_a_frame_is_no_matter_of_the_board(
     assert "no frame was recorded" in capsys.readouterr().err
 
 
+def test_a_replay_to_a_file_that_takes_its_time_says_so(tmp_path: Path) -> None:
+    output = tmp_path / "pipe"
+    os.mkfifo(output)
+    recording = str(CORPUS / "touches" / "recording.mcap")
+    command = [*COMMAND, "replay", recording, "--to", str(output), "--speed", "0.001", "--json"]
+    replay = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with output.open("rb"):  # upon which it is playing
+        replay.send_signal(signal.SIGINT)
+        stdout, stderr = replay.communicate(timeout=30)
+    assert (replay.returncode, stderr) == (1, "resonatord: interrupted: what was written stays\n")
+    assert error_of(json.loads(stdout))["code"] == "interrupted"
+
+
 def test_a_bench_that_has_measured_nothing_says_so() -> None:
     command = [*COMMAND, "bench", "latency", "--seconds", "600", "--json"]
     bench = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

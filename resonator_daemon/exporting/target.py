@@ -7,6 +7,7 @@ from typing import Final
 
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET, ROS2
 from resonator_daemon.exporting.tables import WITH_ARRAYS, WITH_TABLE
+from resonator_daemon.host.new_file import takes_a_stream
 from resonator_daemon.publishing.topics import INFO
 
 TOPICS: Final[dict[str, tuple[str, ...]]] = {
@@ -60,4 +61,6 @@ def target(options: argparse.Namespace) -> Target:
     topics = allowed if options.topics is None else tuple(dict.fromkeys(options.topics.split(",")))
     if unknown := [topic for topic in topics if topic not in allowed]:
         options.refuse(f"--topics {', '.join(map(repr, unknown))}: {form} takes {', '.join(allowed)}")
+    if form in _FILE_PER_TOPIC and len(topics) > 1 and takes_a_stream(output):
+        options.refuse(f"--output {output} takes one table of {form}, not {len(topics)}; choose it by --topics")
     return Target(output, form, topics)

@@ -1,15 +1,23 @@
-"""Files that are there in whole or not at all, and never in the place of another; also where a verb is interrupted."""
+"""Files that are there in whole or not at all, and never in the place of another; also where a verb is interrupted.
 
+Devices and pipes are no files in this sense: what is written to them is gone, and they stay.
+"""
+
+import io
 import os
 import signal
+import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import IO, Final
+from typing import IO, TYPE_CHECKING, Final
 
 from resonator_daemon.errors import InterruptedVerbError, OperatorError
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
 
 _Handler = Callable[[int, FrameType | None], object] | int | None
 
@@ -23,7 +31,7 @@ class NoNewFileError(OperatorError):
 
 
 class NewFile:
-    """A file under another name until it is whole: `NAME.part`.
+    """A file under another name until it is whole: `NAME.part`; a character device or a pipe is written to as it is.
 
     Parameters
     ----------
@@ -38,9 +46,10 @@ class NewFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._part = part_of(path)
+        self._flows = takes_a_stream(path)
+        self._part = path if self._flows else part_of(path)
         try:
-            self.file: IO[bytes] = self._part.open("xb")
+            self.file: IO[bytes] = io.BufferedWriter(_Stream(path, "w")) if self._flows else self._part.open("xb")
         except FileExistsError as error:
             raise part_is_there(self._part) from error
         except OSError as error:
@@ -55,6 +64,10 @@ class NewFile:
             Another has the name by now.
         """
         self.file.flush()
+        if self._flows:
+            size_bytes = self.file.tell()
+            self.file.close()
+            return size_bytes
         os.fsync(self.file.fileno())
         self.file.close()
         size_bytes = self._part.stat().st_size
@@ -67,7 +80,34 @@ class NewFile:
         """Remove what there is of it, under either name."""
         with suppress(OSError):  # it tries once more to write what it could not
             self.file.close()
-        self._part.unlink(missing_ok=True)
+        if not self._flows:
+            self._part.unlink(missing_ok=True)
+
+
+class _Stream(io.FileIO):
+    """Counts its bytes, since devices and pipes do not know at which they are, and cannot go back."""
+
+    _written_bytes = 0
+
+    def write(self, data: "ReadableBuffer") -> int:
+        written_bytes = super().write(data)
+        self._written_bytes += written_bytes or 0  # None: a pipe that takes nothing now
+        return written_bytes
+
+    def tell(self) -> int:
+        return self._written_bytes
+
+    def seekable(self) -> bool:
+        return False
+
+
+def takes_a_stream(path: Path) -> bool:
+    """Whether it is a character device or a pipe, as /dev/null or /dev/stdout, which no writing overwrites."""
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode)
 
 
 def part_of(path: Path) -> Path:
@@ -81,7 +121,7 @@ def part_is_there(part: Path) -> NoNewFileError:
 
 
 def check_new(path: Path) -> None:
-    """Check that nothing has that name.
+    """Check that nothing has that name, or that it takes a stream.
 
     Raises
     ------
@@ -90,7 +130,7 @@ def check_new(path: Path) -> None:
     """
     if path.is_dir():
         raise NoNewFileError(f"{path} is a directory, name a file in it")
-    if os.path.lexists(path):
+    if os.path.lexists(path) and not takes_a_stream(path):
         raise NoNewFileError(f"{path} is there already, and nothing is overwritten; name another file")
 
 

@@ -4,10 +4,10 @@ import contextlib
 import sys
 from pathlib import Path
 from types import TracebackType
-from typing import Protocol, Self, TextIO
+from typing import Literal, Protocol, Self, TextIO
 
 from resonator_daemon.errors import ExitCode, OperatorError
-from resonator_daemon.host.new_file import NoNewFileError, check_new
+from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
 from resonator_daemon.playback.course import Published
 from resonator_daemon.playback.lines import line
 
@@ -32,7 +32,9 @@ class Output(Protocol):
 
 
 class Lines:
-    """One line of JSON for each message, in a new file or on stdout; without any message there is no file.
+    """One line of JSON for each message, in a new file, on stdout, or to a character device or a pipe.
+
+    A new file without any message is removed again.
 
     Raises
     ------
@@ -46,13 +48,16 @@ class Lines:
         self._path = path
         self._closing = contextlib.ExitStack()
         self._file: TextIO = sys.stdout
-        self._empty = True
+        self._removable = False  # a new file without a message, which would stand in the way of the next try
 
     async def __aenter__(self) -> Self:
         if str(self._path) != "-":
             check_new(self._path)
+            is_stream = takes_a_stream(self._path)
+            mode: Literal["w", "x"] = "w" if is_stream else "x"
             try:
-                self._file = self._closing.enter_context(self._path.open("x", encoding="utf-8"))
+                self._file = self._closing.enter_context(self._path.open(mode, encoding="utf-8"))
+                self._removable = not is_stream
             except OSError as error:
                 raise NoNewFileError(f"{self._path} cannot be made: {error.strerror}") from error
         return self
@@ -62,14 +67,14 @@ class Lines:
     ) -> None:
         try:
             self._closing.close()
-            if self._empty and self._file is not sys.stdout:  # it would stand in the way of the next try
+            if self._removable:
                 self._path.unlink(missing_ok=True)
         except OSError as failure:
             if error is None:
                 raise self._failed(failure) from failure
 
     async def put(self, published: Published) -> None:
-        self._empty = False
+        self._removable = False
         try:
             self._file.write(line(published) + "\n")
         except BrokenPipeError:
