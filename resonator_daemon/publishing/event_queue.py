@@ -1,6 +1,7 @@
 """Events on their way: in memory while the broker takes them, else on disk, and in order whatever happens."""
 
 import asyncio
+import contextlib
 import logging
 from collections import deque
 from collections.abc import Callable, Coroutine, Sequence
@@ -16,6 +17,7 @@ from resonator_daemon.publishing.spool import Key, Progress, Spool, SpoolDamaged
 IN_MEMORY_MAX: Final = 1024
 UNWRITTEN_MAX: Final = 4096  # while a disk that works is being written to
 RETRY_S: Final = 5.0
+LOOK_S: Final = 5.0  # how long a removed file may go unnoticed where nothing is written
 CLOSE_TIMEOUT_S: Final = 2.0
 
 _TOGETHER: Final = 256  # events of one transaction
@@ -86,6 +88,7 @@ class EventQueue:
         self._on_the_way: set[Event] = set()
         self._unneeded: list[Key] = []  # given to the spool, and over
         self._paused: set[str] = set()  # what failed lately
+        self._lasting = True  # what is written now is there for the next run
         self._said = ""  # as long as the disk fails
         self._wake = asyncio.Event()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="spool") if self._spool is not None else None
@@ -196,7 +199,9 @@ class EventQueue:
         self.knows_what_was_left = True
         self._on_ready()
         while not self._closing:
-            await self._wake.wait()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(LOOK_S):
+                    await self._wake.wait()
             self._wake.clear()
             await self._work_once(spool)
         self._paused.clear()
@@ -208,7 +213,9 @@ class EventQueue:
             await self._try("open", self._open(spool))
         if self._run is None:
             return
-        while "write" not in self._paused and (events := self._to_be_written()):
+        if "look" not in self._paused:
+            await self._try("look", self._look(spool))
+        while self._lasting and "write" not in self._paused and (events := self._to_be_written()):
             await self._try("write", self._write(spool, self._run, events))
         if self._unneeded and "delete" not in self._paused:
             await self._try("delete", self._delete(spool, self._run))
@@ -224,6 +231,17 @@ class EventQueue:
         if found:
             log.info("%d events of an earlier run wait in %s", found, spool.path)
             self._wake.set()
+
+    async def _look(self, spool: Spool) -> None:
+        """See that what is written can be found by the next run: an open file outlives its name only until it ends."""
+        try:
+            again = await self._in_thread(spool.make_again)
+        except SpoolError:
+            self._lasting = False
+            raise
+        self._lasting = True
+        if again:
+            log.warning("%s was removed or replaced: made again; %d events wait in it", spool.path, self.spooled)
 
     async def _write(self, spool: Spool, run: int, events: Sequence[Event]) -> None:
         for event in events:
@@ -282,7 +300,7 @@ class EventQueue:
             self._paused.add(what)
             asyncio.get_running_loop().call_later(RETRY_S, self._resume, what)
         else:
-            if self._said and not self._paused and not self._to_be_written():
+            if self._said and self._lasting and not self._paused and not self._to_be_written():
                 self._say(logging.INFO, "events can be kept on disk again")
                 self._said = ""
 

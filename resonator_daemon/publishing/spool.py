@@ -23,6 +23,7 @@ _IN_USE: Final = (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED)
 _CREATE: Final = """CREATE TABLE IF NOT EXISTS events (
     run INTEGER, number INTEGER, topic TEXT NOT NULL, payload BLOB NOT NULL, PRIMARY KEY (run, number)
 )"""
+_SIZES: Final = "SELECT count(*), coalesce(sum(length(payload)), 0) FROM events"
 _OLDEST_BEYOND: Final = """FROM events WHERE (run, number) > (?, ?) AND NOT (run = ? AND number <= ?)
     ORDER BY run, number LIMIT ?"""
 
@@ -68,12 +69,33 @@ class Spool:
     def __init__(self, directory: Path) -> None:
         self.path = directory / FILE
         self._database: sqlite3.Connection | None = None
+        self._file: tuple[int, int] | None = None  # device and inode of the open database
         self._run: int | None = None
         self._count = self._bytes = 0
 
     def open(self) -> tuple[int, int]:
         """Return the number of this run, and how many events are on disk."""
         return self._do(lambda _: (self._run or 0, self._count))
+
+    def make_again(self) -> bool:
+        """Where the open file is not the one of its name any more, write all of it to a new one; True: it was done.
+
+        SpoolError leaves the open one in use: what is in it can be read and sent as long as the process lives.
+        """
+        removed = self._database
+        if removed is None or self._identity() == self._file:
+            return False
+        before = self._file, self._count, self._bytes
+        self._database = None
+        try:
+            self._do(lambda database: self._copy(removed, database))
+        except SpoolError as error:
+            self.close()
+            self._database = removed
+            self._file, self._count, self._bytes = before
+            raise SpoolError(f"{self.path} was removed or replaced, and {error}") from error
+        removed.close()
+        return True
 
     def append(self, events: Sequence[SpooledEvent], progress: Progress, removable: int) -> int:
         """Write events; return how many of the oldest beyond `progress`, at most `removable`, had to go for them."""
@@ -124,6 +146,17 @@ class Spool:
         if database is not None:
             with contextlib.suppress(sqlite3.Error):
                 database.close()
+
+    def _identity(self) -> tuple[int, int] | None:
+        try:
+            status = os.stat(self.path)
+        except OSError:
+            return None
+        return status.st_dev, status.st_ino
+
+    def _copy(self, source: sqlite3.Connection, target: sqlite3.Connection) -> None:
+        target.executemany("INSERT OR REPLACE INTO events VALUES (?, ?, ?, ?)", source.execute("SELECT * FROM events"))
+        self._count, self._bytes = target.execute(_SIZES).fetchone()
 
     def _delete(self, database: sqlite3.Connection, keys: Sequence[Key]) -> None:
         for key in keys:
@@ -194,10 +227,10 @@ class Spool:
             self._check(database)
             database.execute(_CREATE)
             database.execute(f"PRAGMA user_version={_FORMAT}")
-            self._count, self._bytes, newest_run = database.execute(
-                "SELECT count(*), coalesce(sum(length(payload)), 0), coalesce(max(run), 0) FROM events"
-            ).fetchone()
+            self._count, self._bytes = database.execute(_SIZES).fetchone()
+            (newest_run,) = database.execute("SELECT coalesce(max(run), 0) FROM events").fetchone()
             database.execute("COMMIT")
+            self._file = self._identity()
         except BaseException:
             database.close()
             raise

@@ -1,6 +1,7 @@
 """Events that wait on disk: across runs, and with a disk that is full, damaged, held by another or robbed."""
 
 import logging
+import shutil
 from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
@@ -145,3 +146,58 @@ async def test_beyond_the_bound_on_disk_the_oldest_go(
             events = await heard_events(observer, 3999)
         assert len(events) <= 1500
     assert "2500 events (spool_full)" in caplog.text
+
+
+@pytest.mark.parametrize("noticed_by", ["looking", "writing", "ending"])
+async def test_a_spool_that_is_removed_is_made_again_and_said_once(
+    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, noticed_by: str
+) -> None:
+    monkeypatch.setattr(event_queue, "LOOK_S", 0.01 if noticed_by == "looking" else 3600.0)
+    directory, expected = tmp_path / "kept", 15
+    async with publishing("mqtt://127.0.0.1:9", spool_directory=directory) as left:
+        await happen(left, range(15))
+        await until(lambda: left.account.spooled == 15)
+        shutil.rmtree(directory)
+        if noticed_by == "looking":
+            await until(lambda: "made again" in caplog.text)
+            assert (directory / spool.FILE).exists()
+        elif noticed_by == "writing":
+            expected = 18
+            await happen(left, range(15, 18))
+            await until(lambda: left.account.spooled == 18)
+            assert (directory / spool.FILE).exists()
+    assert [record.getMessage() for record in caplog.records if "removed" in record.getMessage()] == [
+        f"{directory / spool.FILE} was removed or replaced: made again; 15 events wait in it"
+    ]
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url, spool_directory=directory) as left:
+        events = await heard_events(observer, expected - 1)
+        assert left.account.recovered == expected
+    assert [event["seq"] for event in events] == list(range(expected))
+
+
+async def test_what_cannot_be_made_again_is_said_once_and_still_sent(
+    generous, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(event_queue, "RETRY_S", 0.01)
+    monkeypatch.setattr(event_queue, "LOOK_S", 0.01)
+    caplog.set_level(logging.INFO)
+    directory = tmp_path / "kept"
+    await generous.kill()
+    async with publishing(generous.url, spool_directory=directory) as left:
+        await happen(left, range(2000))
+        await until(lambda: left.account.spooled == 2000)
+        shutil.rmtree(directory)
+        directory.write_text("in the way")
+        await until(lambda: "was removed or replaced, and File exists" in caplog.text)
+        await generous.start()
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.dropped == {}
+        await generous.kill()
+        await until(lambda: not left.connected)
+        await happen(left, range(2000, 2005))
+        assert (left.account.waiting, left.account.spooled) == (5, 0)
+        directory.unlink()
+        await until(lambda: left.account.spooled == 5)
+        await until(lambda: "can be kept on disk again" in caplog.text)
+        assert (directory / spool.FILE).exists()
+    assert caplog.text.count("was removed or replaced, and") == 1

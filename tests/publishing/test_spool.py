@@ -1,6 +1,7 @@
 """The spool: order, bounds, one holder, and whatever a disk does."""
 
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -170,3 +171,76 @@ def test_the_file_shrinks_when_everything_is_sent(tmp_path: Path) -> None:
     kept.delete([(1, number) for number in range(1000)])
     kept.close()
     assert (tmp_path / spool.FILE).stat().st_size < 100_000
+
+
+@pytest.mark.parametrize("lost", ["directory", "database alone", "replaced"])
+def test_a_file_that_was_removed_is_made_again_with_all_that_waits(tmp_path: Path, lost: str) -> None:
+    directory = tmp_path / "kept" / "spool"
+    kept = Spool(directory)
+    kept.open()
+    kept.append(events(0, 1, 2), START, 0)
+    kept.delete([(1, 1)])
+    assert not kept.make_again()
+    if lost == "directory":
+        shutil.rmtree(tmp_path / "kept")
+    else:
+        (directory / spool.FILE).unlink()
+    if lost == "replaced":
+        other = Spool(directory)
+        other.open()
+        other.append(events(7), START, 0)
+        other.close()
+    assert kept.make_again()
+    assert not kept.make_again()
+    kept.append(events(3), START, 0)
+    kept.close()
+    expected = [0, 2, 3, 7] if lost == "replaced" else [0, 2, 3]
+    kept = Spool(directory)
+    assert kept.open() == (2, len(expected))
+    assert numbers(kept.read(START, 10)) == expected
+    kept.close()
+
+
+def test_the_bounds_hold_for_what_was_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(spool, "EVENTS_MAX", 3)
+    kept = Spool(tmp_path / "spool")
+    kept.open()
+    kept.append(events(0, 1, 2), START, 0)
+    shutil.rmtree(tmp_path / "spool")
+    assert kept.make_again()
+    assert kept.append(events(3), START, 9) == 1
+    kept.close()
+
+
+def test_what_cannot_be_made_again_can_still_be_read_until_it_can(tmp_path: Path) -> None:
+    directory = tmp_path / "spool"
+    kept = Spool(directory)
+    kept.open()
+    kept.append(events(0, 1, 2), START, 0)
+    shutil.rmtree(directory)
+    directory.write_text("in the way")
+    for _ in range(2):
+        with pytest.raises(SpoolError, match=r"was removed or replaced, and File exists"):
+            kept.make_again()
+    assert numbers(kept.read(START, 10)) == [0, 1, 2]
+    kept.delete([(1, 0)])
+    directory.unlink()
+    assert kept.make_again()
+    kept.close()
+    kept = Spool(directory)
+    assert kept.open() == (2, 2)
+    kept.close()
+
+
+def test_a_removed_file_does_not_take_the_place_of_one_that_another_process_holds(tmp_path: Path) -> None:
+    kept, other = Spool(tmp_path), Spool(tmp_path)
+    kept.open()
+    kept.append(events(0), START, 0)
+    (tmp_path / spool.FILE).unlink()
+    other.open()
+    with pytest.raises(SpoolError, match="another process holds"):
+        kept.make_again()
+    assert numbers(kept.read(START, 10)) == [0]
+    other.close()
+    assert kept.make_again()
+    kept.close()
