@@ -10,7 +10,7 @@ import stat
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from resonator_daemon.host.places import make_private
 from resonator_daemon.monitoring.status import Status
@@ -25,6 +25,7 @@ _PAUSE_S: Final = 0.05
 _SEND_S: Final = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
 _FRESH_S: Final = 0.1  # those who ask within it get the same answer
 _AGAIN_S: Final = 5.0
+_LOOK_S: Final = 5.0  # how long a removed socket may go unnoticed
 _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
 
 log = logging.getLogger(__name__)
@@ -54,15 +55,25 @@ class StatusServer:
             try:
                 with self._listening() as listening:
                     await self._answer_all(listening)
+                log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
                 self._say(f"`resonatord status` does not see this daemon: {_sentence(error)}")
-            await asyncio.sleep(_AGAIN_S)
+                await asyncio.sleep(_AGAIN_S)
 
-    async def _answer_all(self, listening: socket.socket) -> None:
+    async def _answer_all(self, listening: "_Listening") -> None:
+        """Answer until nobody finds the socket any more, or another daemon could take its place."""
         loop = asyncio.get_running_loop()
         answered = 0
         while True:
-            client, _ = await loop.sock_accept(listening)
+            accepting = asyncio.ensure_future(loop.sock_accept(listening.own))
+            try:
+                while not accepting.done():
+                    await asyncio.wait([accepting], timeout=_LOOK_S)
+                    if not listening.in_place():
+                        return
+            finally:
+                accepting.cancel()
+            client, _ = accepting.result()
             with client:
                 self._say(None)
                 answer = self._fresh_answer(loop.time())
@@ -78,7 +89,7 @@ class StatusServer:
         return self._answer
 
     @contextlib.contextmanager
-    def _listening(self) -> Iterator[socket.socket]:
+    def _listening(self) -> Iterator["_Listening"]:
         length_bytes = len(os.fsencode(self._path))
         if length_bytes > PATH_BYTES_MAX:
             raise OSError(
@@ -86,17 +97,19 @@ class StatusServer:
                 "at most; give the configuration file a shorter name, or set XDG_RUNTIME_DIR to a shorter path"
             )
         make_private(self._path.parent)
-        with _alone(self._path), socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
+        with _alone(self._path) as lock, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
             _remove_socket(self._path)  # left by a daemon that was killed: ours is the lock
             listening.setblocking(False)
             listening.bind(os.fspath(self._path))
+            made = _Listening(listening, {path: _identity(path) for path in (self._path, lock)})
             try:
                 self._path.chmod(_MODE)
                 listening.listen(_BACKLOG)
-                yield listening
+                yield made
             finally:
-                with contextlib.suppress(OSError):
-                    self._path.unlink()
+                if made.in_place():
+                    with contextlib.suppress(OSError):
+                        self._path.unlink()
 
     def _say(self, problem: str | None) -> None:
         if problem is not None and problem != self._said:
@@ -106,9 +119,27 @@ class StatusServer:
         self._said = problem
 
 
+class _Listening(NamedTuple):
+    """A socket that listens, with the files that others find it by."""
+
+    own: socket.socket
+    files: dict[Path, tuple[int, int] | None]
+
+    def in_place(self) -> bool:
+        return all(_identity(path) == made for path, made in self.files.items())
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    try:
+        status = path.lstat()
+    except OSError:
+        return None
+    return status.st_dev, status.st_ino
+
+
 @contextlib.contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Hold the lock beside the socket; OSError where another process does."""
+def _alone(path: Path) -> Iterator[Path]:
+    """Hold the lock beside the socket and yield its path; OSError where another process does."""
     flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC
     lock = os.open(path.with_suffix(".lock"), flags, 0o600)
     try:
@@ -119,7 +150,7 @@ def _alone(path: Path) -> Iterator[None]:
                 f"{_listener(path)} answers on {path}, for a configuration file of the same name; give one of both "
                 "files another name"
             ) from None
-        yield
+        yield path.with_suffix(".lock")
     finally:
         os.close(lock)
 

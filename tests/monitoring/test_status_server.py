@@ -262,3 +262,35 @@ async def test_a_fault_of_the_program_is_not_hidden(path: Path) -> None:
     with pytest.raises(ValueError, match="a mistake"):
         await task
     assert not path.exists()
+
+
+@pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
+async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
+    path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, lost: str
+) -> None:
+    monkeypatch.setattr(status_server, "_LOOK_S", 0.001)
+    async with serving(path):
+        await until(lambda: listens(path))
+        before = path.stat().st_ino, path.with_suffix(".lock").stat().st_ino
+        gone = {"directory": path.parent, "socket": path, "lock": path.with_suffix(".lock")}[lost]
+        gone.rename(gone.parent / "moved")  # not removed: a new file must not get the number of an old one
+        await until(lambda: "made again" in caplog.text)
+        await until(lambda: path.exists() and listens(path))
+        assert (await ask(path)).endswith(b"}\n")
+        assert (path.stat().st_ino, path.with_suffix(".lock").stat().st_ino) != before
+        for _ in range(10):
+            await asyncio.sleep(0.002)
+        assert [record.getMessage() for record in caplog.records] == [
+            f"{path} or its lock was removed or replaced: made again"
+        ]
+    assert not path.exists()
+
+
+async def test_the_socket_of_a_daemon_that_came_after_a_removal_stays(path: Path) -> None:
+    async with serving(path):
+        await until(lambda: listens(path))
+        path.parent.rename(path.parents[1] / "moved")
+        path.parent.mkdir()
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(str(path))
+    assert path.is_socket()
