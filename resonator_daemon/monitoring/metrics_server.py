@@ -9,6 +9,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Final, NoReturn
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer
+from wsgiref.types import StartResponse, WSGIEnvironment
 
 from prometheus_client import CollectorRegistry, make_wsgi_app
 
@@ -21,6 +22,7 @@ _TOGETHER: Final = 8  # connections that are served, in a thread each; the other
 _WAITING: Final = 64
 _PAUSE_S: Final = 0.05  # between connections: who asks without end cannot slow the daemon
 _AGAIN_S: Final = 5.0
+_PATH: Final = "/metrics"
 
 log = logging.getLogger(__name__)
 
@@ -81,7 +83,7 @@ class MetricsServer:
                 problem,
             )
         elif problem is None:
-            log.info("metrics at http://%s/metrics", self._listen)
+            log.info("metrics at http://%s%s", self._listen, _PATH)
         self._said = problem
 
 
@@ -97,7 +99,8 @@ class _Server(WSGIServer):
         registry.register(self.collector)
         super().__init__((listen.host, listen.port), _Handler)
         self.socket.setblocking(False)
-        self.set_app(make_wsgi_app(registry))
+        metrics = make_wsgi_app(registry)
+        self.set_app(lambda asked, answer: (metrics if asked["PATH_INFO"] == _PATH else _not_found)(asked, answer))
 
     def server_bind(self) -> None:
         # As WSGIServer does, without asking the name service for this computer's own name, which may take seconds.
@@ -113,6 +116,11 @@ class _Server(WSGIServer):
             log.debug("a request for metrics from %s came to nothing", client_address)
         finally:
             self.shutdown_request(request)
+
+
+def _not_found(_asked: WSGIEnvironment, answer: StartResponse) -> list[bytes]:
+    answer("404 Not Found", [("Content-Type", "text/plain; charset=utf-8")])
+    return [f"not here; the metrics are at {_PATH}\n".encode()]
 
 
 class _Handler(WSGIRequestHandler):

@@ -222,3 +222,12 @@ async def test_the_port_is_free_afterwards(address: Listen) -> None:
         assert (await ask(address)).status == 200
     with pytest.raises(ConnectionRefusedError):
         await asyncio.to_thread(request, address)
+
+
+@pytest.mark.parametrize("path", ["/", "/x", "/metrics/", "/favicon.ico"])
+async def test_any_other_path_is_refused_and_told_where_the_metrics_are(address: Listen, path: str) -> None:
+    async with serving(address):
+        response = await ask(address, path=path)
+        assert (await ask(address, path="/metrics?name[]=resonatord_link_up")).status == 200
+    assert response.status == 404
+    assert response.body == b"not here; the metrics are at /metrics\n"
