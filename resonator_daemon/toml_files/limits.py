@@ -5,6 +5,7 @@ from typing import Final, NamedTuple
 
 # The largest plate, of 46 872 tones at as many sites, has 235 000 keys, 660 000 other values, 140 000 names in headers.
 MAX_DEPTH: Final = 8  # keys of configurations and plates have 4 at most
+MAX_NESTED: Final = 32  # brackets in brackets: values of configurations and plates have 3 at most
 MAX_KEYS: Final = 300_000
 MAX_VALUES: Final = 1_000_000
 MAX_LINES: Final = 1_000_000
@@ -26,6 +27,8 @@ _TOKEN: Final = re.compile(
     | (?P<dotted> (?<![A-Za-z0-9_.+-]) (?! {_NUMBER}[ \t]*+[],\r\n\#}}] ) {_JOINED}++ )
     | "(?:[^"\\\n]|\\[^\n])*+"?
     | '[^'\n]*+'?
+    | (?P<opening> [\[{{] )
+    | (?P<closing> [\]}}] )
     """,
     re.DOTALL | re.MULTILINE | re.VERBOSE,
 )
@@ -51,10 +54,20 @@ def excess(text: str) -> Excess | None:
     ):
         if count > limit:
             return Excess(None, f"about {count} {what}, and {limit} are read at most; name a file of settings")
-    names = 0
+    names = nested = 0
     for token in _TOKEN.finditer(text):
         if token.lastgroup is None:
             continue
+        if token.lastgroup == "closing":
+            nested = max(nested - 1, 0)
+            continue
+        if token.lastgroup in ("opening", "header"):  # a row of texts in a list looks like a header
+            nested += token[0].lstrip()[:2].count("[") or 1
+            if nested > MAX_NESTED:
+                sentence = f"more than {MAX_NESTED} brackets within each other; close them, or nest fewer"
+                return Excess(text.count("\n", 0, token.start()) + 1, sentence)
+            if token.lastgroup == "opening":
+                continue
         depth = len(_PART.findall(token[0]))
         names += depth
         if token.lastgroup == "word":

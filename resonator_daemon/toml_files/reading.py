@@ -72,7 +72,8 @@ def read_toml(path: Path) -> TomlFile:
     except PermissionError:
         raise ConfigError(f"{named(path)}: permission denied; let the user who runs this read it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise ConfigError(f"{str(path)!r}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        reason = getattr(error, "strerror", None) or error
+        raise ConfigError(f"{named(path)}: cannot be read: {reason}; name a TOML file that can be read") from None
     if len(data) > MAX_BYTES:
         raise ConfigError(f"{named(path)}: longer than {MAX_BYTES} bytes; name a TOML file of settings")
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -99,7 +100,7 @@ def parse_toml(text: str, path: Path) -> TomlFile:
         raise ConfigError(f"{named(path)}:{'' if much.line is None else f'{much.line}:'} {much.sentence}")
     try:
         return TomlFile(path, text, tomllib.loads(text))
-    except (ValueError, RecursionError) as error:  # ValueError: also of numbers and dates that Python cannot hold
+    except ValueError as error:  # also of numbers and dates that Python cannot hold
         place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         number, column = (int(place[1]), int(place[2])) if place else (text.count("\n") + 1, 1)
         said = advice((text + "\n").split("\n")[number - 1], column, str(error))

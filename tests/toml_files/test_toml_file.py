@@ -87,7 +87,7 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
         (b"a = [\n1,\n", ":3: not TOML: Invalid value (at end of document)"),
         (b"a = 1\nb = '\xff'\n", ":2: not UTF-8: byte 0xff; save the file as UTF-8"),
         (b"a = " + b"9" * 5000, f":1: {'9' * 40}...: 1000 signs of a name or number are read at most; correct it"),
-        (b"a = " + b"[" * 100_000, ":1: not TOML: "),
+        (b"a = " + b"[" * 100_000, ":1: more than 32 brackets within each other; close them"),
     ],
 )
 def test_what_is_no_toml(tmp_path: Path, data: bytes, expected: str) -> None:
@@ -104,6 +104,16 @@ def test_a_missing_file_a_directory_and_an_impossible_path(tmp_path: Path) -> No
         read_toml(Path("a\0b"))
     with pytest.raises(ConfigError, match="cannot be read"):
         read_toml(tmp_path / ("x" * 5000))
+
+
+def test_a_link_to_itself_is_named_as_any_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.symlink_to(path)
+    with pytest.raises(ConfigError) as caught:
+        read_toml(path)
+    assert caught.value.messages == (
+        f"{path}: cannot be read: Too many levels of symbolic links; name a TOML file that can be read",
+    )
 
 
 def test_values_are_shown_short_and_without_a_password() -> None:

@@ -13,6 +13,7 @@ from resonator_daemon.toml_files.limits import (
     MAX_KEYS,
     MAX_LINES,
     MAX_NAMES,
+    MAX_NESTED,
     MAX_VALUES,
     excess,
 )
@@ -127,6 +128,27 @@ def test_a_number_or_name_of_many_signs_is_refused(sign: str) -> None:
     assert excess(f"a = {sign * LONGEST_WORD}") is None
     assert refusal(f"a = {sign * (LONGEST_WORD + 1)}").startswith("x.toml:1: ")
     assert excess(f'a = "{sign * 2 * LONGEST_WORD}" # {sign * 2 * LONGEST_WORD}') is None
+
+
+@pytest.mark.parametrize(
+    ("opening", "closing"),
+    [("[", "]"), ("[1, ", "]"), ("{a = ", "}"), ('["]", ', "]"), ('\n["a",', "]"), ("[ # ]\n", "]")],
+)
+def test_brackets_within_each_other_are_refused_from_a_depth_on(opening: str, closing: str) -> None:
+    def nested(depth: int) -> str:
+        return "\na = [\n" + opening * (depth - 1) + "1" + closing * (depth - 1) + "]"
+
+    parse_toml(nested(MAX_NESTED), PATH)
+    assert f" more than {MAX_NESTED} brackets within each other; close" in refusal(nested(MAX_NESTED + 1))
+
+
+def test_the_line_of_brackets_that_are_not_closed() -> None:
+    assert refusal("a = 1\nx=" + "[" * 100_000).startswith(f"x.toml:2: more than {MAX_NESTED} brackets")
+
+
+def test_headers_and_rows_are_not_within_each_other() -> None:
+    parse_toml("[[a]]\n[a.b]\nc = [[1, 2], [3, 4]]\n" * (2 * MAX_NESTED), PATH)
+    parse_toml("a = [\n" + '["b", {c = 1}],\n' * (2 * MAX_NESTED) + "]", PATH)
 
 
 @pytest.mark.parametrize("depth", [100, 400, 480, 10_000])
