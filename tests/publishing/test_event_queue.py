@@ -181,6 +181,14 @@ async def test_what_cannot_be_made_again_is_said_once_and_still_sent(
     monkeypatch.setattr(event_queue, "RETRY_S", 0.01)
     monkeypatch.setattr(event_queue, "LOOK_S", 0.01)
     caplog.set_level(logging.INFO)
+    make_again, looks = spool.Spool.make_again, 0
+
+    def counted(kept: spool.Spool) -> bool:
+        nonlocal looks
+        looks += 1
+        return make_again(kept)
+
+    monkeypatch.setattr(spool.Spool, "make_again", counted)
     directory = tmp_path / "kept"
     await generous.kill()
     async with publishing(generous.url, spool_directory=directory) as left:
@@ -195,6 +203,8 @@ async def test_what_cannot_be_made_again_is_said_once_and_still_sent(
         await generous.kill()
         await until(lambda: not left.connected)
         await happen(left, range(2000, 2005))
+        looked = looks
+        await until(lambda: looks > looked + 2)
         assert (left.account.waiting, left.account.spooled) == (5, 0)
         directory.unlink()
         await until(lambda: left.account.spooled == 5)
