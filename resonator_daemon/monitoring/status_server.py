@@ -65,15 +65,13 @@ class StatusServer:
         loop = asyncio.get_running_loop()
         answered = 0
         while True:
-            accepting = asyncio.ensure_future(loop.sock_accept(listening.own))
             try:
-                while not accepting.done():
-                    await asyncio.wait([accepting], timeout=_LOOK_S)
-                    if not listening.in_place():
-                        return
-            finally:
-                accepting.cancel()
-            client, _ = accepting.result()
+                async with asyncio.timeout(_LOOK_S):
+                    client, _ = await loop.sock_accept(listening.own)
+            except TimeoutError:
+                if not listening.in_place():
+                    return
+                continue
             with client:
                 self._say(None)
                 answer = self._fresh_answer(loop.time())

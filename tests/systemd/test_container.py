@@ -54,7 +54,7 @@ resonatord install
 systemd-run -q --unit=broker mosquitto -c /etc/mosquitto.conf
 emulator
 systemctl start resonatord@left
-wait_for 'says resonatord@left frames/s'
+wait_for 'says resonatord@left "frames/s,"'
 wait_for 'resonatord status left --json | grep -q "\\"connected\\": *true"'
 show resonatord@left > /out/started
 resonatord status left --json > /out/status
@@ -62,7 +62,7 @@ cat /proc/$(systemctl show --value -p MainPID resonatord@left)/status > /out/pro
 stat -c '%U %a %n' /var/lib/resonatord /var/cache/resonatord /run/resonatord/left /etc/resonatord > /out/directories
 
 systemctl reload resonatord@left
-wait_for 'says resonatord@left frames/s'
+wait_for 'says resonatord@left "frames/s,"'
 show resonatord@left > /out/reloaded
 
 systemctl stop emulator
@@ -73,7 +73,7 @@ show resonatord@left > /out/waiting
 systemctl kill --signal=STOP --kill-who=main resonatord@left
 wait_for '[ "$(systemctl show --value -p NRestarts resonatord@left)" = 1 ]'
 emulator
-wait_for 'says resonatord@left frames/s'
+wait_for 'says resonatord@left "frames/s,"'
 show resonatord@left > /out/restarted
 
 if systemctl start resonatord@bad; then false; fi
