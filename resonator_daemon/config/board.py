@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -161,6 +161,9 @@ def config_from(file: TomlFile, directory: Path) -> Config:
     return load_model(Config, file, context=directory)
 
 
+_Part = TypeVar("_Part", bound=Table)
+
+
 class Client(Table):
     """What those need to know who watch or ask daemons: the broker, and which daemon, by its name or its link."""
 
@@ -177,10 +180,21 @@ def load_client(path: Path) -> Client:
     ConfigError
         One message for each finding.
     """
+    return load_part(Client, path)
+
+
+def load_part(model: type[_Part], path: Path) -> _Part:
+    """Load what a model has of a configuration; keys that only the daemon's own has are passed over.
+
+    Raises
+    ------
+    ConfigError
+        One message for each finding.
+    """
     file = read_toml(path)
-    of_the_daemon = Config.model_fields.keys() - Client.model_fields.keys()
+    of_the_daemon = Config.model_fields.keys() - model.model_fields.keys()
     content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
-    return load_model(Client, replace(file, content=content), context=path.parent)
+    return load_model(model, replace(file, content=content), context=path.parent)
 
 
 def example_config() -> str:

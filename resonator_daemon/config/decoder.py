@@ -1,15 +1,14 @@
 """The configuration of a decoder process: a file of its own, or the daemon's, of which it takes its part."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from resonator_daemon.config.board import Config
+from resonator_daemon.config.board import load_part
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Decoding, plate_name
-from resonator_daemon.toml_files.reading import Table, load_model, read_toml
+from resonator_daemon.toml_files.reading import Table, read_toml
 
 
 class DecoderConfig(Table):
@@ -52,10 +51,7 @@ def load_decoder_config(path: Path) -> DecoderConfig:
     ConfigError
         One message for each finding.
     """
-    file = read_toml(path)
-    of_the_daemon = Config.model_fields.keys() - DecoderConfig.model_fields.keys()
-    content = {key: value for key, value in file.content.items() if key not in of_the_daemon}
-    return load_model(DecoderConfig, replace(file, content=content), context=path.parent)
+    return load_part(DecoderConfig, path)
 
 
 def is_decoders_own(path: Path) -> bool:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from resonator_daemon.measurement.force import FloatArray
 from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.site_response import ResponseInverse
-from resonator_daemon.measurement.warm_contact import warming_std
+from resonator_daemon.measurement.warm_contact import warmed_shift, warming_std
 
 # Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
 USUAL_HYSTERESIS: Final = 0.01
@@ -142,7 +142,7 @@ class SiteErrors:
         warmth = self._sites.warmth
         held_s = np.where(touched, time_s - since_s, 0.0)
         left = np.exp(-held_s / warmth.contact_time_s)
-        per_kelvin = warmth.coefficients[:, 0] * (1.0 - left) + warmth.transient_s / warmth.contact_time_s * left
+        per_kelvin = warmed_shift(left, warmth.coefficients[:, 0], warmth.transient_s, warmth.contact_time_s)
         unknown = warmth.coefficient_std * (1.0 - left)
         warming = warmth.contact_std_kelvin * np.hypot(per_kelvin, unknown)
         untold = np.hypot(untold, np.where(touched, warming, 0.0) * newton_per_shift)

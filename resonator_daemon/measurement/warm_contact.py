@@ -7,11 +7,22 @@ spread of D is known, so the shift is a standard deviation.
 """
 
 import math
-from typing import Final
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 CONTACT_STD_KELVIN: Final = 3.0  # a fingertip through a cover, on a plate at room temperature
 RELAXATION_S: Final = 5.0
 TRANSIENT_S: Final = -2e-7  # a~ of an AT cut: relative shift per kelvin a second
+
+
+_Number = TypeVar("_Number", float, NDArray[np.float64])
+
+
+def warmed_shift(left: _Number, slope_per_kelvin: _Number, transient_s: float, relaxation_s: float) -> _Number:
+    """Relative shift by a contact one kelvin warmer, of whose difference from the site the share `left` is left."""
+    return slope_per_kelvin * (1.0 - left) + transient_s / relaxation_s * left
 
 
 def warming_std(
@@ -28,7 +39,7 @@ def warming_std(
     """
     _check(held_s, contact_std_kelvin, relaxation_s)
     left = math.exp(-held_s / relaxation_s)
-    return contact_std_kelvin * abs(slope_per_kelvin * (1.0 - left) + transient_s / relaxation_s * left)
+    return contact_std_kelvin * abs(warmed_shift(left, slope_per_kelvin, transient_s, relaxation_s))
 
 
 def cooling_std(
