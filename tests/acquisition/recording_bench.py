@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from resonator_daemon.acquisition.frames import Arrival
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_course import LinkCourse
 from resonator_daemon.acquisition.recording import Recorder
+from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.acquisition.recording_file import Origin, open_recording
 from resonator_daemon.acquisition.replay import replay
 from resonator_daemon.acquisition.ring import Ring
-from resonator_daemon.acquisition.wire_events import Said, Standing, WireEvent
+from resonator_daemon.acquisition.wire_events import Received, Said, Standing, WireEvent
 from resonator_daemon.plate import Plate, load_plate
 
 PLATE = load_plate("quartz16")
@@ -79,3 +81,11 @@ def standing(now: HostTime) -> Standing:
     LinkCourse(PLATE, Ring(RING_BYTES, lambda: None), told.append).apply(Said(now, "waiting", "no port"))
     assert isinstance(told[-1], Standing)
     return told[-1]
+
+
+def made(directory: Path, minute: int, name: str = "left", says: str | None = None, size_bytes: int = 20_000) -> Path:
+    """A recording of a certain age, in the order of minutes, with a daemon's name in its own and one inside."""
+    path = Series(directory, name).path((1_700_000_000 + 60 * minute) * 10**9)
+    with Recorder(path, Origin(PLATE, "tcp://board:1", name=says or name)) as recorder:
+        recorder.put(Received(at(0), Random(minute).randbytes(size_bytes)))
+    return path

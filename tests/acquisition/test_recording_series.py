@@ -12,12 +12,12 @@ from random import Random
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import PLATE, at, read, record, standing
+from recording_bench import PLATE, at, made, read, record, standing
 
 from resonator_daemon.acquisition import recording, recording_budget, recording_writer
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_budget import NoRoomError, Room, Series
+from resonator_daemon.acquisition.recording_budget import NoRoomError, Series
 from resonator_daemon.acquisition.recording_file import Origin, open_recording
 from resonator_daemon.acquisition.wire_events import Opened, Received, Skipped, Standing, Tended, WireEvent
 from resonator_daemon.errors import OperatorError
@@ -44,14 +44,6 @@ def contents(directory: Path) -> list[list[WireEvent]]:
     files = Series(directory, "left").files()
     assert all(read(path)[1] is None for path in files)
     return [read(path)[0] for path in files]
-
-
-def made(directory: Path, minute: int, name: str = "left", size_bytes: int = 20_000) -> Path:
-    """A recording of a certain age, in the order of minutes."""
-    path = Series(directory, name).path(1_700_000_000 * 10**9 + minute * MINUTE_NS)
-    with Recorder(path, Origin(PLATE, "tcp://board:1", name=name)) as recorder:
-        recorder.put(Received(at(0), Random(minute).randbytes(size_bytes)))
-    return path
 
 
 def disk(monkeypatch: pytest.MonkeyPatch, free_bytes: list[int]) -> None:
@@ -165,39 +157,6 @@ def test_names_sort_by_time_and_are_never_used_twice(tmp_path: Path) -> None:
     assert [path.name for path in series.files()] == names
 
 
-def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
-    said: list[tuple[int, str]] = []
-    old = [made(tmp_path, minute) for minute in range(4)]
-    other = made(tmp_path, 0, "left-index")
-    foreign = Series(tmp_path, "left").path(0)
-    foreign.write_bytes(bytes(20_000))  # of this name, and no recording
-    notes = tmp_path / "left-notes.mcap"
-    notes.write_bytes(bytes(20_000))
-    (tmp_path / "left-20200101T000000.000Z.mcap").symlink_to(other)
-    room = Room(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    room.keep_budget(own)
-    assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
-    assert other.exists()
-    assert foreign.exists()
-    assert notes.exists()
-    assert own.path.exists()
-    assert room.files_removed == 2
-    assert said == [(logging.INFO, f"{path} was removed: recordings exceeded 0.055 MB") for path in old[:2]]
-    own.abandon()
-
-
-def test_a_recording_that_another_program_writes_is_not_removed(tmp_path: Path) -> None:
-    old = [made(tmp_path, minute) for minute in range(2)]
-    room = Room(Series(tmp_path, "left", budget_bytes=25_000), lambda *_: None)
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    with old[0].open("rb") as written:
-        fcntl.flock(written, fcntl.LOCK_EX)
-        room.keep_budget(own)
-    assert [path.exists() for path in old] == [True, False]
-    own.abandon()
-
-
 def test_a_recording_that_is_written_is_locked(tmp_path: Path) -> None:
     own = Series(tmp_path, "left").make(LEFT, 0)
     with own.path.open("rb") as file, pytest.raises(BlockingIOError):
@@ -206,24 +165,6 @@ def test_a_recording_that_is_written_is_locked(tmp_path: Path) -> None:
     own.sync()
     with own.path.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-
-
-def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    said: list[tuple[int, str]] = []
-    old = made(tmp_path, 0)
-
-    def refuse(path: Path) -> None:
-        raise PermissionError(1, "Operation not permitted", str(path))
-
-    monkeypatch.setattr(os, "unlink", refuse)
-    room = Room(Series(tmp_path, "left", budget_bytes=1), lambda *line: said.append(line))
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    for _ in range(3):
-        room.begin()
-        room.keep_budget(own)
-    assert said == [(logging.WARNING, f"{old} cannot be removed: Operation not permitted")]
-    assert room.files_removed == 0
-    own.abandon()
 
 
 def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -236,14 +177,6 @@ def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path, monkeypatch
         recorder.put(Received(at(1), Random(1).randbytes(50_000)))
         wait_until(lambda: recorder.counts.files_removed == 1)
     assert not old.exists()
-
-
-def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    disk(monkeypatch, [480_000_000])
-    room = Room(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
-    room.check(again=False)
-    with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(keep_free_mb in \[recording\]"):
-        room.check(again=True)
 
 
 def test_without_room_a_recording_is_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -336,17 +269,6 @@ def test_events_that_did_not_fit_are_told_before_a_standing_that_begins(tmp_path
     record(path, [Received(at(0), bytes(50_000)), standing(at(1)), Tended(at(2), idle=True)], queue_bytes=40_000)
     events, _ = read(path)
     assert events == [Skipped(at(1), 1, 50_000), standing(at(1)), Tended(at(2), idle=True)]
-
-
-def test_the_file_that_is_written_counts_once(tmp_path: Path) -> None:
-    old = made(tmp_path, 0)
-    room = Room(Series(tmp_path, "left", budget_bytes=80_000), lambda *_: None)
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    own.write(Received(at(0), Random(1).randbytes(50_000)))
-    own.flush()
-    room.keep_budget(own)
-    assert old.exists()
-    own.abandon()
 
 
 def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
