@@ -12,6 +12,7 @@ import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
+from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.publishing import refusals
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
@@ -35,7 +36,7 @@ _SPIKES_SHARE: Final = 0.1
 _TOPIC_LEVEL: Final = "doctor"
 
 
-async def check_broker(broker: Mqtt, load: Load) -> list[Finding]:
+async def check_broker(broker: Mqtt, host: Host) -> list[Finding]:
     """Return what there is to say of a broker, link by link; what comes after the first fault is not looked at."""
     where = f"{broker.host}:{broker.port}"
     loop = asyncio.get_running_loop()
@@ -60,7 +61,9 @@ async def check_broker(broker: Mqtt, load: Load) -> list[Finding]:
     writer.close()
     with contextlib.suppress(OSError):
         await writer.wait_closed()
-    return [resolved, LISTENS.ok(where), *await _ask(broker, load)]
+    with Load(host) as load:
+        probe, said = await _ask(broker)
+    return [resolved, LISTENS.ok(where), *_told(probe, said, load.busy())]
 
 
 class _Probe:
@@ -133,7 +136,8 @@ def _delay_acknowledgements(client: BrokerClient) -> None:
         descriptor.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
-async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
+async def _ask(broker: Mqtt) -> tuple[_Probe, str]:
+    """Return what was measured, and what was last said of the connection."""
     probe, closing = _Probe(broker), asyncio.get_running_loop().create_future()
     said = ["no answer"]
     keeping = asyncio.create_task(
@@ -155,7 +159,7 @@ async def _ask(broker: Mqtt, load: Load) -> list[Finding]:
     finally:
         closing.set_result(None)
         await keeping
-    return list(_told(probe, said[-1], load.busy()))
+    return probe, said[-1]
 
 
 def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:

@@ -131,7 +131,7 @@ class _Examination:
         yield from check_service(self._options.config_path, self._host)
         for broker in self._brokers():
             self._say(f"broker {broker.host}:{broker.port}")
-            yield from asyncio.run(check_broker(broker, Load(self._host)))
+            yield from asyncio.run(check_broker(broker, self._host))
 
     def _board(self, link: LinkTarget) -> Iterator[Finding]:
         self._say(f"link {link}")
@@ -199,8 +199,8 @@ class _Examination:
         try:
             yield link_checks.OPENS.ok(f"{link} is open")
             self._say("asking the board who it is")
-            load = Load(self._host)
-            inquiry = inquire(opened)
+            with Load(self._host) as load:
+                inquiry = inquire(opened)
             busy = load.busy()
         except NoBoardError as error:
             check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
@@ -223,7 +223,7 @@ class _Examination:
                 (*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
             )
             return
-        sitting = sit_with(link, plate, self._options.seconds, self._say, Load(self._host))
+        sitting = sit_with(link, plate, self._options.seconds, self._say, self._host)
         found = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
         of_link = [finding for finding in link_checks.check_sitting(sitting) if finding.id not in found]
         yield from of_link

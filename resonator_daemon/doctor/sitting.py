@@ -23,6 +23,7 @@ from resonator_daemon.acquisition.frames import (
 from resonator_daemon.acquisition.wire_events import Received, WireEvent
 from resonator_daemon.config import LinkTarget
 from resonator_daemon.doctor.hearing import Hearing, Reading, make_hearing
+from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.plate import Plate
 
@@ -96,7 +97,7 @@ class _StatusEar:
                     continue  # the link's account has it
 
 
-def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, load: Load) -> Sitting:
+def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, host: Host) -> Sitting:
     """Have the board count for `seconds` from its first frame on, and listen.
 
     Raises
@@ -109,11 +110,12 @@ def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progres
     anyone = plate.calibration.model_copy(update={"unit": None})  # that it is another board is said beside the rest
     reader = BoardReader(target, plate.model_copy(update={"calibration": anyone}), arrived.set, tap=ear.tap)
     sitting = Sitting(plate.counter.frame_rate_hz)
-    reader.start()
-    try:
-        _listen(reader, arrived, sitting, plate, seconds, progress)
-    finally:
-        reader.stop()
+    with Load(host) as load:
+        reader.start()
+        try:
+            _listen(reader, arrived, sitting, plate, seconds, progress)
+        finally:
+            reader.stop()
     sitting.busy = load.busy()
     if sitting.counted:
         sitting.after = reader.account()

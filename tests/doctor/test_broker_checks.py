@@ -13,14 +13,19 @@ from resonator_daemon.doctor import broker_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.load import Load
 from resonator_daemon.publishing import connection
 
 HOST = Host(Path("/none"))  # which tells of no load
+HALTED = "this computer is busy"
+ATTEMPTS = 20
 
 
 async def found(url: str) -> dict[str, Finding]:
-    return {finding.id: finding for finding in await check_broker(Mqtt(url=url), Load(HOST))}
+    for _ in range(ATTEMPTS):
+        findings = await check_broker(Mqtt(url=url), HOST)
+        if not any(finding.evidence.startswith(HALTED) for finding in findings):
+            break
+    return {finding.id: finding for finding in findings}
 
 
 async def test_a_broker_that_is_well(mosquitto: Mosquitto) -> None:

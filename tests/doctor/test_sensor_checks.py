@@ -9,12 +9,11 @@ import pytest
 from emulation import emulated
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.config import SerialLink, parse_link
+from resonator_daemon.config import parse_link
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.hearing import Reading
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_sitting
-from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
 from resonator_daemon.doctor.sitting import Sitting, sit_with
 from resonator_daemon.plate import Plate, load_plate
@@ -29,17 +28,20 @@ def quartz16() -> Plate:
     return load_plate("quartz16")
 
 
-def listened(folder: Path, scenario: str = "still") -> Sitting:
-    port = folder / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port, scenario=scenario)):
-        return sit_with(
-            SerialLink(str(port), 4_000_000), load_plate("quartz16"), SECONDS, lambda _text: None, Load(HOST)
-        )
+def listened(plate: str = "quartz16", scenario: str = "still") -> Sitting:
+    """Sit with an emulated board, anew where the computer halted meanwhile: what was seen then is no truth."""
+    for _ in range(20):
+        with emulated(EmulatorOptions(plate, tcp=("127.0.0.1", 0), scenario=scenario)) as emulator:
+            link = parse_link(emulator.link.address)
+            sitting = sit_with(link, load_plate(plate), SECONDS, lambda _text: None, HOST)
+        if not sitting.busy:
+            break
+    return sitting
 
 
 @pytest.fixture(scope="module")
-def calm(tmp_path_factory: pytest.TempPathFactory) -> Sitting:
-    return listened(tmp_path_factory.mktemp("calm"))
+def calm() -> Sitting:
+    return listened()
 
 
 def judged(sitting: Sitting, plate: Plate) -> dict[str, Finding]:
@@ -210,10 +212,8 @@ def comb16() -> Plate:
 
 
 @pytest.fixture(scope="module")
-def comb(comb16: Plate) -> Sitting:
-    with emulated(EmulatorOptions("comb16", tcp=("127.0.0.1", 0), scenario="still")) as emulator:
-        link = parse_link(emulator.link.address)
-        return sit_with(link, comb16, SECONDS, lambda _text: None, Load(HOST))
+def comb() -> Sitting:
+    return listened("comb16")
 
 
 def test_a_comb_that_is_well_has_nothing_wrong(comb: Sitting, comb16: Plate) -> None:
@@ -265,7 +265,7 @@ def test_a_tone_out_of_its_band_is_named(comb: Sitting, comb16: Plate) -> None:
 )
 def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:
     (tmp_path / "scenario.toml").write_text(scenario)
-    sitting = listened(tmp_path, str(tmp_path / "scenario.toml"))
+    sitting = listened(scenario=str(tmp_path / "scenario.toml"))
     found = {finding.id: finding for finding in check_sitting(sitting)}
     assert found[id].outcome is Outcome.FAULT
     assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id

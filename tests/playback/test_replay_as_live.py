@@ -81,9 +81,13 @@ async def test_force_sites_replay_as_they_were_published(tmp_path: Path, mosquit
             await heard.until_last("resonator/hand/state/link", state="online", boots=2)
             count = len(heard.raw("resonator/hand/forces"))
             await heard.until_count("resonator/hand/forces", count + 100)
-            for verb, payload in (("set_window", {"window_ms": 20, "step_ms": 10}), ("tare", {})):
-                answer = await request(Mqtt(url=mosquitto.url), "hand", verb, payload)
-                assert answer["ok"], answer
+            wanted = request(Mqtt(url=mosquitto.url), "hand", "set_window", {"window_ms": 20, "step_ms": 10})
+            assert (await wanted)["ok"]
+            for _ in range(20):  # refused while a damaged frame is in the window: its pilot is not known
+                answer = await request(Mqtt(url=mosquitto.url), "hand", "tare", {})
+                if answer["ok"]:
+                    break
+            assert answer["ok"], answer
             await heard.until_count("resonator/hand/forces", count + 150)
     (path,) = tmp_path.glob("*.mcap")
     again = replayed(path)
