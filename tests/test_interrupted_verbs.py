@@ -30,8 +30,7 @@ ENDLESS: Final = ("decode", "emulate", "run", "watch")
 
 
 def interrupt(*_: object, **__: object) -> NoReturn:
-    os.kill(os.getpid(), signal.SIGINT)
-    signal.pause()
+    signal.raise_signal(signal.SIGINT)
     raise AssertionError
 
 
@@ -186,7 +185,7 @@ def test_a_recording_without_a_frame_is_no_matter_of_the_board(
 ) -> None:
     output = tmp_path / "run.mcap"
     path = record_config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000")
-    monkeypatch.setattr(BoardReader, "start", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    monkeypatch.setattr(BoardReader, "start", lambda _: signal.raise_signal(signal.SIGTERM))
     command = ["record", "--config", str(path), "--output", str(output)]
     assert cli.main([*command, "--seconds", "9"]) == 1
     assert capsys.readouterr().err.endswith("resonatord: interrupted before a frame came; no file is kept\n")

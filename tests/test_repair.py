@@ -2,7 +2,6 @@
 
 import fcntl
 import json
-import os
 import signal
 from pathlib import Path
 from random import Random
@@ -317,8 +316,7 @@ def test_a_repair_that_is_interrupted_leaves_nothing(
     made: tuple[Path, list[WireEvent]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(_: int) -> None:
-        os.kill(os.getpid(), signal.SIGTERM)
-        signal.pause()
+        signal.raise_signal(signal.SIGTERM)
 
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])

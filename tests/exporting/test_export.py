@@ -1,7 +1,6 @@
 """`resonatord export` as a user meets it: files, one line where something is wrong, and the exit code."""
 
 import json
-import os
 import resource
 import shutil
 import signal
@@ -143,7 +142,7 @@ def test_an_interrupt_leaves_nothing(
     def interrupted(playback: Playback) -> Any:
         for number, moment in enumerate(whole(playback)):
             if number == 100:
-                os.kill(os.getpid(), SIGNALS[form])
+                signal.raise_signal(SIGNALS[form])
             yield moment
 
     monkeypatch.setattr(Playback, "moments", interrupted)

@@ -1,6 +1,5 @@
 """New files are whole or not there, whoever interrupts the verb that makes them."""
 
-import os
 import signal
 import threading
 from pathlib import Path
@@ -24,11 +23,10 @@ def test_a_signal_is_cleaned_up_after_once_and_said(tmp_path: Path, number: sign
         with interruptible("nothing is kept"):
             new = NewFile(tmp_path / "out")
             try:
-                os.kill(os.getpid(), number)
-                signal.pause()
+                signal.raise_signal(number)
             finally:
-                os.kill(os.getpid(), signal.SIGINT)  # by somebody impatient
-                os.kill(os.getpid(), number)
+                signal.raise_signal(signal.SIGINT)  # by somebody impatient
+                signal.raise_signal(number)
                 new.discard()
                 cleaned.append(True)
 
@@ -44,7 +42,7 @@ def test_what_a_process_ignores_it_goes_on_ignoring() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # as nohup has it
     try:
         with interruptible("nothing is kept"):
-            os.kill(os.getpid(), signal.SIGHUP)
+            signal.raise_signal(signal.SIGHUP)
         assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     finally:
         signal.signal(signal.SIGHUP, before)

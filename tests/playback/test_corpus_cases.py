@@ -233,8 +233,7 @@ def test_a_case_that_is_interrupted_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def interrupted(*_: object) -> None:
-        os.kill(os.getpid(), signal.SIGTERM)
-        signal.pause()
+        signal.raise_signal(signal.SIGTERM)
 
     monkeypatch.setattr("resonator_daemon.playback.case.write_expected", interrupted)
     recording = CORPUS / "refused" / "recording.mcap"
