@@ -61,12 +61,15 @@ def emulator(request: pytest.FixtureRequest) -> Iterator[Emulator]:
 
 
 @pytest.mark.parametrize("emulator", [("quartz16", ""), ("skin32", "")], indirect=True)
-def test_frames_arrive_without_a_gap(emulator: Emulator, host: UsbHost) -> None:
+def test_frames_arrive_and_the_link_loses_none(emulator: Emulator, host: UsbHost) -> None:
     host.run(f"start({emulator.link.address!r}, {emulator.plate_name!r})")
     host.run("read_until(lambda: len(indices) >= 100)")
     host.run("reader.stop(); account = reader.account()")
-    assert host.value("indices == list(range(len(indices)))")
-    assert host.value("sum(asdict(account.lost).values())") == 0
+    # A computer that halts lets the buffers of board and reader run over: they say so, and nothing else may lose any.
+    given_up = host.value("account.lost.board_overflow + account.lost.ring_overflow")
+    assert host.value("account.lost.total") == given_up
+    assert host.value("indices[-1] + 1 - len(indices)") == given_up
+    assert host.value("indices == sorted(set(indices))")
     assert host.value("account.bytes_received == in_bins(account) > 0")
 
 

@@ -5,6 +5,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from resonator_daemon.errors import ExitCode
 from simulators.emulator import EmulatorOptions
 
 START = "import sys; from resonator_daemon.cli import main; sys.exit(main())"
-# The reader's thread stops for good in the midst of a stream, and a second without frames is too long.
+# The reader's thread stops for good in the midst of a stream, and three seconds without frames are too long: a busy
+# computer makes it wait for less.
 HANG = """
 import threading
 from resonator_daemon.monitoring import flow_watch
 from resonator_daemon.acquisition.board import BoardReader
-flow_watch._FRAMES_S = 1.0
+flow_watch._FRAMES_S = 3.0
 read, count = BoardReader._read, iter(range(500))
 BoardReader._read = lambda *given: read(*given) if next(count, None) is not None else threading.Event().wait()
 """
@@ -119,9 +121,11 @@ def test_a_reader_that_hangs_is_no_longer_called_alive(
             pytest.fail("it did not notice")
         manager.socket.setblocking(False)
         drain(manager)
-        manager.socket.settimeout(1.0)  # two and a half times what the manager would wait
-        with pytest.raises(TimeoutError):
-            manager.wait_for(lambda message: "WATCHDOG=1" in message)
+        manager.said.clear()
+        time.sleep(1.0)  # two and a half times what the manager would wait
+        drain(manager)
+        # It is fed five times a second; once here, where the manager's queue was full and that was still to be said.
+        assert manager.said.count("WATCHDOG=1") <= 1
 
 
 def drain(manager: Manager) -> None:
