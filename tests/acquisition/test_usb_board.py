@@ -84,16 +84,19 @@ def test_frames_arrive_and_the_link_loses_none(emulator: Emulator, host: UsbHost
     assert host.value("account.bytes_received == in_bins(account) > 0")
 
 
-@pytest.mark.parametrize("emulator", [("quartz16", "unplug_at_s=0.5,unplug_for_s=0.5")], indirect=True)
+@pytest.mark.parametrize("emulator", [("quartz16", "unplug_at_s=1.5,unplug_for_s=1.5")], indirect=True)
 def test_an_unplugged_board_is_found_again_and_what_is_lost_is_counted(emulator: Emulator, host: UsbHost) -> None:
     host.run(f"start({emulator.link.address!r}, 'quartz16')")
-    host.run("read_until(lambda: [state for state, _ in states].count('online') == 2)")
+    absent = f"no board is {emulator.link.address}; no board is on any USB bus"
+    host.run("read_until(lambda: frames); states.clear()")  # a busy computer may see the bus late, too
+    host.run(f"read_until(lambda: {absent!r} in [reason for _, reason in states])")
+    host.run("read_until(lambda: states[-1][0] == 'online')")
     host.run("first = frames; read_until(lambda: frames >= first + 200); stop()")
     reasons = host.value("[reason for state, reason in states if state in ('lost', 'waiting')]")
     assert isinstance(reasons, list)
     assert any(reason.startswith("unplugged") for reason in reasons)
-    assert f"no board is {emulator.link.address}; no board is on any USB bus" in reasons
-    assert host.value("account.connections") == 2
+    assert host.value("account.connections") >= 2
     assert host.value("account.bytes_received == in_bins(account)")
     assert host.value("out_of_place") == []
-    assert host.value("missing == account.lost.total > 0")
+    assert host.value("missing") == host.value("account.lost.total")
+    assert host.value("missing") > 0
