@@ -83,14 +83,15 @@ class _Bases:
         return kept
 
     def _products(self, block: Floats, index: int) -> Floats:
-        parity = CLASSES[index]
-        parts = np.split(block, _bounds(self._grid, self._field, parity))
-        return np.concatenate(
-            [
-                np.kron(self._folded[1][y], self._folded[0][x]).T @ part
-                for (x, y), part in zip(parities(self._field, parity), parts, strict=True)
-            ]
-        )
+        parity, count = CLASSES[index], block.shape[1]
+        products = []
+        for (x, y), part in zip(
+            parities(self._field, parity), np.split(block, _bounds(self._grid, self._field, parity)), strict=True
+        ):
+            along_y, along_x = self._folded[1][y], self._folded[0][x]
+            columns = (along_y.T @ part.reshape(len(along_y), -1)).reshape(-1, len(along_x), count)
+            products.append((along_x.T @ columns).reshape(-1, count))
+        return np.concatenate(products)
 
 
 class _Synthesis:
