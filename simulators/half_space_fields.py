@@ -17,6 +17,7 @@ depth (Green and Collins; Barber, Elasticity, on axisymmetric contact):
 Its integrand is smooth below the surface, where an integral over the disc would meet the square-root edge.
 """
 
+import functools
 import math
 
 import numpy as np
@@ -89,7 +90,7 @@ def _potential_integrals(
     # The integrand's singularities lie at s = (+-r + i z)/a, so Gauss-Legendre on (-1, 1) converges like exp(-2 m q)
     # or faster, sinh q = z/a. The negative half of the rule repeats the positive one conjugated: only that is summed.
     order = 2 * math.ceil(8.0 / math.asinh(depth_m / radius_m)) + 8 if radius_m > 0.0 else 4
-    nodes, weights = (half[order // 2 :] for half in np.polynomial.legendre.leggauss(order))
+    nodes, weights = (half[order // 2 :] for half in _gauss_legendre(order))
     weights = 1.5 * (1.0 - nodes**2) * weights
     depths = depth_m + 1j * radius_m * nodes
     over_2 = 1.0 / (distance_squared_m2 + (depths**2)[:, np.newaxis])
@@ -98,3 +99,9 @@ def _potential_integrals(
     rules = np.stack([weights, weights * depths])
     (third, third_depth), (fifth, fifth_depth) = (rules @ over_3).real, (rules @ over_5).real
     return third, third_depth, fifth, fifth_depth
+
+
+@functools.cache
+def _gauss_legendre(order: int) -> tuple[FloatArray, FloatArray]:
+    nodes, weights = np.polynomial.legendre.leggauss(order)
+    return nodes, weights
