@@ -1,11 +1,13 @@
 """Scenes for decoders: a Cattaneo-Mindlin contact on a skin, from closed forms and the potentials of point loads."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.contact import PressedSpot, pixel_tractions
+from simulators.contact import hertz_parts, pixel_tractions
+from simulators.half_space_fields import hertz_fields
 
 Floats = NDArray[np.float64]
 
@@ -47,12 +49,14 @@ def scene(
     force = (shear * np.cos(direction), shear * np.sin(direction), force_newton)
     radius_m_at_1_newton = radius_m / np.cbrt(force_newton)
     positions = grid_positions() if positions_m is None else positions_m
-    spot = PressedSpot(positions, depth_m, YOUNGS_PASCAL, nu, centre_m, radius_m_at_1_newton, FRICTION, force_newton)
-    signals = spot.signals(force) * np.array([[1.5 / YOUNGS_PASCAL], [1.0], [1.0]])
+    radii, forces = hertz_parts(force, radius_m_at_1_newton, FRICTION)
+    fields = hertz_fields(positions - centre_m, depth_m, radii, YOUNGS_PASCAL, nu)
+    signals = np.einsum("kf,kfsn->sn", forces, fields) * np.array([[1.5 / YOUNGS_PASCAL], [1.0], [1.0]])
     traction = pixel_tractions(force, centre_m, radius_m_at_1_newton, FRICTION, (32, 32), PITCH_M)
     return Scene(signals, traction.reshape(3, -1))
 
 
+@functools.cache
 def noise_std(decibel: float) -> float:
     """Noise of a signal-to-noise ratio over all channels and sites of the centred scene."""
     return float(np.sqrt(np.mean(scene().signals ** 2)) * 10 ** (-decibel / 20))

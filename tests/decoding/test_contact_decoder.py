@@ -1,18 +1,30 @@
 """Tests of the decoder with contact physics: closed-form contacts on skin32's grid and on irregular sites."""
 
+import functools
 import pickle
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
 from sheared_contact import DEPTH_M, PITCH_M, YOUNGS_PASCAL, grid_positions, noise_std, scene
 
+from resonator_daemon.decoding.contact_physics import decoder as decoder_module
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
+from resonator_daemon.decoding.contact_physics.support_search import SupportSearch
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 
 SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
 NOISE_STD = noise_std(30)  # of the fixtures' decoders; scenes are scaled to reach other ratios
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_search() -> Iterator[None]:
+    """Decoders over one linear decoder share its matrices, which nothing else depends on and no frame changes."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(decoder_module, "SupportSearch", functools.cache(SupportSearch))
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -296,24 +296,42 @@ def settled(decoder: SkinDecoder, signals: Floats) -> SurfaceReading:
     return reading
 
 
-def test_contacts_on_one_support_share_its_load() -> None:
-    decoder = SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
+@pytest.fixture(scope="module")
+def long_built() -> SkinDecoder:
+    return SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
+
+
+@pytest.fixture
+def long(long_built: SkinDecoder) -> SkinDecoder:
+    long_built.reset()
+    return long_built
+
+
+def test_contacts_on_one_support_share_its_load(long: SkinDecoder) -> None:
     loads = (1.0, (-1.4e-3, 0.2e-3)), (0.4, (1.4e-3, 0.2e-3))  # rims 0.7 mm apart
-    first, second = settled(decoder, presses(*loads, sites_m=SITES_M)).contacts
+    first, second = settled(long, presses(*loads, sites_m=SITES_M)).contacts
     for contact, (force_newton, centre_m) in zip((first, second), loads, strict=True):
         assert contact.patch.force_newton[2] == pytest.approx(force_newton, rel=0.02)
         np.testing.assert_allclose(contact.patch.centroid_m, centre_m, atol=4e-5)
 
 
+IRREGULAR_M = np.random.default_rng(0).uniform(-2.8e-3, 2.8e-3, (SITES, 2))
+
+
+@pytest.fixture(scope="module")
+def irregular() -> SkinDecoder:
+    return SkinDecoder(replace(SKIN, site_positions_m=IRREGULAR_M), PHYSICS, QUIET[:, :SITES], [].append)
+
+
 @pytest.mark.parametrize("centre_m", [(0.0, 0.0), (1.1e-3, -0.7e-3), (-1.3e-3, 1.0e-3)])
-def test_a_touch_on_irregular_sites_is_one_contact(centre_m: tuple[float, float]) -> None:
-    sites_m = np.random.default_rng(0).uniform(-2.8e-3, 2.8e-3, (SITES, 2))
-    decoder = SkinDecoder(replace(SKIN, site_positions_m=sites_m), PHYSICS, QUIET[:, :SITES], [].append)
+def test_a_touch_on_irregular_sites_is_one_contact(irregular: SkinDecoder, centre_m: tuple[float, float]) -> None:
+    irregular.reset()
     random, noise = np.random.default_rng(1), QUIET[:, :SITES]
+    signals = press(1.0, centre_m, sites_m=IRREGULAR_M)
     for _ in range(6):
-        reading = decoder.decode(noisy(press(1.0, centre_m, sites_m=sites_m), random, noise), noise)
-        while decoder.rebuild_wanted:
-            decoder.rebuild()
+        reading = irregular.decode(noisy(signals, random, noise), noise)
+        while irregular.rebuild_wanted:
+            irregular.rebuild()
     (contact,) = reading.contacts
     assert contact.patch.force_newton[2] == pytest.approx(1.0, abs=5.0 * contact.patch.force_std_newton[2])
     assert contact.patch.force_std_newton[2] < 0.02
@@ -328,10 +346,9 @@ def test_sums_over_a_map_that_was_only_cut_have_wide_error_bars_and_say_so(physi
     assert contact.patch.force_std_newton[2] > 0.05 * contact.patch.force_newton[2]
 
 
-def test_at_the_border_error_bars_say_how_little_is_known() -> None:
-    decoder = SkinDecoder(SKIN_LONG, PHYSICS, QUIET, [].append)
+def test_at_the_border_error_bars_say_how_little_is_known(long: SkinDecoder) -> None:
     edge_m = float(SITES_M[:, 0].max())
-    (contact,) = settled(decoder, press(1.0, (edge_m - 2e-4, 0.0))).contacts
+    (contact,) = settled(long, press(1.0, (edge_m - 2e-4, 0.0))).contacts
     patch = contact.patch
     assert patch.at_border
     assert patch.force_std_newton[2] >= 0.03 * patch.force_newton[2]
