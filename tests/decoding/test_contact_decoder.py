@@ -322,7 +322,7 @@ def test_gain_errors_that_are_told_do_not_look_like_broken_bounds(decibel):
 def test_irregular_sites(nu):
     rng = np.random.default_rng(2)
     disc = rng.uniform(-1.0, 1.0, (700, 2))
-    disc = disc[np.hypot(*disc.T) < 1.0][:400]
+    disc = disc[np.hypot(*disc.T) < 1.0][:300]
     sites_m = disc * (0.55 + 0.45 * np.hypot(*disc.T)[:, None]) * [6.5e-3, 8e-3]  # denser in the middle
     contact = scene((5e-4, -1e-3), positions_m=sites_m, nu=nu)
     std = float(np.sqrt(np.mean(contact.signals**2)) * 10**-1.5)

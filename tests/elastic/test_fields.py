@@ -154,7 +154,7 @@ def gaussian_fields(output: Output, input: Input, nu: float, depth: float, place
     area = (9.0 / SPREAD * weights / 2 * w * bell)[:, None] * (2 * np.pi / 96) / (4 * np.pi**2)
     matrix = HalfSpace(E, nu).transfer_matrix(output, input, wx, wy, depth)
     phases = np.array([np.exp(1j * (wx * x + wy * y)) for x, y in places]) * area
-    return np.einsum("pwa,waij->pij", phases, matrix).real
+    return np.tensordot(phases, matrix, 2).real
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
