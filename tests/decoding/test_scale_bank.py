@@ -24,6 +24,12 @@ def choose(signals, floor: float = 1.0):
     return BANK.choose((VECTORS.T @ whitened).astype(np.float32), float(whitened @ whitened), floor)
 
 
+def energy_and_level(signals, scale: float) -> tuple[float, float]:
+    """Mahalanobis' square and the logarithm of the determinant."""
+    dense = covariance(scale)
+    return float(signals @ np.linalg.solve(dense, signals)), float(np.linalg.slogdet(dense)[1])
+
+
 def density(signals, scale: float, factor: float) -> float:
     return float(multivariate_normal(cov=covariance(scale, factor)).logpdf(signals))
 
@@ -34,7 +40,10 @@ def test_scale_and_excess_of_largest_density(scale: float, factor: float):
     signals = np.linalg.cholesky(covariance(scale, factor)) @ np.random.default_rng(7).standard_normal(COUNT)
     found = choose(signals)
     assert found.log_evidence == pytest.approx(density(signals, SCALES[found.scale], found.excess), abs=1e-3)
-    best = max(density(signals, q, f) for q in SCALES for f in np.geomspace(1.0, 20.0, 13))
+    # A factor f of the covariance divides the energy, and adds log f to the determinant's logarithm for each signal.
+    energy, level = np.transpose([energy_and_level(signals, q) for q in SCALES])[..., None]
+    factors = np.geomspace(1.0, 20.0, 13)
+    best = np.max(-0.5 * (energy / factors + level + COUNT * np.log(2.0 * np.pi * factors)))
     assert found.log_evidence > best - 0.5
     whitened = np.linalg.solve(np.linalg.cholesky(covariance(SCALES[found.scale])), signals)
     assert found.chi2 == pytest.approx(np.mean(whitened**2), rel=1e-4)

@@ -71,7 +71,7 @@ def response_of(h, c, tau_s=20.0, *, off=0.0, std=0.0):
     return SiteResponse(h * (1 + off), c * (1 + off), tau_s * (1 + off), h * std, c * std, tau_s * std)
 
 
-FORCE = presses(24, 60, seed=1)
+FORCE = presses(36, 40, seed=1)
 
 
 def test_creep_is_taken_out_to_less_than_2_millinewton():
