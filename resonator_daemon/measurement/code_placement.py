@@ -15,6 +15,7 @@ NEIGHBOUR_STEPS: Final = 2  # at least, between the codes of neighbours
 MISSING_COST: Final = 10.0  # of a pair without the steps it needs; the strongest coupling one step apart costs 1
 TRIES_A_SITE: Final = 100
 STARTS: Final = 4
+SWAPS_AT_ONCE: Final = 64
 
 Integers = NDArray[np.int64]
 
@@ -87,25 +88,37 @@ def place_codes(coupling: FloatArray, code_count: int, steps: Integers, random: 
 
 
 def _descend(codes: Integers, weight: FloatArray, need: FloatArray, count: int, random: np.random.Generator) -> float:
-    """Swap in place; return the cost."""
+    """Swap in place; return the cost.
+
+    Many swaps are judged at once, as most are of no use; behind the first that is made they are judged anew.
+    """
     first = random.integers(0, count, TRIES_A_SITE * count)
     second = random.integers(0, len(codes), len(first))
-    for i, j in zip(first.tolist(), second.tolist(), strict=True):
-        if i == j:
-            continue
-        pair = [i, j]
-        before = _costs(codes, weight, need, pair)
-        codes[pair] = codes[[j, i]]
-        if _costs(codes, weight, need, pair) > before:
-            codes[pair] = codes[[j, i]]
-    return sum(_costs(codes, weight, need, [i]) for i in range(count))
+    swaps = np.stack([first, second], axis=1)[first != second]
+    done, at_once = 0, 1
+    while done < len(swaps):
+        pairs = swaps[done : done + at_once]
+        present = np.repeat(codes[None], len(pairs), axis=0)
+        swapped = present.copy()
+        np.put_along_axis(swapped, pairs, codes[pairs[:, ::-1]], axis=1)
+        made = np.flatnonzero(_costs(swapped, weight, need, pairs) <= _costs(present, weight, need, pairs))
+        if made.size:
+            codes[:] = swapped[made[0]]
+            done, at_once = done + int(made[0]) + 1, 1 + int(made[0])
+        else:
+            done, at_once = done + len(pairs), min(2 * at_once, SWAPS_AT_ONCE)
+    every = np.arange(count)[:, None]
+    return float(sum(_costs(np.repeat(codes[None], count, axis=0), weight, need, every).tolist()))
 
 
-def _costs(codes: Integers, weight: FloatArray, need: FloatArray, sites: list[int]) -> float:
-    apart = np.abs(codes[sites][:, None] - codes)
-    apart[np.arange(len(sites)), sites] = len(codes)  # a site and itself
+def _costs(codes: Integers, weight: FloatArray, need: FloatArray, sites: Integers) -> FloatArray:
+    """(b,) of each row of codes (b, n): what some of its sites (b, k) cost."""
+    apart = np.abs(np.take_along_axis(codes, sites, axis=1)[:, :, None] - codes[:, None])
+    np.put_along_axis(apart, sites[:, :, None], codes.shape[1], axis=2)  # a site and itself
     lacks = np.maximum(need[sites] - apart, 0.0) / need[sites]
-    return float((weight[sites] / (apart * apart) + MISSING_COST * lacks).sum())
+    costs = weight[sites] / (apart * apart) + MISSING_COST * lacks
+    sums: FloatArray = costs.reshape(len(costs), -1).sum(axis=1)
+    return sums
 
 
 def _usual_m(distance_m: FloatArray) -> float:

@@ -95,6 +95,8 @@ def _distance(
     distance = np.zeros(len(site))
     for chosen, channels in _choices(offset.shape[1]):
         open_pairs = np.flatnonzero(distance <= margin)
+        if not open_pairs.size:
+            break
         vectors = generators[open_pairs][:, :, channels]
         normal = _orthogonal(vectors[:, chosen])
         length = np.abs(normal).sum(axis=1)
