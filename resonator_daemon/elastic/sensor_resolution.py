@@ -11,6 +11,7 @@ a wavelength, the width of one stripe of a grating.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -133,7 +134,8 @@ class SensorArray:
         directions = np.atleast_1d(directions)
         if not directions.size:
             raise ValueError("directions_rad is empty, must hold at least one direction")
-        low, high = np.max([self._band(load, d) for d in directions] * np.array([1.0, -1.0]), axis=0) * [1.0, -1.0]
+        bands = [self._band(load, d) for d in directions.tolist()]
+        low, high = np.max(bands * np.array([1.0, -1.0]), axis=0) * [1.0, -1.0]
         if not low < high:
             return np.nan, np.nan
         return float(np.pi / high), float(np.pi / low) if low > 0.0 else np.inf
@@ -185,8 +187,19 @@ class SensorArray:
             (array.load_to_error(load, omega * np.cos(directions), omega * np.sin(directions)) >= _RESOLVED).all()
         )
 
+    @cached_property
+    def _bands(self) -> dict[tuple[Load, float], Floats]:
+        """Bands by load and direction, as they are found."""
+        return {}
+
     def _band(self, load: Load, direction_rad: float) -> Floats:
         """Lowest and highest frequency of the highest stretch that is resolved; NaN where nothing is."""
+        asked = load, direction_rad
+        if asked not in self._bands:
+            self._bands[asked] = self._find_band(load, direction_rad)
+        return self._bands[asked]
+
+    def _find_band(self, load: Load, direction_rad: float) -> Floats:
         c, s = np.cos(direction_rad), np.sin(direction_rad)
         nyquist = np.pi / (self.pitch_m * max(abs(c), abs(s)))
         omega = np.geomspace(_LOWEST_IN_DEPTHS / self.sensors.depth_m, nyquist, 150)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cache, cached_property
 from typing import Final, Literal
 
 import numpy as np
@@ -263,6 +263,7 @@ class SensorSet:
             raise ValueError(f"omega reaches {highest:g} rad/m, must be at most {limit:g} at depth_m {self.depth_m:g}")
 
 
+@cache
 def _radial_quadrature(fading: float, count: int) -> tuple[Floats, Floats]:
     """Nodes and weights for the integral over t of t g(t), g a smooth function times exp(-fading t)."""
     nodes, weights = roots_laguerre(count)
