@@ -431,15 +431,20 @@ def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
 
 def _sound(kind: Any, raw: object) -> Any:
     """Return the value where it is valid by itself, else None."""
+    return _accepted(TypeAdapter(kind), raw)
+
+
+def _accepted(adapter: TypeAdapter[Any], raw: object) -> Any:
     try:
-        return TypeAdapter(kind).validate_python(raw)
+        return adapter.validate_python(raw)
     except ValidationError:
         return None
 
 
 def _sound_sites(raw: object) -> Iterator[tuple[int, Site]]:
+    adapter = TypeAdapter(Site)
     for index, table in enumerate(raw if isinstance(raw, list) else []):
-        if site := _sound(Site, table):
+        if site := _accepted(adapter, table):
             yield index, site
 
 

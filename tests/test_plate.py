@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from resonator_daemon import plate as plate_module
 from resonator_daemon.errors import ConfigError
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 
@@ -471,13 +472,21 @@ def test_the_model_itself_checks_as_a_whole() -> None:
         Plate.model_validate(content)
 
 
-def test_more_explicit_tones_than_a_frame_holds() -> None:
-    """4 channels x 63 parts x 744 tones: 255 parts at most, so 46 872 tones; one site more is too many."""
+def explicit_sites(count: int) -> dict[str, Any]:
     content: dict[str, Any] = tomllib.loads(GRID_PLATE[: GRID_PLATE.index("[grid]")] + SKIN_SITE)
     tones = content["sites"][0]["tones"]
-    places = [(-2 + 4 * (index % 200) / 200, -1 + 2 * (index // 200) / 80) for index in range(15_625)]
+    places = [(-2 + 4 * (index % 200) / 200, -1 + 2 * (index // 200) / 80) for index in range(count)]
     content["sites"] = [{"id": i, "position_mm": list(place), "tones": tones} for i, place in enumerate(places, 1)]
-    with pytest.raises(ValidationError, match="at most 46872 tones fit into a frame"):
-        Plate.model_validate(content)
-    del content["sites"][-1]
-    assert len(Plate.model_validate(content).tones.f0_hz) == 46_872
+    return content
+
+
+def test_as_many_explicit_tones_as_a_frame_holds() -> None:
+    """4 channels x 63 parts x 744 tones: 255 parts at most, so 46 872 tones; one site more is too many."""
+    assert len(Plate.model_validate(explicit_sites(15_624)).tones.f0_hz) == plate_module._MAX_TONES == 46_872
+
+
+def test_more_explicit_tones_than_a_frame_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plate_module, "_MAX_TONES", 12)
+    assert len(Plate.model_validate(explicit_sites(4)).tones.f0_hz) == 12
+    with pytest.raises(ValidationError, match="at most 12 tones fit into a frame"):
+        Plate.model_validate(explicit_sites(5))
