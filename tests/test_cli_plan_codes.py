@@ -26,20 +26,14 @@ def plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict
     return code, json.loads(said.out) if said.out else {}, said.err.splitlines()
 
 
-def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(tmp_path: Path) -> None:
+def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     path, config = tmp_path / "new-plate.toml", tmp_path / "config.toml"
-    run = subprocess.run(
-        [*COMMAND, "plan", "codes", *GRID, *FEW, "--output", str(path), "--json"],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert (run.returncode, run.stderr) == (0, "")
-    found = json.loads(run.stdout)
+    code, found, told = plan(capsys, *GRID, "--output", str(path))
+    assert (code, told) == (0, [])
     config.write_text('plate = "new-plate.toml"\nlink = "tcp://127.0.0.1:1"\n')
-    checked = subprocess.run([*COMMAND, "check", str(config)], capture_output=True, text=True, timeout=60, check=False)
-    assert checked.returncode == 0, checked.stderr
+    assert main(["check", str(config)]) == 0, capsys.readouterr().err
     plate = load_plate(str(path))
     assert plate.name == "new-plate"
     assert plate.tones.f0_hz.tolist() == [site["f0_hz"] for site in found["sites"]]
@@ -299,11 +293,16 @@ def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[
     assert set(re.findall(r"--[a-z0-9-]+[a-z0-9]", page)) == options
 
 
-def test_text_and_picture_are_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_text_and_picture_are_for_people(tmp_path: Path) -> None:
     path = tmp_path / "codes.svg"
-    assert main(["plan", "codes", *GRID, *FEW, "--picture", str(path)]) == 0
-    said = capsys.readouterr()
-    assert said.err == ""
+    run = subprocess.run(
+        [*COMMAND, "plan", "codes", *GRID, *FEW, "--picture", str(path)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (run.returncode, run.stderr) == (0, "")
     for words in ("a step must hold", "51% of 4000000 baud", "oscillator mN", "undecided", "pilot"):
-        assert words in said.out
+        assert words in run.stdout
     assert path.read_text().startswith("<?xml")
