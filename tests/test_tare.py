@@ -4,7 +4,7 @@ import asyncio
 import json
 import sys
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from brokers import Mosquitto, free_port
 from commanded import commanded, state
 
 from resonator_daemon import tare as tare_module
+from resonator_daemon.cli import main
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
@@ -23,14 +24,32 @@ TIMEOUT_S = 60
 LINK = "tcp://127.0.0.1:9"
 
 
-async def tare(folder: Path, url: str, *arguments: str, name: str = 'name = "left"') -> tuple[int | None, str, str]:
+Said = tuple[int | None, str, str]  # exit code, stdout and stderr
+Ask = Callable[..., Awaitable[Said]]
+
+
+def write_config(folder: Path, url: str, name: str = 'name = "left"') -> str:
     config = folder / "board.toml"
     config.write_text(f'{name}\nplate = "quartz16"\nlink = "{LINK}"\n[mqtt]\nurl = "{url}"\n')
-    command = (sys.executable, "-m", "resonator_daemon.cli", "tare", "--config", str(config), *arguments)
+    return str(config)
+
+
+@pytest.fixture
+def tare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Ask:
+    """`tare` at a broker, in a thread of this process."""
+
+    async def ask(url: str, *arguments: str, name: str = 'name = "left"') -> Said:
+        code = await asyncio.to_thread(main, ["tare", "--config", write_config(tmp_path, url, name), *arguments])
+        return code, *capsys.readouterr()
+
+    return ask
+
+
+async def tare_in_a_process(config: str, *arguments: str) -> Said:
+    command = (sys.executable, "-m", "resonator_daemon.cli", "tare", "--config", config, *arguments)
     process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
     async with asyncio.timeout(TIMEOUT_S):
         said, told = await process.communicate()
-    assert b"Traceback" not in told
     return process.returncode, said.decode(), told.decode()
 
 
@@ -55,8 +74,9 @@ def touched(_: Tare) -> TareAnswer:
 
 async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tmp_path: Path) -> None:
     async with daemon(mosquitto.url, tared):
-        assert await tare(tmp_path, mosquitto.url) == (0, "common mode taken as untouched\n", "")
-        code, said, _ = await tare(tmp_path, mosquitto.url, "--json")
+        config = write_config(tmp_path, mosquitto.url)
+        assert await tare_in_a_process(config) == (0, "common mode taken as untouched\n", "")
+        code, said, _ = await tare_in_a_process(config, "--json")
     assert code == 0
     assert json.loads(said) == {
         "verb": "tare",
@@ -66,16 +86,16 @@ async def test_what_the_daemon_did_is_printed(mosquitto: Mosquitto, tmp_path: Pa
     }
 
 
-async def test_a_refusal_is_told_and_fails(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_a_refusal_is_told_and_fails(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, touched):
-        code, said, told = await tare(tmp_path, mosquitto.url)
+        code, said, told = await tare(mosquitto.url)
     assert (code, said) == (1, "")
     assert told == "resonatord: not tared: site 7 is touched; release it\n"
 
 
-async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, tared, allowed=()):
-        code, said, told = await tare(tmp_path, mosquitto.url)
+        code, said, told = await tare(mosquitto.url)
     assert (code, said) == (1, "")
     assert told == (
         "resonatord: not tared: tare is not permitted; "
@@ -83,78 +103,82 @@ async def test_a_daemon_that_does_not_allow_it_says_how_it_would(mosquitto: Mosq
     )
 
 
-async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, tared):
         pass
     for name in ('name = "left"', ""):
-        code, said, told = await tare(tmp_path, mosquitto.url, name=name)
+        code, said, told = await tare(mosquitto.url, name=name)
         assert (code, said) == (1, "")
         assert told == "resonatord: daemon left is offline (stopped); start it: resonatord run\n"
-    code, said, told = await tare(tmp_path, mosquitto.url, "--json")
+    code, said, told = await tare(mosquitto.url, "--json")
     assert code == 1
     error = {"code": "no_daemon", "message": "daemon left is offline (stopped); start it: resonatord run", "hint": ""}
     assert json.loads(said) == {"verb": "tare", "ok": False, "error": error}
     async with daemon(mosquitto.url, tared):  # and again as soon as it is back
-        assert (await tare(tmp_path, mosquitto.url))[0] == 0
+        assert (await tare(mosquitto.url))[0] == 0
 
 
-async def test_a_daemon_that_was_never_there_is_told(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_a_daemon_that_was_never_there_is_told(
+    mosquitto: Mosquitto, tare: Ask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tare_module, "LOOK_S", 0.5)
     async with daemon(mosquitto.url, tared, name="right"):
-        code, said, told = await tare(tmp_path, mosquitto.url)
+        code, said, told = await tare(mosquitto.url)
     assert (code, said) == (1, "")
     assert told == "resonatord: no daemon publishes as resonator/left; start it\n"
 
 
-async def test_every_failure_is_an_object(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_every_failure_is_an_object(mosquitto: Mosquitto, tare: Ask, monkeypatch: pytest.MonkeyPatch) -> None:
     port = free_port()
     url = f"mqtt://127.0.0.1:{port}"
     codes = []
     for place, name in ((url, ""), (mosquitto.url, ""), (mosquitto.url, "nam = 1")):
-        code, said, told = await tare(tmp_path, place, "--json", name=name)
+        with monkeypatch.context() as patch:
+            patch.setattr(tare_module, "LOOK_S", 0.3)
+            code, said, told = await tare(place, "--json", name=name)
         answer = json.loads(said)
         assert (answer["verb"], answer["ok"]) == ("tare", False)
         assert told == f"resonatord: {answer['error']['message']}\n"
         codes.append((code, answer["error"]["code"]))
     async with daemon(mosquitto.url, touched):
-        code, said, _ = await tare(tmp_path, mosquitto.url, "--json")
+        code, said, _ = await tare(mosquitto.url, "--json")
     codes.append((code, json.loads(said)["error"]["code"]))
     assert codes == [(69, "no_broker"), (1, "no_daemon"), (78, "config"), (1, "not_untouched")]
 
 
-async def test_without_a_name_the_daemon_is_found_by_its_link(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_without_a_name_the_daemon_is_found_by_its_link(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, tared, name="EMU-0001"):
-        code, said, _ = await tare(tmp_path, mosquitto.url, name="")
+        code, said, _ = await tare(mosquitto.url, name="")
     assert (code, said) == (0, "common mode taken as untouched\n")
 
 
-async def test_of_daemons_of_one_link_the_one_that_runs_is_asked(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_of_daemons_of_one_link_the_one_that_runs_is_asked(mosquitto: Mosquitto, tare: Ask) -> None:
     async with daemon(mosquitto.url, touched, name="a-board-before"):
         pass
     async with daemon(mosquitto.url, tared, name="EMU-0001"):
-        assert (await tare(tmp_path, mosquitto.url, name=""))[0] == 0
+        assert (await tare(mosquitto.url, name=""))[0] == 0
 
 
-async def test_no_broker(tmp_path: Path) -> None:
+async def test_no_broker(tare: Ask) -> None:
     port = free_port()
-    code, said, told = await tare(tmp_path, f"mqtt://127.0.0.1:{port}")
+    code, said, told = await tare(f"mqtt://127.0.0.1:{port}")
     assert (code, said) == (69, "")
     assert f"no broker at 127.0.0.1:{port}" in told
 
 
 async def test_a_file_of_name_and_broker_is_enough_and_one_without_either_is_told(
-    mosquitto: Mosquitto, tmp_path: Path
+    mosquitto: Mosquitto, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = tmp_path / "operator.toml"
-    command = (sys.executable, "-m", "resonator_daemon.cli", "tare", "--config", str(config))
     said = []
     async with daemon(mosquitto.url, tared):
         for name in ('name = "left"\n', ""):
             config.write_text(f'{name}[mqtt]\nurl = "{mosquitto.url}"\n')
-            process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
-            said.append((*await process.communicate(), process.returncode))
-    assert said[0] == (b"common mode taken as untouched\n", b"", 0)
-    assert said[1][1].startswith(b"resonatord: name: missing;")
-    assert said[1][2] == 78
+            code = await asyncio.to_thread(main, ["tare", "--config", str(config)])
+            said.append((code, *capsys.readouterr()))
+    assert said[0] == (0, "common mode taken as untouched\n", "")
+    assert said[1][0] == 78
+    assert said[1][2].startswith("resonatord: name: missing;")
 
 
 def test_what_no_terminal_can_write_is_printed_without(
