@@ -1,39 +1,63 @@
 """The subscribers of docs/examples, in C and in Python, print what was published, whatever MQTT the broker speaks."""
 
 import math
+from asyncio.subprocess import Process
+from collections.abc import AsyncIterator
+from pathlib import Path
 
 import numpy as np
 import pytest
+from brokers import Amqtt, Mosquitto
 from example_messages import decoded, force, forces, publish
 from example_programs import LANGUAGES, next_line, running
+from numpy.typing import NDArray
 
 from resonator_daemon.publishing.payloads import Grid
 
+Floats = NDArray[np.float64]
+
+
+@pytest.fixture
+async def another(broker, tmp_path: Path) -> AsyncIterator[Amqtt | Mosquitto]:
+    """A second broker of the same kind: amqtt takes clients without a name, as the examples are, for one."""
+    (tmp_path / "another").mkdir()
+    another = Amqtt() if isinstance(broker, Amqtt) else Mosquitto(tmp_path / "another")
+    await another.start()
+    yield another
+    await another.kill()
+
 
 @pytest.mark.parametrize("language", LANGUAGES)
-async def test_forces(broker, language: str) -> None:
-    at_topic = "resonator/left/forces t_ns 1789000000000000123"
-    await publish(broker.url, "forces", forces(1, force(7, 1.234), force(12, math.nan, "overload")))
-    async with running(language, "forces", broker.url) as program:
-        assert await next_line(program) == f"{at_topic} site 7 1.234 N ok"
-        unknown = {"c": "nan", "python": "None"}[language]
-        assert await next_line(program) == f"{at_topic} site 12 {unknown} N overload"
-        await publish(broker.url, "forces", forces(2))
-        await publish(broker.url, "forces", forces(3, force(3, -0.5)))
-        assert await next_line(program) == f"{at_topic} site 3 -0.5 N ok"
-
-
-@pytest.mark.parametrize("language", LANGUAGES)
-async def test_decoded(broker, language: str) -> None:
+async def test_forces_and_decoded(broker, another, language: str) -> None:
+    """Both at once: a program in C waits five seconds for a broker that does not know its MQTT."""
     random = np.random.default_rng(7)
     on_grid, scattered = random.normal(size=(3, 4, 5)) * 1e3, random.normal(size=(3, 7)) * 1e3
     scattered[2, 0] = math.nan
-    grid = Grid(origin_m=(-0.0012, 0.0034), pitch_m=4e-4)
-    await publish(broker.url, "decoded", decoded(5, on_grid, grid))
-    async with running(language, "decoded", broker.url) as program:
-        words = (await next_line(program)).replace(",", "").split()
-        await publish(broker.url, "decoded", decoded(2**40, scattered, None))
-        last = (await next_line(program)).split()
+    await publish(broker.url, "forces", forces(1, force(7, 1.234), force(12, math.nan, "overload")))
+    await publish(another.url, "decoded", decoded(5, on_grid, Grid(origin_m=(-0.0012, 0.0034), pitch_m=4e-4)))
+    async with (
+        running(language, "forces", broker.url) as of_forces,
+        running(language, "decoded", another.url) as of_decoded,
+    ):
+        await check_forces(of_forces, broker.url, language)
+        await check_decoded(of_decoded, another.url, on_grid, scattered)
+        await check_that_nothing_known_ends_nothing(of_decoded, another.url)
+
+
+async def check_forces(program: Process, url: str, language: str) -> None:
+    at_topic = "resonator/left/forces t_ns 1789000000000000123"
+    assert await next_line(program) == f"{at_topic} site 7 1.234 N ok"
+    unknown = {"c": "nan", "python": "None"}[language]
+    assert await next_line(program) == f"{at_topic} site 12 {unknown} N overload"
+    await publish(url, "forces", forces(2))
+    await publish(url, "forces", forces(3, force(3, -0.5)))
+    assert await next_line(program) == f"{at_topic} site 3 -0.5 N ok"
+
+
+async def check_decoded(program: Process, url: str, on_grid: Floats, scattered: Floats) -> None:
+    words = (await next_line(program)).replace(",", "").split()
+    await publish(url, "decoded", decoded(2**40, scattered, None))
+    last = (await next_line(program)).split()
     row, column = np.unravel_index(on_grid[2].argmax(), (4, 5))
     assert words[:4] == ["resonator/left/decoded", "seq", "5", "peak"]
     numbers = [float(word) for word in (words[4], *words[7:9], *words[12:15])]
@@ -45,16 +69,14 @@ async def test_decoded(broker, language: str) -> None:
     assert last[5:] == ["Pa", "at", "point", str(np.nanargmax(scattered[2]))]
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-async def test_a_frame_of_which_nothing_is_known_ends_nothing(broker, language: str) -> None:
+async def check_that_nothing_known_ends_nothing(program: Process, url: str) -> None:
     nothing = np.full((3, 4, 5), math.nan)
-    await publish(broker.url, "decoded", decoded(5, nothing, Grid(origin_m=(0.0, 0.0), pitch_m=4e-4)))
-    async with running(language, "decoded", broker.url) as program:
-        assert await next_line(program) == "resonator/left/decoded seq 5 nothing known"
-        await publish(broker.url, "decoded", decoded(6, nothing[:, 0], None))
-        assert await next_line(program) == "resonator/left/decoded seq 6 nothing known"
-        await publish(broker.url, "decoded", decoded(7, np.ones((3, 7)), None))
-        assert await next_line(program) == "resonator/left/decoded seq 7 peak 1 Pa at point 0"
+    await publish(url, "decoded", decoded(5, nothing, Grid(origin_m=(0.0, 0.0), pitch_m=4e-4)))
+    assert await next_line(program) == "resonator/left/decoded seq 5 nothing known"
+    await publish(url, "decoded", decoded(6, nothing[:, 0], None))
+    assert await next_line(program) == "resonator/left/decoded seq 6 nothing known"
+    await publish(url, "decoded", decoded(7, np.ones((3, 7)), None))
+    assert await next_line(program) == "resonator/left/decoded seq 7 peak 1 Pa at point 0"
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
