@@ -82,7 +82,7 @@ class Desk:
         return process.returncode, [json.loads(line) for line in said.splitlines()], told
 
     def say(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, list[dict[str, Any]], str]:
-        """Do in this process what needs no board."""
+        """Calibrate in this process."""
         capsys.readouterr()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("XDG_STATE_HOME", str(self.state))
@@ -110,11 +110,11 @@ def sensitivity_error(desk: Desk) -> float:
     return float(np.abs(found / TRUE.tones.sensitivity[6] - 1).max())
 
 
-def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk) -> None:
+def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     desk.plate.write_text(desk.plate.read_text() + '\n[calibration]\nunit = "RD-0042"\n')  # of the board before
     desk.loads()
     with desk.board():
-        code, said, told = desk.run(*LOADS, "--accept", "--kelvin", "297.5")
+        code, said, told = desk.say(capsys, *LOADS, "--accept", "--kelvin", "297.5")
     assert code == 0, told
     assert [line["event"] for line in said[:-1]] == ["untouched"] + 3 * ["place", "captured", "remove"]
     assert said[2]["force_newton"] == pytest.approx(0.1 * STANDARD_GRAVITY)
@@ -136,7 +136,7 @@ def test_an_accepted_calibration_is_in_the_plate_file(desk: Desk) -> None:
     assert sorted(os.listdir(desk.folder)) == ["board.toml", "plate.toml"]
 
 
-def test_a_channelised_plate_is_calibrated_likewise(tmp_path: Path) -> None:
+def test_a_channelised_plate_is_calibrated_likewise(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     desk = Desk(tmp_path, comb_text())
     before = desk.plate.read_text()
     desk.config.write_text(desk.config.read_text().replace("step_ms = 10", "step_ms = 20\nwindow_ms = 20"))
@@ -144,7 +144,7 @@ def test_a_channelised_plate_is_calibrated_likewise(tmp_path: Path) -> None:
     for mass_kg in MASSES:
         desk.touches.load(7, mass_kg, 0.8)
     with desk.board():
-        code, said, told = desk.run(*LOADS[:-1], "0.8")
+        code, said, told = desk.say(capsys, *LOADS[:-1], "0.8")
     assert code == 0, told
     assert [line["event"] for line in said[:-1]] == ["untouched"] + 3 * ["place", "captured", "remove"]
     result = said[-1]
@@ -164,7 +164,7 @@ def test_a_staged_calibration_waits_and_is_accepted_or_aborted(desk: Desk, capsy
     before = desk.tree()
     desk.loads()
     with desk.board():
-        code, said, told = desk.run(*LOADS)
+        code, said, told = desk.say(capsys, *LOADS)
     assert (code, said[-1]["result"]) == (0, "staged")
     assert "finish with --accept-staged or --abort" in told
     assert desk.tree() == before
@@ -224,7 +224,7 @@ def test_killed_while_it_accepts_the_plate_file_is_whole(desk: Desk, capsys: pyt
     before = desk.tree()
     desk.loads()
     with desk.board():
-        desk.run(*LOADS)
+        desk.say(capsys, *LOADS)
     stop = "import os, signal; os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL); "
     code = stop + "from resonator_daemon.cli import main; main()"
     arguments = [sys.executable, "-c", code, "calibrate", "--config", str(desk.config), "--accept-staged"]
@@ -276,12 +276,14 @@ LAID_ON_WRONGLY = (0.05, 0.2, 0.3)  # the last in place of 0.5
 USUAL_LOADS = ("--sites", "1", "--masses-grams", "50,200,500", "--hold-s", "0.3", "--accept")
 
 
-def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_then_refused(desk: Desk) -> None:
+def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_then_refused(
+    desk: Desk, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = desk.tree()
     for mass_kg in 2 * LAID_ON_WRONGLY:
         desk.touches.load(1, mass_kg, 0.3)
     with desk.board():
-        code, said, told = desk.run(*USUAL_LOADS)
+        code, said, told = desk.say(capsys, *USUAL_LOADS)
     assert code == 1
     assert [line["step"] for line in said if line["event"] == "captured"] == [1, 2, 3, 1, 2, 3]
     assert "from the fit of this site so far: its loads do not fit together" in told
@@ -294,22 +296,24 @@ def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_
     assert desk.sessions() == []
 
 
-def test_loads_that_fit_when_they_are_laid_on_again_are_accepted(desk: Desk) -> None:
+def test_loads_that_fit_when_they_are_laid_on_again_are_accepted(
+    desk: Desk, capsys: pytest.CaptureFixture[str]
+) -> None:
     for mass_kg in (*LAID_ON_WRONGLY, 0.05, 0.2, 0.5):
         desk.touches.load(1, mass_kg, 0.3)
     with desk.board():
-        code, said, told = desk.run(*USUAL_LOADS)
+        code, said, told = desk.say(capsys, *USUAL_LOADS)
     assert (code, said[-1]["result"]) == (0, "accepted"), told
     found = load_plate(str(desk.plate)).tones.sensitivity[0]
     assert np.abs(found / TRUE.tones.sensitivity[0] - 1).max() < 3e-3
 
 
-def test_exchanged_masses_are_refused_with_both_steps(desk: Desk) -> None:
+def test_exchanged_masses_are_refused_with_both_steps(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     before = desk.tree()
     for mass_kg in (0.2, 0.05, 0.5):
         desk.touches.load(7, mass_kg, 0.3)
     with desk.board():
-        code, said, told = desk.run("--sites", "7", *USUAL_LOADS[2:])
+        code, said, told = desk.say(capsys, "--sites", "7", *USUAL_LOADS[2:])
     assert code == 1
     assert "steps 1 (50 g on site 7) and 2 (200 g on site 7): the masses were exchanged" in told
     assert "; the loads of this site so far do not fit together\n" in told  # 385 N from the fit, if that is one
@@ -322,7 +326,7 @@ def test_exchanged_masses_are_refused_with_both_steps(desk: Desk) -> None:
 def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     with desk.board():
         link = open_serial(SerialLink(str(desk.port), 4_000_000))
-        code, _, told = desk.run(*LOADS)
+        code, _, told = desk.say(capsys, *LOADS)
         link.close()
     assert code == 69
     assert re.search(r"is held by \S+ \(pid \d+\); close it there", told)

@@ -5,7 +5,7 @@ import json
 import sys
 import tomllib
 from asyncio.subprocess import PIPE
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 
@@ -15,6 +15,7 @@ from brokers import Mosquitto, free_port
 from numpy.typing import NDArray
 
 from resonator_daemon.calibration import skin as calibrate_module
+from resonator_daemon.cli import main
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -24,6 +25,8 @@ from resonator_daemon.publishing.topics import SIGNALS
 from simulators.half_space_fields import hertz_fields
 
 Floats = NDArray[np.float64]
+Said = tuple[int | None, str, str]  # exit code, stdout and stderr
+Calibrate = Callable[..., Awaitable[Said]]
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "calibrate", "skin")
 TIMEOUT_S = 60
@@ -60,8 +63,18 @@ def write_config(directory: Path, url: str, plate: str = "small.toml", name: str
     return str(path)
 
 
-async def calibrate(*arguments: str) -> tuple[int | None, str, str]:
-    """Exit code, stdout and stderr."""
+@pytest.fixture
+def calibrate(capsys: pytest.CaptureFixture[str]) -> Calibrate:
+    """`calibrate skin` in a thread of this process."""
+
+    async def run(*arguments: str) -> Said:
+        code = await asyncio.to_thread(main, ["calibrate", "skin", *arguments])
+        return code, *capsys.readouterr()
+
+    return run
+
+
+async def calibrate_in_a_process(*arguments: str) -> Said:
     process = await asyncio.create_subprocess_exec(*COMMAND, *arguments, stdout=PIPE, stderr=PIPE)
     try:
         async with asyncio.timeout(TIMEOUT_S):
@@ -110,10 +123,10 @@ async def plate(url: str, frames: list[Floats], name: str = "left", noise: float
 async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(20)]):
-        code, said, told = await calibrate("--config", config, "--seconds", "0.8")
+        code, said, told = await calibrate_in_a_process("--config", config, "--seconds", "0.4")
     assert code == 0, told
     assert "Traceback" not in told
-    assert "plate 'left': press and shear the skin here and there, for 0.8 s" in told
+    assert "plate 'left': press and shear the skin here and there, for 0.4 s" in told
     assert "with load" in told
     assert "fit 2: correlation length" in told
     assert said.count("\n") == 3
@@ -127,10 +140,10 @@ async def test_lines_to_paste(mosquitto: Mosquitto, tmp_path: Path) -> None:
     assert 0.02 < skin.tangential_ratio < 2.0
 
 
-async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
     config = write_config(tmp_path, mosquitto.url, name="")  # the topics then bear the board's serial number
     async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(20)]):
-        code, said, _ = await calibrate("--config", config, "--seconds", "0.8", "--json")
+        code, said, _ = await calibrate("--config", config, "--seconds", "0.4", "--json")
     assert code == 0
     assert said.count("\n") == 1
     found = json.loads(said, parse_constant=lambda word: pytest.fail(f"{word} is not JSON"))
@@ -143,7 +156,7 @@ async def test_json_is_one_object(mosquitto: Mosquitto, tmp_path: Path) -> None:
     assert fit["log_evidence_gain"] >= 0.0
 
 
-async def test_nobody_presses(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_nobody_presses(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [pressed(frame, tmp_path) for frame in range(1, 20, 2)]):
         code, said, told = await calibrate("--config", config, "--seconds", "0.5", "--json")
@@ -154,7 +167,9 @@ async def test_nobody_presses(mosquitto: Mosquitto, tmp_path: Path) -> None:
     assert f"0 of {found['frames']} frames hold load, must be at least 5: press and shear the skin" in told
 
 
-async def test_frames_without_known_noise_are_passed_over(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_frames_without_known_noise_are_passed_over(
+    mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate
+) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [pressed(0, tmp_path)], noise=float("nan")):
         code, _, told = await calibrate("--config", config, "--seconds", "0.3")
@@ -172,7 +187,7 @@ async def test_silence(mosquitto: Mosquitto, tmp_path: Path, monkeypatch: pytest
     assert capture.frames == []
 
 
-async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: Path) -> None:
+async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: Path, calibrate: Calibrate) -> None:
     config = write_config(tmp_path, mosquitto.url)
     async with plate(mosquitto.url, [np.zeros((3, 42))]):
         code, said, told = await calibrate("--config", config)
@@ -180,7 +195,7 @@ async def test_another_plate_than_the_file_says(mosquitto: Mosquitto, tmp_path: 
     assert "plate 'left' publishes 42 sites, the plate file has 49" in told
 
 
-async def test_what_cannot_work_is_said_at_once(tmp_path: Path) -> None:
+async def test_what_cannot_work_is_said_at_once(tmp_path: Path, calibrate: Calibrate) -> None:
     port = free_port()
     code, said, told = await calibrate("--config", write_config(tmp_path, f"mqtt://127.0.0.1:{port}"))
     assert (code, said) == (69, "")
@@ -192,4 +207,4 @@ async def test_what_cannot_work_is_said_at_once(tmp_path: Path) -> None:
     code, _, told = await calibrate("--config", str(tmp_path / "none.toml"))
     assert code == 78
     assert "Traceback" not in told
-    assert (await calibrate())[0] == 2
+    assert (await calibrate_in_a_process())[0] == 2
