@@ -4,13 +4,15 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import pytest
 from brokers import Mosquitto
 from observer import observe
 
+from resonator_daemon.cli import main
 from resonator_daemon.config import load_config
 
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
@@ -20,19 +22,42 @@ VERBS = (
 )
 
 
-def resonatord(*arguments: str, **options: Any) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False, **options)
+class Said(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+Resonatord = Callable[..., Said]
 
 
 @pytest.fixture
-def config_path(tmp_path: Path) -> Path:
+def resonatord(capsys: pytest.CaptureFixture[str]) -> Resonatord:
+    """The command, in the test's own process."""
+
+    def run(*arguments: str) -> Said:
+        try:
+            code = main(arguments)
+        except SystemExit as stopped:
+            code = int(stopped.code or 0)
+        return Said(code, *capsys.readouterr())
+
+    return run
+
+
+def in_a_process(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=60, check=False)
+
+
+@pytest.fixture
+def config_path(tmp_path: Path, resonatord: Resonatord) -> Path:
     path = tmp_path / "board.toml"
     path.write_text(resonatord("config", "example").stdout)
     return path
 
 
 def test_help_names_every_verb_and_the_exit_codes() -> None:
-    run = resonatord("--help")
+    run = in_a_process("--help")
     assert run.returncode == 0
     assert all(f"\n    {verb}" in run.stdout for verb in VERBS)
     assert "69" in run.stdout
@@ -40,20 +65,20 @@ def test_help_names_every_verb_and_the_exit_codes() -> None:
 
 
 @pytest.mark.parametrize("verb", VERBS)
-def test_each_verb_explains_itself(verb: str) -> None:
+def test_each_verb_explains_itself(verb: str, resonatord: Resonatord) -> None:
     run = resonatord(verb, "--help")
     assert run.returncode == 0
     assert "usage: resonatord" in run.stdout
 
 
-def test_usage_errors_exit_with_2() -> None:
+def test_usage_errors_exit_with_2(resonatord: Resonatord) -> None:
     for arguments in ((), ("fly",), ("run",), ("emulate", "--plate", "quartz16"), ("demo", "--seconds", "-1")):
         run = resonatord(*arguments)
         assert run.returncode == 2
         assert "Traceback" not in run.stderr
 
 
-def test_the_example_passes_its_own_check(config_path: Path) -> None:
+def test_the_example_passes_its_own_check(config_path: Path, resonatord: Resonatord) -> None:
     headers = [line for line in config_path.read_text().splitlines() if line.startswith("[")]
     assert headers == ["[mqtt]", "[measurement]", "[decoding]", "[commands]"]
     run = resonatord("check", str(config_path), "--json")
@@ -65,7 +90,7 @@ def test_the_example_passes_its_own_check(config_path: Path) -> None:
     assert load_config(config_path).measurement.window_s == pytest.approx(0.01)
 
 
-def test_every_mistake_at_once_and_78(config_path: Path) -> None:
+def test_every_mistake_at_once_and_78(config_path: Path, resonatord: Resonatord) -> None:
     text = (
         config_path.read_text()
         .replace("window_ms", "window_s")
@@ -79,10 +104,10 @@ def test_every_mistake_at_once_and_78(config_path: Path) -> None:
     assert "did you mean prefix?" in run.stderr
     assert "quartz16" in run.stderr
     assert len(run.stderr.splitlines()) == 3
-    assert resonatord("run", "--config", str(config_path)).returncode == 78
+    assert in_a_process("run", "--config", str(config_path)).returncode == 78
 
 
-def test_a_baud_rate_too_low_names_load_rate_and_what_fits(config_path: Path) -> None:
+def test_a_baud_rate_too_low_names_load_rate_and_what_fits(config_path: Path, resonatord: Resonatord) -> None:
     config_path.write_text(config_path.read_text().replace("baud=4000000", "baud=2000000"))
     run = resonatord("check", str(config_path))
     assert run.returncode == 78
@@ -90,7 +115,7 @@ def test_a_baud_rate_too_low_names_load_rate_and_what_fits(config_path: Path) ->
         assert number in run.stderr
 
 
-def test_a_missing_file_is_one_line_and_78(tmp_path: Path) -> None:
+def test_a_missing_file_is_one_line_and_78(tmp_path: Path, resonatord: Resonatord) -> None:
     for arguments in (("run", "--config"), ("check",)):
         run = resonatord(*arguments, str(tmp_path / "none.toml"))
         assert run.returncode == 78
@@ -110,14 +135,16 @@ def test_a_missing_file_is_one_line_and_78(tmp_path: Path) -> None:
         (("--plate", "skin32", "--counter", "stamps"), "single-tone"),
     ],
 )
-def test_emulate_refuses_in_one_line(tmp_path: Path, arguments: tuple[str, ...], complaint: str) -> None:
+def test_emulate_refuses_in_one_line(
+    tmp_path: Path, arguments: tuple[str, ...], complaint: str, resonatord: Resonatord
+) -> None:
     run = resonatord("emulate", *arguments, "--pty", str(tmp_path / "board"))
     assert run.returncode == 78
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
 
 
-def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it() -> None:
+def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(resonatord: Resonatord) -> None:
     run = resonatord("emulate", "--scenario-schema")
     assert run.returncode == 0
     schema = json.loads(run.stdout)
@@ -161,7 +188,7 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
     assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")
 
 
-def test_check_takes_a_decoders_own_file(tmp_path: Path) -> None:
+def test_check_takes_a_decoders_own_file(tmp_path: Path, resonatord: Resonatord) -> None:
     file = tmp_path / "decoder.toml"
     file.write_text('[mqtt]\nurl = "mqtt://broker"\n[decoding]\nplates = ["+"]\ngroup = "touch"\n')
     assert resonatord("check", str(file)).returncode == 0
