@@ -1,18 +1,20 @@
 """The C reference and the Python implementation make the same of the same bytes."""
 
 import random
-from dataclasses import astuple, replace
+from dataclasses import fields, replace
+from operator import attrgetter
 
 from c_reference import board_command, event_line, hexadecimal, run_commands
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import FROM_BOARD, MessageType
 from firmware_protocol.messages import Configuration, Description, Identity, encode_message
-from firmware_protocol.packets import SYNC, PacketDecoder, encode_packet
+from firmware_protocol.packets import SYNC, ByteCounts, PacketDecoder, encode_packet
 from firmware_protocol.states import BoardState
 
 STREAMS = 10_000
 BOOT_ID = 0xC0FFEE
+NUMBERS = attrgetter(*(field.name for field in fields(ByteCounts)))  # `astuple` copies each, at length
 LONG_TEXT = "a" + "é" * 200  # is cut within a character
 IDENTITY = Identity("differential", "0042", "1.0 é", 0, 64, 2)
 DESCRIPTION = Description(1, 4, 3072, 10**12, 1000, 2**40, "plate", 7, 2**63, 68 * 256, 3, 8)
@@ -115,7 +117,7 @@ class Differential:
     def _compare(self) -> None:
         session, counts = self._session, self._session.counts
         assert counts == self._decoder.counts
-        self._expect("counts", [f"counts {' '.join(map(str, astuple(counts)))} {session.waiting_bytes}"])
+        self._expect("counts", [f"counts {' '.join(map(str, NUMBERS(counts)))} {session.waiting_bytes}"])
         gate_ticks = session.configuration.gate_ticks if session.configuration else 0
         state = f"state {session.state.value} {gate_ticks} {session.started} {session.located} 0 0 0 0"
         self._expect("state", [state])
@@ -155,7 +157,7 @@ def test_decoder_of_a_host_too() -> None:
         for chunk in chunks_of(rng, b"".join(random_piece(rng) for _ in range(8))):
             expected += [event_line(event) for event in decoder.feed(chunk)]
             commands += [f"receive 0 {chunk.hex()}", "counts"]
-            expected.append(f"counts {' '.join(map(str, astuple(decoder.counts)))} {decoder.waiting_bytes}")
+            expected.append(f"counts {' '.join(map(str, NUMBERS(decoder.counts)))} {decoder.waiting_bytes}")
     assert run_commands(commands) == expected
 
 
