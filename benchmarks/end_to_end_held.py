@@ -45,8 +45,7 @@ def hold(plate: Plate, physics: Physics, site: int, seconds: float, *, seed: int
         (float(t), ROOM_KELVIN + SWING_KELVIN * math.sin(2.0 * math.pi * t / SWING_S))
         for t in np.arange(0.0, SETTLE_S + seconds + 10.0, 5.0)
     ]
-    frame_ms = 1e3 / plate.counter.frame_rate_hz
-    window_ms = 2.0 * frame_ms if plate.counter.kind == "single-tone" else frame_ms
+    window_ms = _window_ms(plate)
     bench = PlateBench(
         plate, [touch], physics=physics, environment_kelvin=room, seed=seed, window_ms=window_ms, step_ms=window_ms
     )
@@ -58,6 +57,12 @@ def hold(plate: Plate, physics: Physics, site: int, seconds: float, *, seed: int
             contacts.append(_of_site([contact.touch for contact in moment.reading.contacts], index))
     last = round(END_S * 1e3 / window_ms)
     return _held(np.array(own), last), _held(np.array(contacts), last)
+
+
+def _window_ms(plate: Plate) -> float:
+    """Return the shortest window that a plate with gates as long as these allows."""
+    frame_ms = 1e3 / plate.counter.frame_rate_hz
+    return 2.0 * frame_ms if plate.counter.kind == "single-tone" else frame_ms
 
 
 def _of_site(forces: Sequence[SiteForce] | Sequence[TrackedTouch], site: int) -> tuple[float, float, float]:
@@ -83,14 +88,17 @@ def _held(rows: FloatArray, last: int) -> Held:
 def contacts_of_a_shock(plate: Plate, *, seed: int = 1) -> int:
     """How many contacts a plate tells of that nothing touches, while the room warms by 10 K within 5 s."""
     room = [(0.0, ROOM_KELVIN), (SETTLE_S, ROOM_KELVIN), (SETTLE_S + SHOCK_S, ROOM_KELVIN + SHOCK_KELVIN)]
-    bench = PlateBench(plate, [], environment_kelvin=room, seed=seed)
+    step_ms = max(5.0, _window_ms(plate))
+    bench = PlateBench(
+        plate, [], environment_kelvin=room, seed=seed, window_ms=max(10.0, _window_ms(plate)), step_ms=step_ms
+    )
     return sum(
         event.event == "onset" for moment in bench.play(SETTLE_S + 3.0 * SHOCK_S) for event in moment.reading.events
     )
 
 
-def sites_of_a_whole_press(plate: Plate, *, seed: int = 1) -> int:
+def sites_of_a_whole_press(plate: Plate, *, hold_s: float = 0.5, seed: int = 1) -> int:
     """How many sites a plate tells of in the reading that tells of most, while 2 N press on each of them."""
-    touch = Touch(start_s=SETTLED_S, whole_plate=True, force_newton=HELD_NEWTON, hold_s=0.5)
+    touch = Touch(start_s=SETTLED_S, whole_plate=True, force_newton=HELD_NEWTON, hold_s=hold_s)
     bench = PlateBench(plate, [touch], seed=seed)
     return max(len(moment.reading.sites) for moment in bench.play(SETTLED_S + touch.duration_s))

@@ -159,14 +159,20 @@ def hysteretic_touches(count: int, *, told: bool, seed: int = 1) -> Played:
     return _touches(plate, Physics(ideal=True, hysteresis_fraction=HYSTERESIS_FRACTION), count, seed)
 
 
-def warm_touches(holds_s: Sequence[float] = (1.0, 5.0, 20.0, 60.0), *, measured: bool, seed: int = 1) -> Played:
+def warm_touches(
+    holds_s: Sequence[float] = (1.0, 5.0, 20.0, 60.0),
+    *,
+    measured: bool,
+    frame_rate_hz: float = WARM_FRAME_RATE_HZ,
+    seed: int = 1,
+) -> Played:
     """Warm fingers on all sites one after the other, 1 N and 4 N; only the temperature disturbs.
 
     `measured`: the sites' temperature coefficients stand in the plate file, otherwise those of usual sites are taken.
     """
     plate = load_plate("quartz16")
     thermal = Thermal(contact_std_kelvin=WARM_KELVIN - ROOM_KELVIN)
-    counter = plate.counter.model_copy(update={"frame_rate_hz": WARM_FRAME_RATE_HZ})
+    counter = plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})
     plate = plate.model_copy(update={"thermal": thermal, "counter": counter})
     if measured:
         plate = _with_coefficients(plate, np.random.default_rng(seed))
@@ -176,7 +182,7 @@ def warm_touches(holds_s: Sequence[float] = (1.0, 5.0, 20.0, 60.0), *, measured:
         touch = Touch(start_s=start_s, site=site, force_newton=newton, hold_s=hold_s, kelvin=WARM_KELVIN)
         touches.append(touch)
         start_s += touch.duration_s + 1.0
-    window_ms = 2e3 / WARM_FRAME_RATE_HZ
+    window_ms = 2e3 / frame_rate_hz
     return play(PlateBench(plate, touches, physics=WARMTH, seed=seed, window_ms=window_ms, step_ms=window_ms), touches)
 
 

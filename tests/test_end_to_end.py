@@ -20,8 +20,9 @@ from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 
 TOUCHES = 5
-SHORT_TOUCHES = 200
+SHORT_TOUCHES = 100
 PAIRS = 30
+COMB_PAIRS = 15
 HELD_S = 60.0
 
 
@@ -51,7 +52,7 @@ def test_hysteresis_is_taken_out_where_the_plate_file_tells_it() -> None:
 
 
 def test_what_a_warm_finger_does_stays_within_what_is_stated_of_it() -> None:
-    played = warm_touches((0.5, 5.0, 20.0), measured=True)
+    played = warm_touches((0.5, 5.0, 20.0), measured=True, frame_rate_hz=50.0)
 
     assert (played.found, played.wrong) == (played.touches, 0)
     assert played.errors.worst_ratio <= 1.0
@@ -78,22 +79,22 @@ def test_two_touches_on_captured_tones_are_found_and_never_put_elsewhere() -> No
 
 
 def test_two_touches_on_channelised_tones_are_both_found() -> None:
-    pairs = play_pairs(told_plate("comb16"), PAIRS)
+    pairs = play_pairs(told_plate("comb16"), COMB_PAIRS)
 
     assert sum(pair.wrong for pair in pairs) == 0
-    assert sum(pair.both > 0 for pair in pairs) >= PAIRS - 1  # 0.99 of them, less one deviation
+    assert sum(pair.both > 0 for pair in pairs) >= COMB_PAIRS - 1  # 0.99 of them, less one deviation
     assert max(apart_m for pair in pairs for apart_m in pair.apart_m) < 5e-3
 
 
 def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_heard() -> None:
-    plate = at_rate(load_plate("comb16"), 25.0)
+    plate = at_rate(load_plate("comb16"), 12.5)
     site, _ = hold(plate, Physics(ideal=True, temperature_coefficient=-5e-8), 7, HELD_S)
 
     assert site.told == 1.0
     assert abs(site.end_newton) <= 1e-3
 
 
-@pytest.mark.parametrize(("name", "frame_rate_hz"), [("comb16", 25.0), ("quartz16", 100.0)])
+@pytest.mark.parametrize(("name", "frame_rate_hz"), [("comb16", 12.5), ("quartz16", 50.0)])
 def test_a_press_held_on_a_plate_with_every_imperfection_stays_within_what_is_stated(
     name: str, frame_rate_hz: float
 ) -> None:
@@ -102,8 +103,8 @@ def test_a_press_held_on_a_plate_with_every_imperfection_stays_within_what_is_st
 
 
 def test_a_thermal_shock_is_no_contact() -> None:
-    assert contacts_of_a_shock(told_plate("comb16")) == 0
+    assert contacts_of_a_shock(at_rate(told_plate("comb16"), 50.0)) == 0
 
 
 def test_a_press_of_the_whole_plate_is_felt_on_every_site() -> None:
-    assert sites_of_a_whole_press(told_plate("comb16")) == 16
+    assert sites_of_a_whole_press(told_plate("comb16"), hold_s=0.1) == 16
