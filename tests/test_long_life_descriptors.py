@@ -23,6 +23,15 @@ from resonator_daemon.host.places import runtime_directory
 from simulators.faults import parse_faults
 
 DEADLINE_S = 60.0
+# A recording that failed is tried again every half second: after ten, as it is, the test only waits.
+RUN = "; ".join(
+    (
+        "from resonator_daemon.acquisition import recording",
+        "recording._RETRY_S = 0.5",
+        "from resonator_daemon.cli import main",
+        "raise SystemExit(main())",
+    )
+)
 ODD = {"LC_ALL": "C", "TZ": "XYZ-13:45"}
 
 
@@ -34,7 +43,7 @@ async def daemon(bench: Bench, log: Path) -> AsyncIterator[psutil.Process]:
         f'[mqtt]\nurl = "{bench.broker_url}"\n'
         f'[recording]\ncontinuous = true\nfile_max_minutes = 0.01\ndirectory = "{bench.folder / "recordings"}"\n'
     )
-    command = [sys.executable, "-m", "resonator_daemon.cli", "run", "--config", str(config)]
+    command = [sys.executable, "-c", RUN, "run", "--config", str(config)]
     with log.open("wb") as stderr:
         process = subprocess.Popen(command, stderr=stderr, env=os.environ | ODD)
     try:
