@@ -42,10 +42,17 @@ sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
 """
 
 
+_given_ports: set[int] = set()
+
+
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-    return port
+    """Return a TCP port that nobody has, and that was not returned before: who got it may not listen yet."""
+    while True:
+        with socket.create_server(("127.0.0.1", 0)) as probe:
+            port: int = probe.getsockname()[1]
+        if port not in _given_ports:
+            _given_ports.add(port)
+            return port
 
 
 def mosquitto_command(port: int, folder: Path, *settings: str) -> tuple[str, ...]:
