@@ -93,7 +93,10 @@ class LinkChange:
 
 @dataclass(frozen=True, slots=True)
 class Outage:
-    """A time without frames that is over: from the middle of the last gate before to that of the first after."""
+    """A time without frames that is over: from the middle of the last gate before to that of the first after.
+
+    Both are told by the clock as it is at the end.
+    """
 
     start_utc_ns: int
     end_utc_ns: int

@@ -73,7 +73,9 @@ class LinkState:
         """Tell of the outage that this frame has ended, if there was one; frames that were only late are none."""
         if self._outage_reasons:
             if previous is not None and frames_lost:
-                self._announce(Outage(previous.utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
+                # By the clock of its end: that may have been set meanwhile.
+                start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
+                self._announce(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
             self._outage_reasons = []
 
 

@@ -14,7 +14,7 @@ _MESSAGES = "where each message went"
 class OutageInfo(Message):
     """A time without frames that is over."""
 
-    start_t_ns: Int64 = Field(description="UTC, middle of the last gate before")
+    start_t_ns: Int64 = Field(description="UTC, middle of the last gate before, by the clock as it is at the end")
     end_t_ns: Int64 = Field(description="UTC, middle of the first gate after")
     frames_lost: int = Field(description="frames that the board sent meanwhile, or would have")
     reason: str = Field(description="what was said of the link when it began")
