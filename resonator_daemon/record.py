@@ -142,6 +142,7 @@ class _Sitting:
         finally:
             self._ended_s = time.monotonic()
             self._reader.stop()
+            self._measure_the_rest()
             self._recorder.close()
             is_kept = self._reader.account().frames > 0
             if not is_kept:
@@ -219,6 +220,12 @@ class _Sitting:
                     raise IncompatibleBoardError(*arrival.problems)
                 case ReaderFailed():
                     raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
+
+    def _measure_the_rest(self) -> None:
+        """Measure what came before the reader stopped: its bytes are in the file."""
+        if self._course is not None:
+            for arrival in self._reader.take():
+                self._course.take(arrival)
 
     def _say_progress(self, end: str = "") -> None:
         line = _progress(self._reader.account(), self._recorder)
