@@ -74,7 +74,7 @@ class StandIn:
     def stop(self) -> RecordingSummary | None:
         self.acts.append(("stop",))
         now, self.current = self.current, None
-        return RecordingSummary(now.path, 1000, 20, 1, 2.5, now.failure) if now else None
+        return RecordingSummary(now.path, 1, 1000, 20, 1, 2.5, now.failure) if now else None
 
     def mark(self, text: str) -> int:
         if self.current is None or self.current.failure is not None:

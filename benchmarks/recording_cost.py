@@ -62,7 +62,7 @@ def in_turns(plate_name: str, seconds: float, folder: Path) -> tuple[list[Turn],
             turn = _read(reader, arrived, seconds)
             summary = switch.stop()
             assert summary is not None  # noqa: S101 - it was started
-            turn.file_bytes_per_s = summary.file_bytes / summary.seconds
+            turn.file_bytes_per_s = summary.all_bytes / summary.seconds
             turn.events_missing = summary.events_missing
             with_recording.append(turn)
             summary.file.unlink()

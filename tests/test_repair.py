@@ -7,6 +7,7 @@ from pathlib import Path
 from random import Random
 
 import pytest
+from emulation import emulated
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
@@ -16,8 +17,11 @@ from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording import Recorder
 from resonator_daemon.acquisition.recording_file import Mark, Origin, open_recording
 from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent, encode
+from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
+from resonator_daemon.record import RecordOptions, record
 from resonator_daemon.repair import RepairError, repaired
+from simulators.emulator import EmulatorOptions
 
 ORIGIN = Origin(load_plate("quartz16"), "tcp://board:1", name="left", plate_text="a = 1\n", settings_text="b = 2\n")
 SCHEMA = {"title": "Count", "type": "object"}
@@ -123,6 +127,28 @@ def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
     place = events.index(word)
     assert events[:place] + events[place + 1 :] == written[:place] + written[place + word.events :]
     assert (word.events, word.now) == (done.events_missing, events[place + 1].now)
+
+
+def test_a_replay_goes_on_behind_a_damaged_beginning(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    port, config, path = tmp_path / "board", tmp_path / "board.toml", tmp_path / "run.mcap"
+    config.write_text(f'plate = "quartz16"\nlink = "serial:{port}?baud=4000000"\n')
+    with emulated(EmulatorOptions("quartz16", pty=port)):
+        record(config, RecordOptions(path, seconds=3.0), as_json=False)
+    begin, size = chunks(path)[0]
+    bent = bytearray(path.read_bytes())
+    bent[begin + size // 2] ^= 4
+    path.write_bytes(bent)
+    copy = tmp_path / "copy.mcap"
+    done = repaired(path, copy)
+    assert (done.holes, done.events_missing > 100) == (1, True)
+    with open_recording(str(copy)) as it:
+        sound = sum(isinstance(event, Received) for event in it.events())
+    capsys.readouterr()
+    assert cli.main(["replay", str(copy), "--to", str(tmp_path / "out.jsonl"), "--json"]) == ExitCode.FAILED
+    told = json.loads(capsys.readouterr().out)
+    assert told["frames"] > 500
+    assert told["differences"] < sound / 2  # what came between the damage and the next standing
+    assert sum(told["frames_lost"].values()) == 0
 
 
 def test_after_a_damaged_length_nothing_can_be_told(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:

@@ -38,6 +38,14 @@ class RecordingCounts(NamedTuple):
     messages_missing: int = 0
 
 
+class _Filling(NamedTuple):
+    """What is in the chunk that is being filled; of its events, `traffic` are not about the recording itself."""
+
+    events: int = 0
+    traffic: int = 0
+    messages: int = 0
+
+
 class Recorder:
     """A recording that is being written; a file that is there already is left alone.
 
@@ -86,6 +94,9 @@ class Recorder:
         self._begun_utc_ns = 0  # of the last file, as its name says
         self._retry_s = 0.0
         self._syncing: list[threading.Thread] = []
+        self._filling = _Filling()
+        self._chunks = 0  # of the file, whose contents are counted
+        self._ended_bytes = 0  # of the files before
         self._file: RecordingWriter | None = None
         try:
             self._begin_file(read_host_time().utc_ns)
@@ -121,9 +132,15 @@ class Recorder:
 
     @property
     def events(self) -> int:
-        """Events that are written."""
+        """Events that are in the kernel's hands."""
         with self._lock:
             return self._events
+
+    @property
+    def all_bytes(self) -> int:
+        """Of all its files."""
+        with self._lock:
+            return self._ended_bytes + self._counts.file_bytes
 
     @property
     def counts(self) -> RecordingCounts:
@@ -131,7 +148,7 @@ class Recorder:
             return self._counts
 
     def put(self, event: WireEvent) -> None:
-        """Have an event written; never waits. A `Standing` is written at the beginning of a file only."""
+        """Have an event written; never waits. A `Standing` is written where a replay can begin or go on with it."""
         taken_bytes = size_bytes(event)
         with self._lock:
             if self._missing_events:
@@ -232,24 +249,34 @@ class Recorder:
             thread.join()
 
     def _write(self, items: deque[Item]) -> None:
-        events = missing = messages = messages_missing = 0
+        missing = messages_missing = 0
         for item in items:
             written = self._write_one(item)
+            events, traffic, messages = self._filling
             match item:
                 case Published():
-                    messages += written
+                    self._filling = _Filling(events, traffic, messages + written)
                     messages_missing += not written
                 case Mark() | BoardOnline() | Skipped():
                     pass
                 case Standing():
-                    events += written
+                    self._filling = _Filling(events + written, traffic, messages)
                 case _:
-                    events += written
+                    self._filling = _Filling(events + written, traffic + written, messages)
                     missing += not written
+            if self._file is not None and self._file.chunks != self._chunks:
+                self._count_chunk(self._file)
         with self._lock:
-            self._events += events
-            self._count(events_missing=missing, messages=messages, messages_missing=messages_missing)
+            self._count(events_missing=missing, messages_missing=messages_missing)
             self._waiting_bytes -= sum(map(size_bytes, items))
+
+    def _count_chunk(self, file: RecordingWriter) -> None:
+        """Count what is in a file for good."""
+        filling, self._filling = self._filling, _Filling()
+        self._chunks = file.chunks
+        with self._lock:
+            self._events += filling.events
+            self._count(messages=filling.messages)
 
     def _write_one(self, item: Item) -> bool:
         """Write one item; return whether it is in a file."""
@@ -262,7 +289,7 @@ class Recorder:
                 case Standing():
                     self._turn_over(item)
             file = self._file
-            if file is None or (isinstance(item, Standing) and file.begun):
+            if file is None or (isinstance(item, Standing) and not file.standing_due):
                 return False
             match item:
                 case BoardOnline():
@@ -311,8 +338,9 @@ class Recorder:
         with self._lock:
             failed, self._failure = self._failure, None
             self._said_failure = False
-            self._path, self._file = file.path, file
-            self._counts = self._counts._replace(files=self._counts.files + 1)
+            self._path, self._file, self._chunks = file.path, file, file.chunks
+            self._ended_bytes += self._counts.file_bytes
+            self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
         if failed is not None:
             self._say(logging.INFO, f"recording goes on in {file.path}")
 
@@ -322,6 +350,7 @@ class Recorder:
             return
         try:
             self._file.flush()
+            self._count_chunk(self._file)
             if self._file.is_gone:
                 self._leave()
                 return
@@ -356,6 +385,7 @@ class Recorder:
             return
         try:
             self._file.finish()
+            self._count_chunk(self._file)
             self._take_stock()
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
@@ -378,7 +408,11 @@ class Recorder:
         """Leave a file as it is that takes nothing more."""
         if self._file is not None:
             self._file.abandon()
+            self._take_stock()
             self._file = None
+        lost, self._filling = self._filling, _Filling()
+        with self._lock:
+            self._count(events_missing=lost.traffic, messages_missing=lost.messages)
         reason = (isinstance(error, OSError) and error.strerror) or repr(error)
         self._fail(f"{self._path}: {reason}")
 

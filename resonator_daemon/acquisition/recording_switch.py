@@ -39,10 +39,11 @@ class RecordingNow(NamedTuple):
 
 
 class RecordingSummary(NamedTuple):
-    """A recording that has ended; `file` is its last one, `events_missing` are in none."""
+    """A recording that has ended; `file` is the last of its files, `events_missing` are in none."""
 
     file: Path
-    file_bytes: int
+    files: int
+    all_bytes: int
     events: int
     events_missing: int
     seconds: float
@@ -153,7 +154,8 @@ class RecordingSwitch:
         counts = recorder.counts
         return RecordingSummary(
             recorder.path,
-            counts.file_bytes,
+            counts.files,
+            recorder.all_bytes,
             recorder.events,
             counts.events_missing,
             round(seconds, 3),

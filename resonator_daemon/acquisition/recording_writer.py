@@ -5,8 +5,9 @@ import json
 import os
 from collections.abc import Mapping
 from contextlib import suppress
+from io import BufferedWriter
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
@@ -27,7 +28,7 @@ from resonator_daemon.acquisition.recording_file import (
     Origin,
     encode_mark,
 )
-from resonator_daemon.acquisition.wire_events import Skipped, WireEvent, encode
+from resonator_daemon.acquisition.wire_events import Skipped, Standing, WireEvent, encode
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.host.new_file import NoNewFileError
 
@@ -61,12 +62,26 @@ class RecordingWriter:
     ------
     OperatorError
         It cannot be made, or is there already.
+
+    Attributes
+    ----------
+    begun
+        It has an event that a replay can begin with.
+    begun_ns
+        Monotonic time of the first of these.
+    chunks
+        How many are whole and in the kernel's hands, with all that was written until then.
+    standing_due
+        A `Standing` is of use: a replay can begin or, where what comes before is damaged, go on with it.
     """
 
     def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:
         self.path = path
-        self.begun = False  # it has an event that a replay can begin with
-        self.begun_ns = 0  # monotonic, of its first event
+        self.begun = False
+        self.begun_ns = 0
+        self.chunks = 0
+        self.standing_due = True
+        self._whole_bytes = 0
         self._channels: dict[str, int] = {}
         self._file = _made(path)
         self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
@@ -80,7 +95,7 @@ class RecordingWriter:
     @property
     def size_bytes(self) -> int:
         """What is written, without the chunk that is being filled."""
-        return self._file.tell()
+        return self._whole_bytes
 
     @property
     def is_gone(self) -> bool:
@@ -94,18 +109,21 @@ class RecordingWriter:
 
     def write(self, event: WireEvent) -> None:
         now = event.now
-        self._writer.add_message(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
         if not self.begun and not isinstance(event, Skipped):
             self.begun, self.begun_ns = True, now.monotonic_ns
+            self.standing_due = False
+        if isinstance(event, Standing):
+            self.standing_due = False
+        self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
 
     def mark(self, mark: Mark) -> None:
         channel = self._json_channel(MARKS, MARK_SCHEMA, MARK_SCHEMA_DATA)
-        self._writer.add_message(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns)
+        self._add(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns)
 
     def publish(self, message: Published) -> None:
         title = str(message.schema.get("title", message.topic))
         channel = self._json_channel(message.topic, title, message.schema)
-        self._writer.add_message(channel, message.utc_ns, message.payload, message.utc_ns)
+        self._add(channel, message.utc_ns, message.payload, message.utc_ns)
 
     def name_board(self, board: BoardOnline) -> None:
         identity = board.identity
@@ -118,15 +136,20 @@ class RecordingWriter:
                 "boot_id": f"{board.boot_id:08x}",
             },
         )
+        self._file.flush()
+        self._whole_bytes = self._file.tell()
 
     def flush(self) -> None:
         """Hand what was written to the kernel."""
         self._writer.flush()
+        self._note_chunk()
 
     def finish(self) -> None:
         """Write the end of the file; `sync` is to follow."""
+        self.flush()
         self._writer.finish()
         self._file.flush()
+        self._whole_bytes = self._file.tell()
 
     def sync(self) -> None:
         """Wait until the medium has the file, and close it."""
@@ -134,9 +157,12 @@ class RecordingWriter:
             os.fsync(self._file.fileno())
 
     def abandon(self) -> None:
-        """Close the file as it is."""
-        with suppress(OSError):  # it tries once more to write what it could not
-            self._file.close()
+        """Close the file, with all that is whole: what is left of a chunk could not be read."""
+        raw = self._file.raw
+        with suppress(OSError):
+            raw.truncate(self._whole_bytes)
+        with suppress(OSError):
+            raw.close()  # without the rest of the chunk, which closing the buffer would write once more
 
     def _begin(self, origin: Origin, utc_ns: int) -> None:
         with suppress(OSError):  # not every file system has locks
@@ -148,6 +174,18 @@ class RecordingWriter:
             self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
         self._wire = self._writer.register_channel(TOPIC, ENCODING, schema_id=0)
         self._writer.flush()
+        self._whole_bytes = self._file.tell()
+
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        self._writer.add_message(channel, log_ns, data, publish_ns)
+        if self._file.tell() != self._whole_bytes:  # a chunk was full
+            self._file.flush()
+            self._note_chunk()
+
+    def _note_chunk(self) -> None:
+        self._whole_bytes = self._file.tell()
+        self.chunks += 1
+        self.standing_due = self.begun
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
         if topic not in self._channels:
@@ -156,7 +194,7 @@ class RecordingWriter:
         return self._channels[topic]
 
 
-def _made(path: Path) -> IO[bytes]:
+def _made(path: Path) -> BufferedWriter:
     try:
         return path.open("xb")
     except FileExistsError as error:

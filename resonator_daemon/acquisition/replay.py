@@ -109,6 +109,7 @@ class Replay:
         self._begun: HostTime | None = None
         self._now = HostTime(0, 0, 0)
         self._reading = False
+        self._astray = True  # how the link stands is not known
         self._first = ""
         self.differences = 0
 
@@ -127,12 +128,13 @@ class Replay:
             case Said() | Skipped() | Steered():
                 self._take(event)
                 if isinstance(event, Skipped):
+                    self._astray = True
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
             case Standing():
-                if self._course.connection is not None:
-                    self._differ(event, "the link stands open already")
-                    self.close(event.now)
-                self._take(event)
+                # Told again and again, for whoever has not read what was before.
+                if self._astray and self._course.connection is None:
+                    self._take(event)
+                self._astray = False
             case Opened():
                 if self._course.connection is not None:
                     self._differ(event, "the link is opened twice")

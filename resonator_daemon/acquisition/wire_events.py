@@ -90,7 +90,7 @@ class Skipped(NamedTuple):
 
 
 class Standing(NamedTuple):
-    """How the link stands before anything that comes at `now` or later; a recording may begin with it."""
+    """How the link stands before anything that comes at `now` or later; a replay may begin or go on with it."""
 
     now: HostTime
     course: CourseStanding

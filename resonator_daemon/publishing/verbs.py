@@ -151,10 +151,11 @@ class StopRecording(Request):
 class RecordingSummaryInfo(Message):
     """What a recording that has ended holds."""
 
-    file: str = Field(description="on the daemon's machine")
-    file_bytes: int
-    events: int = Field(description="pieces of the link's traffic that are in the file")
-    events_missing: int = Field(description="those that are not: the disk was too slow or failed")
+    file: str = Field(description="the last of its files, on the daemon's machine")
+    files: int
+    all_bytes: int = Field(description="of all its files")
+    events: int = Field(description="pieces of the link's traffic that are in its files")
+    events_missing: int = Field(description="those that are in none: the disk was too slow or failed")
     duration_s: float
     failure: str | None = Field(description="why nothing more was written; null where all was well")
 

@@ -180,7 +180,8 @@ def _ended(now: RecordingNow) -> CommandRefusedError:
 def _told(summary: RecordingSummary) -> RecordingSummaryInfo:
     return RecordingSummaryInfo(
         file=as_json_text(summary.file),
-        file_bytes=summary.file_bytes,
+        files=summary.files,
+        all_bytes=summary.all_bytes,
         events=summary.events,
         events_missing=summary.events_missing,
         duration_s=summary.seconds,

@@ -81,7 +81,10 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     sizes = [path.stat().st_size for path in series.files()]
     assert len(sizes) >= 3
     assert all(400_000 <= size < 400_000 + 300_000 + 50_000 for size in sizes[:-1])
-    assert sum(len(events) for events in contents(tmp_path)) == 100 + len(sizes)
+    received = [event for events in contents(tmp_path) for event in events if isinstance(event, Received)]
+    assert [event.now for event in received] == [at(ms) for ms in range(0, 1000, 10)]
+    assert recorder.events == sum(map(len, contents(tmp_path)))
+    assert recorder.all_bytes == sum(sizes)
     assert recorder.counts.file_bytes == sizes[-1]
 
 

@@ -110,7 +110,7 @@ async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquit
     assert "press" in path.name
     assert health["recording"]["file"] == str(path)
     assert stopped["recording"]["events_missing"] == 0
-    assert stopped["recording"]["file_bytes"] == path.stat().st_size
+    assert stopped["recording"]["all_bytes"] == path.stat().st_size
 
     replayed = bench.folder / "replay.toml"
     replayed.write_text(

@@ -174,7 +174,7 @@ async def test_a_recording_from_start_to_stop(bench: Bench) -> None:
     assert bench.directory.is_dir()
     assert await bench.ask("mark", text="drop") == {"t_ns": "1789000000000000001"}
     stopped = await bench.ask("stop_recording")
-    summary = {"file": str(path), "file_bytes": 1000, "events": 20, "events_missing": 1, "duration_s": 2.5}
+    summary = {"file": str(path), "files": 1, "all_bytes": 1000, "events": 20, "events_missing": 1, "duration_s": 2.5}
     assert stopped == {"recording": {**summary, "failure": None}, "already": False}
     assert [act[0] for act in bench.daemon.acts] == ["start", "mark", "stop"]
 
@@ -247,4 +247,4 @@ async def test_a_real_file_is_written(tmp_path: Path) -> None:
     assert "/?/" in json.loads(started.model_dump_json())["file"]
     stopped = await recording.stop(VERBS["stop_recording"].request())
     assert stopped.recording is not None
-    assert stopped.recording.file_bytes == path.stat().st_size > 0
+    assert stopped.recording.all_bytes == path.stat().st_size > 0

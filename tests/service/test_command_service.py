@@ -73,7 +73,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         recording = (await ask("stop_recording"))["recording"]
         path = Path(recording["file"])
         assert path.parent == recordings()
-        assert (path.stat().st_size, recording["events_missing"]) == (recording["file_bytes"], 0)
+        assert (path.stat().st_size, recording["events_missing"]) == (recording["all_bytes"], 0)
         assert marks(path) == [(int(marked["t_ns"]), "nothing touches it")]
 
         step_ticks = max(ticks_between(heard.payloads(FORCES)))
