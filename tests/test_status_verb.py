@@ -212,7 +212,7 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         "restart for what has changed: link, mqtt.url",
         "1 link_gap, 2 damaged",
         "61 sent, 80 waiting (36 of them on disk); dropped: 32 no_connection, 33 spool_full",
-        "12.5 % of a core, 96 MiB, 20 file descriptors, 19 threads",
+        "12.5 % of a core, 96 MB, 20 file descriptors, 19 threads",
     ):
         assert words in page
     assert str(status_samples.NOW_NS)[:10] not in page

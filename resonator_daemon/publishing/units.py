@@ -16,7 +16,7 @@ UNITS: Final[dict[str, str]] = {
     "percent": "%",
     "ppm": "[ppm]",
     "bytes": "By",
-    "mb": "MiBy",
+    "mb": "MBy",
     "ticks": "{tick}",
 }
 """Unit by the ending of a key, in the notation of UCUM; a tick is one of the board's clock."""

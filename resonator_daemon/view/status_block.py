@@ -70,7 +70,7 @@ def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
     if status.health is not None:
         health = status.health
         load = quantity(health.cpu_percent, ".1f", " % of a core")
-        memory = quantity(health.rss_mb, ".0f", " MiB")
+        memory = quantity(health.rss_mb, ".0f", " MB")
         yield "process", Text(f"{load}, {memory}, {health.file_descriptors} file descriptors, {health.threads} threads")
 
 

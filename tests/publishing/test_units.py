@@ -53,7 +53,7 @@ def test_each_dimensionless_key_is_there() -> None:
         ("radius_of_curvature_m", "m"),
         ("area_m2", "m2"),
         ("plate_kelvin_std", "K"),
-        ("rss_mb", "MiBy"),
+        ("rss_mb", "MBy"),
         ("slip_margin_std", "1"),
         ("noise_std", "1"),
         ("rates_hz", "Hz"),
