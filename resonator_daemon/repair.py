@@ -4,20 +4,24 @@ import fcntl
 import json
 import os
 import sys
+import zlib
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO, Final, NamedTuple
 
+from mcap.reader import FOOTER_SIZE
 from mcap.records import (
     Attachment,
     Channel,
+    Footer,
     Header,
     McapRecord,
     Message,
     Metadata,
     Schema,
 )
+from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.acquisition.host_time import HostTime
@@ -39,6 +43,9 @@ from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.host.new_file import NewFile, interruptible
 from resonator_daemon.host.printable import printable
 
+_CRC_BYTES: Final = 4
+_PIECE_BYTES: Final = 1 << 20
+
 
 class RepairError(OperatorError):
     """Nothing of the recording can be read, or its copy cannot be written."""
@@ -56,6 +63,7 @@ class NotRepairableError(RepairError):
 class Repaired(NamedTuple):
     """What came of it; `cut_bytes` of the file's end are in no copy, nor are `holes` chunks before.
 
+    `index_damaged`: the index at its end is not what was written, and other programs read the file by it.
     `unreadable` of the messages and marks of chunks that are whole, and of attachments, are in no copy, since no replay
     can read them; nor are `damaged_attachments`, by their names, which are not what was written. `carries_config`:
     plate file and settings are in it.
@@ -64,6 +72,7 @@ class Repaired(NamedTuple):
     ended: bool
     cut_bytes: int
     holes: int
+    index_damaged: bool
     unreadable: int
     damaged_attachments: tuple[str, ...]
     events: int
@@ -73,7 +82,7 @@ class Repaired(NamedTuple):
 
     @property
     def was_whole(self) -> bool:
-        return self.ended and not (self.holes or self.unreadable or self.damaged_attachments)
+        return self.ended and not (self.holes or self.index_damaged or self.unreadable or self.damaged_attachments)
 
 
 def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
@@ -146,14 +155,18 @@ def repaired(path: Path, copy: Path) -> Repaired:
 def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
     copier = _Copier(target, known_channels(file))
     records = Records(file)
+    footer: Footer | None = None
     for found in records:
         copier.take(found)
+        if isinstance(found, Footer):
+            footer = found
     copier.finish()
     whole_bytes = file.seek(0, os.SEEK_END)
     return Repaired(
         records.ended,
         0 if records.ended else whole_bytes - records.good_bytes,
         copier.holes,
+        records.ended and footer is not None and not _index_is_whole(file, footer, records.good_bytes),
         copier.unreadable,
         tuple(copier.damaged_attachments),
         copier.events,
@@ -161,6 +174,22 @@ def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
         copier.last_event_utc_ns,
         copier.texts >= {PLATE_FILE, SETTINGS_FILE},
     )
+
+
+def _index_is_whole(file: IO[bytes], footer: Footer, footer_end: int) -> bool:
+    """Check the index by the sum that the footer has of it; readers seek the footer in the last bytes of the file."""
+    if file.seek(0, os.SEEK_END) != footer_end + MAGIC_SIZE:
+        return False
+    if not footer.summary_crc:  # whoever wrote it gives no sum
+        return True
+    begin, end = footer.summary_start or footer_end - FOOTER_SIZE, footer_end - _CRC_BYTES
+    if begin > end:
+        return False
+    file.seek(begin)
+    crc = 0
+    for at in range(begin, end, _PIECE_BYTES):
+        crc = zlib.crc32(file.read(min(_PIECE_BYTES, end - at)), crc)
+    return crc == footer.summary_crc
 
 
 class _Copier:
@@ -285,6 +314,8 @@ def _sentence(path: Path, copy: Path, done: Repaired) -> str:
         wrong.append(f"its end is missing{cut}")
     if done.holes:
         wrong.append(f"{done.holes} damaged chunks are left out")
+    if done.index_damaged:
+        wrong.append("its index is damaged")
     if done.unreadable:
         wrong.append(f"{done.unreadable} entries that cannot be read are left out")
     wrong += [f"its attachment {name} is damaged and left out" for name in done.damaged_attachments]

@@ -9,13 +9,13 @@ from random import Random
 import pytest
 from emulation import emulated
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
+from mcap.writer import CompressionType, IndexType, Writer
 
 from resonator_daemon import cli
 from resonator_daemon.acquisition import recording
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import Mark, Origin, open_recording
+from resonator_daemon.acquisition.recording_file import DAMAGE, Mark, Origin, open_recording
 from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent, encode
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
@@ -308,6 +308,7 @@ def test_a_damaged_chunk_and_a_damaged_index_cost_that_chunk_alone(
         bent[place] ^= 1
         path.write_bytes(bent)
         assert repaired(path, tmp_path / "copy.mcap").events == len(written)
+        (tmp_path / "copy.mcap").unlink()
         bent[begin + size // 2] ^= 4
         path.write_bytes(bent)
         done = repaired(path, tmp_path / "copy.mcap")
@@ -335,6 +336,63 @@ def test_an_index_behind_a_chunk_costs_nothing(made: tuple[Path, list[WireEvent]
     bent[begin + size + 9 + 2 + 2] ^= 1  # the length of its array
     path.write_bytes(bent)
     assert read(path) == (written, None)
+    assert repaired(path, tmp_path / "copy.mcap").was_whole
+
+
+def found_by_index(path: Path) -> int:
+    """Count the messages that a reader of such files finds by their index."""
+    with path.open("rb") as file:
+        return sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages())
+
+
+@pytest.mark.parametrize("part", ["place of a chunk", "begin of the index", "begin of its offsets", "end"])
+def test_a_damaged_index_is_made_anew(
+    made: tuple[Path, list[WireEvent]], tmp_path: Path, capsys: pytest.CaptureFixture[str], part: str
+) -> None:
+    path, written = made
+    begin, _ = chunks(path)[2]
+    whole = found_by_index(path)
+    bent = bytearray(path.read_bytes())
+    footer = len(bent) - 8 - 29 + 9  # behind its own opcode and length
+    if part == "place of a chunk":
+        bent[bent.rindex(begin.to_bytes(8, "little"))] ^= 64
+    elif part == "begin of the index":
+        bent[footer] += 5
+    elif part == "begin of its offsets":
+        bent[footer + 8] += 5
+    else:
+        bent += bytes(512)
+    path.write_bytes(bent)
+    if part != "begin of its offsets":  # which this reader does not look at
+        with pytest.raises(DAMAGE):
+            found_by_index(path)
+    assert read(path) == (written, None)
+    copy = tmp_path / "copy.mcap"
+    assert cli.main(["repair", str(path), "--output", str(copy), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["index_damaged"]
+    assert err.startswith(f"{path}: its index is damaged; {copy} has {len(written)} events up to ")
+    assert found_by_index(copy) == whole
+    assert repaired(copy, tmp_path / "again.mcap").was_whole
+
+
+@pytest.mark.parametrize("indexed", [True, False])
+def test_an_index_without_a_check_sum_is_believed(tmp_path: Path, indexed: bool) -> None:
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(
+            file,
+            compression=CompressionType.LZ4,
+            index_types=IndexType.ALL if indexed else IndexType.NONE,
+            repeat_channels=indexed,
+            use_statistics=indexed,
+            use_summary_offsets=indexed,
+            enable_crcs=not indexed,
+        )
+        writer.start("resonatord", "")
+        writer.add_metadata("recording", ORIGIN.metadata)
+        writer.add_message(writer.register_channel("wire", "", 0), 0, CLOSED, 0)
+        writer.finish()
     assert repaired(path, tmp_path / "copy.mcap").was_whole
 
 
