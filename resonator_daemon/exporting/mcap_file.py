@@ -83,11 +83,7 @@ class McapOutput:
         self._frame_id = frame_id
         self._channels: dict[str, int] = {}
         self.rows: dict[str, int] = {}
-        self._writer = Writer(self._new.file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start("", METADATA)
-        self._writer.add_metadata(METADATA, dict(metadata))
-        for name, text in attachments.items():
-            self._writer.add_attachment(0, 0, name, "application/toml", text.encode())
+        self._writer = begun_writer(self._new, "", metadata, attachments)
 
     def take(self, moment: Moment) -> None:
         now_ns = moment.now.utc_ns
@@ -122,6 +118,22 @@ class McapOutput:
             self._channels[channel] = self._writer.register_channel(channel, "json", schema_id)
         self._writer.add_message(self._channels[channel], log_ns, data, publish_ns)
         self.rows[channel] = self.rows.get(channel, 0) + 1
+
+
+def begun_writer(
+    new: NewFile, profile: str, metadata: Mapping[str, str], attachments: Mapping[str, str] | None = None
+) -> Writer:
+    """Return a writer of a file that has what comes first in it; nothing is left of the file where that fails."""
+    try:
+        writer = Writer(new.file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        writer.start(profile, METADATA)
+        writer.add_metadata(METADATA, dict(metadata))
+        for name, text in (attachments or {}).items():
+            writer.add_attachment(0, 0, name, "application/toml", text.encode())
+    except BaseException:
+        new.discard()
+        raise
+    return writer
 
 
 @cache

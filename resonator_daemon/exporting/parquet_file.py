@@ -47,22 +47,25 @@ class ParquetFormat:
     def __init__(self, place: Callable[[str], Path], metadata: Mapping[str, str]) -> None:
         self._place = place
         self._metadata = metadata
-        self._files: list[tuple[NewFile, _ParquetFile]] = []
+        self._new: list[NewFile] = []
+        self._files: list[_ParquetFile] = []
 
     def open_table(self, topic: Topic[Any], columns: Sequence[Column]) -> "_ParquetFile":
         new = NewFile(self._place(topic.path))
+        self._new.append(new)
         file = _ParquetFile(new, columns, {**self._metadata, "topic": topic.path})
-        self._files.append((new, file))
+        self._files.append(file)
         return file
 
     def close(self) -> Mapping[str, int]:
-        for _, file in self._files:
+        for file in self._files:
             file.close()
-        return {str(new.path): new.keep() for new, _ in self._files}
+        return {str(new.path): new.keep() for new in self._new}
 
     def discard(self) -> None:
-        for new, file in self._files:
+        for file in self._files:
             file.discard()
+        for new in self._new:
             new.discard()
 
 

@@ -3,10 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from mcap.writer import CompressionType, Writer
-
-from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
-from resonator_daemon.exporting.mcap_file import METADATA
+from resonator_daemon.exporting.mcap_file import begun_writer
 from resonator_daemon.exporting.ros2_messages import RosMessages, ros_name
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
@@ -38,9 +35,7 @@ class Ros2Output:
         self._channels: dict[str, int] = {}
         self.rows: dict[str, int] = {}
         self._new = NewFile(path)
-        self._writer = Writer(self._new.file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
-        self._writer.start("ros2", METADATA)
-        self._writer.add_metadata(METADATA, dict(metadata))
+        self._writer = begun_writer(self._new, "ros2", metadata)
 
     def take(self, moment: Moment) -> None:
         for topic, message in moment.messages:

@@ -118,10 +118,13 @@ def test_what_another_export_is_writing_is_left_alone(tmp_path: Path, capsys: py
     assert [path.read_text() for path in tmp_path.iterdir()] == ["theirs"]
 
 
+@pytest.mark.parametrize("room_bytes", [0, 4000])
 @pytest.mark.parametrize("form", FORMATS)
-def test_a_disk_that_is_full_keeps_nothing(form: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_disk_that_is_full_keeps_nothing(
+    form: str, room_bytes: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4000, hard))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room_bytes, hard))
     try:
         code = export(recording("touches"), *output(tmp_path, form), "--json")
     finally:
