@@ -54,15 +54,14 @@ def status(name: str | None, *, watch: bool, as_json: bool) -> ExitCode:
 
 
 def _page(answers: list[Answer], columns: int | None) -> Text:
-    now_ns = time.time_ns()
-    return Text("\n\n").join(_block(answer, now_ns, columns) for answer in answers)
+    return Text("\n\n").join(_block(answer, columns) for answer in answers)
 
 
-def _block(answer: Answer, now_ns: int, columns: int | None) -> Text:
+def _block(answer: Answer, columns: int | None) -> Text:
     problem = answer.problem
     if problem is None:
         try:
-            return status_block(Status.model_validate_json(json.dumps(answer.status)), now_ns, columns)
+            return status_block(Status.model_validate_json(json.dumps(answer.status)), columns)
         except ValidationError as error:
             version = (answer.status or {}).get("version", "unknown")
             keys = ", ".join(sorted({".".join(map(str, found["loc"])) for found in error.errors()}))

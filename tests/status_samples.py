@@ -117,6 +117,16 @@ def status(**changed: Any) -> Status:
         "health": health(),
         "broker": BrokerStatus(url="mqtt://127.0.0.1:1883", connected=True),
         "recording": RECORDING,
+        "ages_s": {
+            "started": 3600.0,
+            "config": 3500.0,
+            "daemon": 3400.0,
+            "link": 3300.0,
+            "sensor": 3200.0,
+            "outage": 3310.0,
+            "connected": 300.0,
+            "recording": 30.0,
+        },
     }
     return Status(**fields | changed)
 

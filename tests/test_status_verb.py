@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from pathlib import Path
@@ -217,6 +218,38 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         assert words in page
     assert str(status_samples.NOW_NS)[:10] not in page
     assert "\x1b" not in page
+
+
+@pytest.mark.parametrize("utc_ns", [0, status_samples.NOW_NS, 2 * status_samples.NOW_NS])
+async def test_durations_do_not_depend_on_the_wall_clock(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, utc_ns: int
+) -> None:
+    monkeypatch.setattr(time, "time_ns", lambda: utc_ns)
+    monkeypatch.setattr(time, "time", lambda: utc_ns / 1e9)
+    outage = status_samples.outage().model_copy(update={"start_t_ns": 60_000_000_000})  # before it was known
+    link = status_samples.state(Condition.ONLINE, last_outage=outage)
+    async with daemons(status_samples.status(link=link, health=status_samples.health(uptime_s=4000.0))):
+        assert await run() == 0
+    page = capsys.readouterr().out
+    for words in (
+        ", up 1 h 6 min\n",
+        "online: measuring (for 56 min 40 s)",
+        "online (for 55 min 0 s); 55 min 10 s ago - without frames, 1 500 lost",
+        "drifting: slowly (for 53 min 20 s)",
+        "connected for 5 min 0 s",
+        "38.0 MB (for 30.0 s)",
+        "hand.toml, read 58 min 20 s ago",
+    ):
+        assert words in page
+
+
+async def test_a_daemon_that_tells_no_ages_has_none(capsys: pytest.CaptureFixture[str]) -> None:
+    async with daemons(status_samples.status(ages_s={}, health=None)):
+        assert await run() == 0
+    page = capsys.readouterr().out
+    assert ", up -\n" in page
+    assert "read - ago" in page
+    assert "connected\n" in page
 
 
 async def test_in_a_terminal_long_lines_go_on_below_their_beginning(

@@ -46,3 +46,9 @@ class Status(Message):
     health: Health | None = Field(description="as last made for `health`; null in the first second")
     broker: BrokerStatus = Field(description="how it stands with its broker")
     recording: RecordingInfo = Field(description="as in `health`")
+    ages_s: dict[str, float] = Field(
+        {},
+        description="since the daemon `started`; since `config` in use was read, `daemon`, `link` and `sensor` are in "
+        "their states, the last `outage` ended, the broker is `connected`, the `recording` began, each where there is "
+        "such a moment; by the monotonic clock",
+    )

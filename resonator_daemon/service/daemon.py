@@ -29,6 +29,7 @@ from resonator_daemon.errors import ConfigError, IncompatibleBoardError, Operato
 from resonator_daemon.host.journal import name_lines
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.host.systemd import ServiceManager
+from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.monitoring.flow_watch import DECLARED_WAITING, FlowWatch
 from resonator_daemon.monitoring.health import HealthMonitor
@@ -79,6 +80,7 @@ class Service:
     """One board from its bytes to its messages."""
 
     def __init__(self, store: ConfigStore) -> None:
+        self._ages = Ages()
         self._in_use = ConfigInUse(store)
         config = self._in_use.config
         self._file_stem = store.path.stem
@@ -348,7 +350,7 @@ class Service:
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
         last = self._outlet.last_messages
-        return Status.model_validate(
+        status = Status.model_validate(
             {
                 "name": self._name,
                 "instance": self._instance,
@@ -364,11 +366,13 @@ class Service:
                 "recording": recording_info(self._recording),
             }
         )
+        return status.model_copy(update={"ages_s": self._ages.of(status)})
 
     async def _keep_reporting(self) -> None:
         while True:
             await asyncio.sleep(_HEALTH_S)
             self._health = self._report_health()
+            self._status()  # so that the age of what is new is counted from now on, asked for or not
 
     def _report_health(self) -> Health:
         measuring = self._course.measuring

@@ -24,20 +24,19 @@ _STYLES: Final = {
 }
 
 
-def status_block(status: Status, now_ns: int, columns: int | None) -> Text:
+def status_block(status: Status, columns: int | None) -> Text:
     """Return a block of lines, without a line break at its end.
 
     Parameters
     ----------
-    now_ns
-        UTC.
     columns
         Of the terminal: longer lines go on below their own beginning. None: they stay as they are.
     """
     title = printable(status.name or "(its name comes from the board)")
-    about = f"process {status.pid}, resonatord {printable(status.version)}, up {_age(status.started_t_ns, now_ns)}"
+    up = duration(status.health.uptime_s) if status.health else _age(status, "started")
+    about = f"process {status.pid}, resonatord {printable(status.version)}, up {up}"
     lines = [Text.assemble((title, "bold"), f"   {about}")]
-    for label, text in _lines(status, now_ns):
+    for label, text in _lines(status):
         head = Text(f"  {label:<{_LABEL_WIDTH}}")
         parts = [text] if columns is None else _wrapped(text, max(columns - len(head), _ROOM_MIN))
         lines.append(head.append_text(Text(f"\n{' ' * len(head)}").join(parts)))
@@ -51,9 +50,9 @@ def _wrapped(text: Text, width: int) -> list[Text]:
     return parts
 
 
-def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
+def _lines(status: Status) -> Iterator[tuple[str, Text]]:
     for part, state in (("daemon", status.daemon), ("link", status.link), ("sensor", status.sensor)):
-        yield part, _state(state, now_ns) if state else Text(UNKNOWN)
+        yield part, _state(status, part, state) if state else Text(UNKNOWN)
     if status.health is not None:
         yield (
             "frames",
@@ -61,11 +60,11 @@ def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
         )
         yield "lost", _lost(status.health)
         yield "clock", Text(_clock(status.health))
-    yield "broker", _broker(status, now_ns)
+    yield "broker", _broker(status)
     if status.health is not None:
         yield "messages", _messages(status.health)
-    yield "recording", _recording(status, now_ns)
-    for text in _config(status, now_ns):
+    yield "recording", _recording(status)
+    for text in _config(status):
         yield "config", text
     if status.health is not None:
         health = status.health
@@ -74,18 +73,20 @@ def _lines(status: Status, now_ns: int) -> Iterator[tuple[str, Text]]:
         yield "process", Text(f"{load}, {memory}, {health.file_descriptors} file descriptors, {health.threads} threads")
 
 
-def _state(state: State, now_ns: int) -> Text:
+def _state(status: Status, part: str, state: State) -> Text:
     text = Text.assemble((str(state.state), _STYLES.get(state.state, "red")))
     if state.reason:
         text.append(f": {printable(state.reason)}")
     if state.since_t_ns is not None:
-        text.append(f" (for {_age(state.since_t_ns, now_ns)})")
+        text.append(f" (for {_age(status, part)})")
     if state.boots is not None and state.boots > 1:
         text.append(f"; {state.boots} boots of the board")
     if (outage := state.last_outage) is not None:
         length_s = (outage.end_t_ns - outage.start_t_ns) * 1e-9
+        if not 0 <= length_s <= status.ages_s.get("started", math.inf):  # the clock was set meanwhile
+            length_s = math.nan
         text.append(
-            f"; {_age(outage.end_t_ns, now_ns)} ago {duration(length_s)} without frames, "
+            f"; {_age(status, 'outage')} ago {duration(length_s)} without frames, "
             f"{_count(outage.frames_lost)} lost: {printable(outage.reason)}"
         )
     return text
@@ -104,12 +105,12 @@ def _clock(health: Health) -> str:
     return f"{drift}, {_count(health.clock_outliers)} outliers, learnt anew {_count(health.clock_restarts)} times"
 
 
-def _broker(status: Status, now_ns: int) -> Text:
-    url, daemon = printable(status.broker.url), status.daemon
+def _broker(status: Status) -> Text:
+    url = printable(status.broker.url)
     if not status.broker.connected:
         return Text.assemble(url, ", ", ("not connected", "red"))
-    since_ns = daemon.connected_t_ns if daemon else None
-    return Text(f"{url}, connected" + (f" for {_age(since_ns, now_ns)}" if since_ns is not None else ""))
+    known = "connected" in status.ages_s
+    return Text(f"{url}, connected" + (f" for {_age(status, 'connected')}" if known else ""))
 
 
 def _messages(health: Health) -> Text:
@@ -122,12 +123,12 @@ def _messages(health: Health) -> Text:
     return text
 
 
-def _recording(status: Status, now_ns: int) -> Text:
+def _recording(status: Status) -> Text:
     recording = status.recording
     text = Text("off")
     if recording.file is not None and recording.since_t_ns is not None:
         size = f"{recording.file_bytes / 1e6:.1f} MB"
-        text = Text(f"{printable(recording.file)}, {size} (for {_age(recording.since_t_ns, now_ns)})")
+        text = Text(f"{printable(recording.file)}, {size} (for {_age(status, 'recording')})")
     if recording.files > (recording.file is not None):
         text.append(f"; {_count(recording.files)} files since the start")
     if recording.files_removed:
@@ -139,15 +140,15 @@ def _recording(status: Status, now_ns: int) -> Text:
     return text
 
 
-def _config(status: Status, now_ns: int) -> Iterator[Text]:
+def _config(status: Status) -> Iterator[Text]:
     config = status.config
     if config.in_use == "file":
-        text = Text(f"{printable(config.file)}, read {_age(config.loaded_t_ns, now_ns)} ago")
+        text = Text(f"{printable(config.file)}, read {_age(status, 'config')} ago")
         if config.problems:
             text.append("; as it is now it ").append("cannot be used", "red").append(":")
         yield text
     else:
-        read = f", read {_age(config.loaded_t_ns, now_ns)} ago"
+        read = f", read {_age(status, 'config')} ago"
         yield Text.assemble(("the last good one", "red"), f"{read}; {printable(config.file)} has problems:")
     for problem in config.problems:
         yield Text(printable(problem))
@@ -166,5 +167,5 @@ def _count(count: int) -> str:
     return f"{count:,}".replace(",", " ")
 
 
-def _age(t_ns: int, now_ns: int) -> str:
-    return duration((now_ns - t_ns) * 1e-9)
+def _age(status: Status, moment: str) -> str:
+    return duration(status.ages_s.get(moment, math.nan))

@@ -108,6 +108,8 @@ async def test_counters_go_on_over_a_pulled_cable_and_the_status_tells_of_it(
     )
     assert status.broker.url == mosquitto.url
     assert status.broker.connected
+    assert {"started", "config", "daemon", "link", "outage", "connected"} <= status.ages_s.keys()
+    assert all(0 <= age_s <= status.ages_s["started"] for age_s in status.ages_s.values())
     assert (status.config.in_use, status.config.problems) == ("file", ())
     assert status.health.frames > 1000
     assert "secret" not in status.model_dump_json()
