@@ -145,7 +145,9 @@ def _emulate(options: argparse.Namespace) -> None:
                 json=options.json,
             )
         )
-    except (ValueError, OSError) as error:
+    except ValueError as error:
+        raise OperatorError(*str(error).split("\n")) from error  # a line for each mistake
+    except OSError as error:
         raise OperatorError(str(error)) from error
 
 

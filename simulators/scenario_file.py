@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Iterator
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,6 +11,7 @@ from pydantic_core import ErrorDetails
 
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
 from simulators.faults import FaultEvent, FaultPlan
+from simulators.findings import nearest, said_of
 from simulators.physics import Physics
 
 _SHIPPED = Path(__file__).with_name("scenarios")
@@ -24,15 +24,21 @@ Switch = Annotated[bool, Field(strict=True)]
 Point = tuple[Finite, Finite]
 TimedKelvin = tuple[NotNegative, Kelvin]
 
+_POINTS = "give a number, or points [[t_s, kelvin], ...] with times that rise"
+
 
 def _line(given: Any) -> Any:
     """Take a number as a line that keeps its height."""
-    return [(0.0, given)] if isinstance(given, int | float) else given
+    if isinstance(given, int | float):
+        return [(0.0, given)]
+    if not isinstance(given, list | tuple):
+        raise ValueError(_POINTS)
+    return given
 
 
 def _rising(points: tuple[TimedKelvin, ...]) -> tuple[TimedKelvin, ...]:
     if not points or np.any(np.diff([time_s for time_s, _ in points]) <= 0):
-        raise ValueError("give a number, or points [[t_s, kelvin], ...] with times that rise")
+        raise ValueError(_POINTS)
     return points
 
 
@@ -127,7 +133,7 @@ def read_scenario(name_or_path: str, plate: Plate) -> ScenarioFile:
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        near = _nearest(name_or_path, shipped)
+        near = nearest(name_or_path, shipped)
         raise ValueError(f"no shipped scenario and no file is named {name_or_path!r}; {near}") from None
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror}") from None
@@ -190,12 +196,5 @@ def _sentence(error: ErrorDetails) -> str:
             "events": FaultEvent,
         }
         above = (tables[key] for key in reversed(path[:-1]) if isinstance(key, str) and key in tables)
-        return f"{where}: unknown key; {_nearest(str(path[-1]), tuple(next(above, ScenarioFile).model_fields))}"
-    value = "" if error["type"] == "missing" else f"got {error['input']!r}; "
-    said = str(error["ctx"]["error"]) if error["type"] == "value_error" else error["msg"]
-    return f"{where}: {value}{said[0].lower()}{said[1:]}"
-
-
-def _nearest(word: str, allowed: tuple[str, ...]) -> str:
-    near = get_close_matches(word, allowed, n=1)
-    return f"did you mean {near[0]}?" if near else f"allowed: {', '.join(allowed)}"
+        return f"{where}: unknown key; {nearest(str(path[-1]), tuple(next(above, ScenarioFile).model_fields))}"
+    return f"{where}: {said_of(error)}"

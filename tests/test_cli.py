@@ -144,6 +144,21 @@ def test_emulate_refuses_in_one_line(
     assert complaint in run.stderr
 
 
+def test_emulate_says_each_mistake_of_a_scenario_and_of_faults_in_a_line(resonatord: Resonatord, tmp_path: Path) -> None:
+    scenario = tmp_path / "mine.toml"
+    scenario.write_text("plate = 3\nseed = -1\n[[touches]]\nforce_newton = 1\n")
+    for arguments, keys in (
+        (("--scenario", str(scenario)), {"plate", "seed", "touches[0].start_s"}),
+        (("--faults", "noise=1,bit_error_rate=2"), {"noise", "bit_error_rate"}),
+    ):
+        run = resonatord("emulate", "--plate", "quartz16", *arguments, "--pty", str(tmp_path / "board"))
+        assert run.returncode == 78
+        lines = run.stderr.splitlines()
+        assert {line.split(": ")[2] for line in lines} == keys
+        assert len(lines) == len(keys)
+        assert all(line.startswith("resonatord: ") and line.isprintable() for line in lines)
+
+
 def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(resonatord: Resonatord) -> None:
     run = resonatord("emulate", "--scenario-schema")
     assert run.returncode == 0

@@ -1,11 +1,11 @@
 """Faults as one line of text: key=value, separated by commas."""
 
-from difflib import get_close_matches
 from typing import get_args
 
 from pydantic import ValidationError
 
 from simulators.faults.plan import LASTING, FaultPlan, Happening
+from simulators.findings import nearest, said_of
 
 _RATES = tuple(key for key in FaultPlan.model_fields if key != "events")
 _EVENT_KEYS = {
@@ -32,9 +32,7 @@ def parse_faults(spec: str) -> FaultPlan:
     for item in filter(None, (part.strip() for part in spec.split(","))):
         key, _, text = (part.strip() for part in item.partition("="))
         if key not in known:
-            near = get_close_matches(key, known, n=1)
-            remedy = f"did you mean {near[0]}?" if near else f"allowed: {', '.join(known)}"
-            findings.append(f"faults: {key}: unknown key; {remedy}")
+            findings.append(f"faults: {key}: unknown key; {nearest(key, known)}")
             continue
         value = text.split("+") if key == "misbehave" else text if key in _TEXTS else _number(text)
         if key in _RATES:
@@ -49,15 +47,13 @@ def parse_faults(spec: str) -> FaultPlan:
         plan = FaultPlan.model_validate(given | ({"events": listed} if listed else {}))
     except ValidationError as error:
         for finding in error.errors():
-            where, said = finding["loc"], finding["msg"]
+            where = finding["loc"]
             if where[0] == "events" and isinstance(where[1], int):
                 what = str(listed[where[1]]["what"])
                 key = f"{what}_{where[2]}" if len(where) > 2 else what
             else:
                 key = str(where[0])
-            value = "" if finding["type"] in ("missing", "value_error") else f"got {finding['input']!r}; "
-            said = said.removeprefix("Value error, ")
-            findings.append(f"faults: {key}: {value}{said[0].lower()}{said[1:]}")
+            findings.append(f"faults: {key}: {said_of(finding)}")
     if findings:
         raise ValueError("\n".join(findings))
     return plan

@@ -41,16 +41,16 @@ def test_every_mistake_in_a_spec_is_named() -> None:
     assert len(lines) == 11
     said = dict(line.removeprefix("faults: ").split(": ", 1) for line in lines)
     assert said["bit_eror_rate"] == "unknown key; did you mean bit_error_rate?"
-    assert said["unplug_at_s"].startswith("got 'soon'; input should be a valid number")
-    assert said["bit_error_rate"] == "got 2; input should be less than or equal to 1"
+    assert said["unplug_at_s"].startswith("got 'soon'; must be a valid number")
+    assert said["bit_error_rate"] == "got 2; must be less than or equal to 1"
     assert said["reboot_at_s"].startswith("got ''")
-    assert said["garbage_rate_hz"] == "got nan; input should be a finite number"
+    assert said["garbage_rate_hz"] == "got nan; must be a finite number"
     assert said["noise"].startswith("unknown key; allowed: bit_error_rate, ")
     assert "16" in said["burst_bits"]
-    assert said["freeze_at_s"] == "field required"
+    assert said["freeze_at_s"] == "missing; give a value"
     assert said["rename_to"].startswith("got 'a/b'")
     assert said["tick_step"] == "a tick_step needs ticks, and nothing else takes it"
-    assert said["misbehave"].startswith("got 'cheats'; input should be 'channels0'")
+    assert said["misbehave"].startswith("got 'cheats'; allowed: channels0, channels5, ")
 
 
 def test_a_plan_with_more_has_the_later_ones_keys_and_the_events_of_both() -> None:

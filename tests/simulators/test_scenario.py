@@ -242,19 +242,30 @@ def test_every_mistake_in_a_file_is_named(tmp_path: Path) -> None:
         '[[touches]]\nsite = 2\nforce_newton = "1 N"\nshear = { peak_ratio = 2, directon_deg = 1 }\n',
     )
     assert sorted(lines) == [
-        "mine.toml: environment_kelvin[0][1]: got 25.0; input should be greater than or equal to 100",
+        "mine.toml: environment_kelvin[0][1]: got 25.0; must be greater than or equal to 100",
         "mine.toml: period: unknown key; did you mean period_s?",
         "mine.toml: plate.crep_fraction: unknown key; did you mean creep_fraction?",
-        "mine.toml: plate.drop_rate: got 1.0; input should be less than 1",
-        "mine.toml: plate.ideal: got 1; input should be a valid boolean",
-        "mine.toml: seed: got -1; input should be greater than or equal to 0",
-        "mine.toml: touches[0].force_newton: got -1; input should be greater than 0",
+        "mine.toml: plate.drop_rate: got 1.0; must be less than 1",
+        "mine.toml: plate.ideal: got 1; must be true or false, without quotes",
+        "mine.toml: seed: got -1; must be greater than or equal to 0",
+        "mine.toml: touches[0].force_newton: got -1; must be greater than 0",
         "mine.toml: touches[0].hold: unknown key; did you mean hold_s?",
-        "mine.toml: touches[1].force_newton: got '1 N'; input should be a valid number",
+        "mine.toml: touches[1].force_newton: got '1 N'; must be a number: give it alone, as 1; the key says its unit",
         "mine.toml: touches[1].shear.directon_deg: unknown key; did you mean direction_deg?",
-        "mine.toml: touches[1].shear.peak_ratio: got 2; input should be less than or equal to 1",
-        "mine.toml: touches[1].start_s: field required",
+        "mine.toml: touches[1].shear.peak_ratio: got 2; must be less than or equal to 1",
+        "mine.toml: touches[1].start_s: missing; give a value",
     ]
+
+
+def test_a_value_in_the_place_of_a_table_or_a_list_is_named(tmp_path: Path) -> None:
+    lines = findings(tmp_path, 'plate = 3\nenvironment_kelvin = "warm"\ntouches = ["hard"]\nseed = {}\n')
+    assert sorted(lines) == [
+        "mine.toml: environment_kelvin: got 'warm'; give a number, or points [[t_s, kelvin], ...] with times that rise",
+        "mine.toml: plate: got 3; must be a table of keys",
+        "mine.toml: seed: got a table; must be a valid integer",
+        "mine.toml: touches[0]: got 'hard'; must be a table of keys",
+    ]
+    assert findings(tmp_path, "touches = 3\n") == ["mine.toml: touches: got 3; must be a list"]
 
 
 def test_faults_of_a_file_are_read_and_its_mistakes_named(tmp_path: Path) -> None:
@@ -270,10 +281,10 @@ def test_faults_of_a_file_are_read_and_its_mistakes_named(tmp_path: Path) -> Non
     )
     assert sorted(line.removeprefix("mine.toml: faults.")[:60] for line in lines) == [
         "bit_eror_rate: unknown key; did you mean bit_error_rate?",
-        "clump_ms: got -1; input should be greater than or equal to 0",
-        "events[0]: got {'at_s': 1, 'what': 'rename'}; a rename needs",
+        "clump_ms: got -1; must be greater than or equal to 0",
+        "events[0]: a rename needs to, and nothing else takes it",
         "events[1].for_sec: unknown key; did you mean for_s?",
-        "misbehave[0]: got 'cheats'; input should be 'channels0', 'ch",
+        "misbehave[0]: got 'cheats'; allowed: channels0, channels5, o",
     ]
 
 
