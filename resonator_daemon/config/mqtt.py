@@ -49,7 +49,7 @@ def split_url(url: str) -> SplitResult:
 
 def topic_level(text: str) -> str:
     """Return the text if it can be one level of an MQTT topic; ValueError says why not."""
-    if not text.isprintable() or not text or any(sign in text for sign in " /+#") or text.startswith("$"):
+    if "/" in text or not _is_level(text):
         raise ValueError(
             "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
         )
@@ -57,9 +57,16 @@ def topic_level(text: str) -> str:
 
 
 def _topic(text: str) -> str:
-    for level in text.split("/"):
-        topic_level(level)
+    if not all(map(_is_level, text.split("/"))):
+        raise ValueError(
+            "begins MQTT topics: levels joined by /, each not empty, with no space, +, # nor control character and no "
+            "leading $"
+        )
     return text
+
+
+def _is_level(text: str) -> bool:
+    return text.isprintable() and bool(text) and not any(sign in text for sign in " +#") and not text.startswith("$")
 
 
 def _broker_url(text: str) -> str:

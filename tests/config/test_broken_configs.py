@@ -81,7 +81,8 @@ BROKEN = [
     ("name of decoders", TOP + 'name = "decoder"\n', ":3: name: got 'decoder'", "choose another"),
     ("name that is a place", TOP + 'name = ".."\n', ":3: name: got '..'", "choose another"),
     ("name too long", TOP + f'name = "{"a" * 101}"\n', ":3: name: got 'aaa", "at most 100 characters"),
-    ("prefix with a wildcard", TOP + '[mqtt]\nprefix = "lab/#"\n', ":4: mqtt.prefix: got 'lab/#'", "no space, /, +, #"),
+    ("prefix with a wildcard", TOP + '[mqtt]\nprefix = "lab/#"\n', ":4: mqtt.prefix: got 'lab/#'",
+     "levels joined by /, each not empty, with no space, +, # nor"),
     ("prefix ends in a slash", TOP + '[mqtt]\nprefix = "lab/"\n', ":4: mqtt.prefix: got 'lab/'", "not empty"),
     # Plates.
     ("plate misspelt", TOP.replace("quartz16", "quarz16"), ":1: plate: got 'quarz16'", "did you mean quartz16?"),

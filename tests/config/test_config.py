@@ -186,8 +186,8 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
             '[mqtt]\nurl = "mqtt://ann:s/e#c@broker"',
             "4: mqtt.url: got 'mqtt://***@broker'; host and port (1 to 65535) cannot be",
         ),
-        ('[mqtt]\nprefix = "a//b"', "4: mqtt.prefix: got 'a//b'; becomes part of MQTT topics"),
-        ('[mqtt]\nprefix = "$SYS"', "4: mqtt.prefix: got '$SYS'; becomes part of MQTT topics"),
+        ('[mqtt]\nprefix = "a//b"', "4: mqtt.prefix: got 'a//b'; begins MQTT topics"),
+        ('[mqtt]\nprefix = "$SYS"', "4: mqtt.prefix: got '$SYS'; begins MQTT topics"),
         (
             '[decoding]\nmethod = "open-plain"',
             "4: decoding.method: got 'open-plain'; allowed: open-plane, fourier, off; did you mean open-plane?",

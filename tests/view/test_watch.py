@@ -189,7 +189,7 @@ class Screen:
     [
         ("http://me:secret@host", "resonator", "--url: got 'http://***@host'; must be mqtt"),
         ("localhost", "resonator", "--url: got 'localhost'; must be mqtt"),
-        (NOBODY, "a/#", "--prefix: got 'a/#'; becomes part of MQTT topics"),
+        (NOBODY, "a/#", "--prefix: got 'a/#'; begins MQTT topics: levels joined by /, each"),
         (NOBODY, "a" * 300, "should have at most 200 characters"),
     ],
 )
