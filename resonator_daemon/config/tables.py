@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 from pydantic import (
     AfterValidator,
@@ -49,11 +49,15 @@ def _plates(names: tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
+_FRICTION_LIMITS: Final = (0.001, 10)
+
+
 def _friction(value: object) -> object:
     if value == "unknown":
         return None
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ValueError("must be 'unknown' or a number above 0, at most 10")
+        low, high = _FRICTION_LIMITS
+        raise ValueError(f"must be 'unknown' or a number from {low:g} to {high:g}")
     return value
 
 
@@ -188,9 +192,16 @@ class Decoding(Table):
         default=True, description="let pressure, friction and no adhesion narrow tractions; with `open-plane` only"
     )
     friction_coefficient: Annotated[
-        Annotated[Number, Field(ge=0.001, le=10)] | None,
+        Annotated[Number, Field(ge=_FRICTION_LIMITS[0], le=_FRICTION_LIMITS[1])] | None,
         BeforeValidator(_friction),
-        WithJsonSchema({"anyOf": [{"const": "unknown"}, {"type": "number", "minimum": 0.001, "maximum": 10}]}),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"const": "unknown"},
+                    {"type": "number", "minimum": _FRICTION_LIMITS[0], "maximum": _FRICTION_LIMITS[1]},
+                ]
+            }
+        ),
     ] = Field(default=None, description="of the skin and what touches it; default: unknown", examples=["unknown", 0.5])
     uncertainty: StrictBool = Field(
         default=True, description="publish the standard deviation of the traction in `decoded`"

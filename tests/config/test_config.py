@@ -198,7 +198,11 @@ def test_the_fourier_decoder_is_refused_on_scattered_sites(tmp_path: Path) -> No
         ),
         (
             '[decoding]\nfriction_coefficient = "low"',
-            "4: decoding.friction_coefficient: got 'low'; must be 'unknown' or a number above 0, at most 10",
+            "4: decoding.friction_coefficient: got 'low'; must be 'unknown' or a number from 0.001 to 10",
+        ),
+        (
+            "[decoding]\nfriction_coefficient = true",
+            "4: decoding.friction_coefficient: got True; must be 'unknown' or a number from 0.001 to 10",
         ),
         (
             "[decoding]\nfriction_coefficient = -1",
