@@ -46,6 +46,8 @@ class PtyLink:
     ------
     FileExistsError
         `path` is there already: a file, or a link to a terminal that is alive.
+    OSError
+        It cannot be made there.
     """
 
     def __init__(self, path: Path) -> None:
@@ -105,11 +107,13 @@ class PtyLink:
             fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
             fresh.symlink_to(os.ttyname(self._slave_fd))
             fresh.replace(self._path)
-        except OSError:
+        except OSError as error:
             os.close(self._master_fd)
             os.close(self._slave_fd)
             self._master_fd = None
-            raise
+            raise type(error)(
+                f"{self._path} cannot be made: {error.strerror}; name a file in a directory that is there and yours"
+            ) from error
 
     def rename(self, name: str) -> None:
         """Take another name, in the same directory; a host notices as of a cable that was pulled."""
@@ -192,7 +196,13 @@ class TcpLink:
     def plug_in(self) -> None:
         if self._listener is None:
             family = socket.AF_INET6 if ":" in self._host else socket.AF_INET
-            self._listener = socket.create_server((self._host, self._port), family=family)
+            try:
+                self._listener = socket.create_server((self._host, self._port), family=family)
+            except OSError as error:
+                why = str(error.strerror or error).partition(" (while")[0]  # what Python adds
+                raise type(error)(
+                    f"{self.address} cannot be listened on: {why}; name another address or port"
+                ) from error
             self._listener.setblocking(False)
             self._port = self._listener.getsockname()[1]
 

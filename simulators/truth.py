@@ -29,7 +29,12 @@ class TruthOutput:
         self._path = path
         self._waiting = bytearray()
         self._is_pipe = path.exists() and stat.S_ISFIFO(path.stat().st_mode)
-        self._fd = None if self._is_pipe else os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self._fd: int | None = None
+        if not self._is_pipe:
+            try:
+                self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+            except OSError as error:
+                raise self._not_written(error) from error
 
     def write(self, line: str) -> None:
         data = line.encode()
@@ -61,6 +66,11 @@ class TruthOutput:
             pass
         except BrokenPipeError:
             self._let_go()
+        except OSError as error:
+            raise self._not_written(error) from error
+
+    def _not_written(self, error: OSError) -> OSError:
+        return type(error)(f"the truth cannot be written to {self._path}: {error.strerror}")
 
     def _let_go(self) -> None:
         self.lines_lost += self._waiting.count(b"\n")

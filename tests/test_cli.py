@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -142,6 +143,28 @@ def test_emulate_refuses_in_one_line(
     assert run.returncode == 78
     assert len(run.stderr.splitlines()) == 1
     assert complaint in run.stderr
+
+
+def test_emulate_says_in_a_sentence_what_cannot_be_opened(resonatord: Resonatord, tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        for arguments, said in (
+            (
+                ("--pty", tmp_path / "no" / "b"),
+                f"{tmp_path}/no/b cannot be made: No such file or directory; name a file",
+            ),
+            (("--truth", tmp_path / "no" / "x"), f"the truth cannot be written to {tmp_path}/no/x: No such file or"),
+            (("--truth", tmp_path), f"the truth cannot be written to {tmp_path}: Is a directory\n"),
+            (
+                ("--tcp", f"127.0.0.1:{port}"),
+                f"tcp://127.0.0.1:{port} cannot be listened on: Address already in use; name another",
+            ),
+        ):
+            link = () if arguments[0] in ("--pty", "--tcp") else ("--tcp", "127.0.0.1:0")
+            run = resonatord("emulate", "--plate", "quartz16", *map(str, (*arguments, *link)))
+            assert run.returncode == 78
+            assert run.stderr.startswith(f"resonatord: {said}"), run.stderr
+            assert run.stderr.count("\n") == 1
 
 
 def test_emulate_says_each_mistake_of_a_scenario_and_of_faults_in_a_line(resonatord: Resonatord, tmp_path: Path) -> None:

@@ -137,3 +137,12 @@ def test_lines_that_a_reader_left_behind_are_counted(pipe: Path) -> None:
     output.write(LINE)
     assert output.lines_lost == pytest.approx(1001 - taken, abs=25)
     output.close()
+
+
+def test_a_disk_that_takes_nothing_more_is_said_in_a_sentence() -> None:
+    output = TruthOutput(Path("/dev/full"))
+    with pytest.raises(OSError, match=r"^the truth cannot be written to /dev/full: No space left on device$"):
+        output.write("x\n")
+    with pytest.raises(OSError, match="No space left"):
+        output.close()
+    output._let_go()
