@@ -106,13 +106,13 @@ def _why_not(target: SerialLink, error: Exception) -> str:
         return f"{target.path} may not be opened by this user; {_way_in(target.path)}"
     if code in (errno.EBUSY, errno.EAGAIN):
         return f"{target.path} is held by {_holder(target.path)}"
-    if code == errno.ENOTTY:
+    if code in (errno.ENOTTY, errno.EISDIR):
         return f"{target.path} is no serial port; {_present()}"
     if code in (errno.ENXIO, errno.ENODEV, errno.EIO):
         return f"{target.path} is there and its device is not ({os.strerror(code)}); plug it in"
     if isinstance(error, ValueError):
         return f"{target.path} cannot be set to {target.baud} baud; choose a rate that its driver knows"
-    return f"{target.path} cannot be opened: {error}"
+    return f"{target.path} cannot be opened: {os.strerror(code) if code else error}"
 
 
 def _holder(path: str) -> str:

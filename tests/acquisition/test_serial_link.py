@@ -329,7 +329,7 @@ def test_a_port_that_is_back_already_was_missing(tmp_path: Path) -> None:
     assert serial_link._why_not(SerialLink(str(tmp_path), BAUD), error).startswith(f"no port {tmp_path}; ")
 
 
-@pytest.mark.parametrize("make", [Path.touch, os.mkfifo])
+@pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
 def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
     path = tmp_path / "notes.txt"
     make(path)
@@ -338,9 +338,10 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
     assert "present" in said
 
 
-def test_a_directory_is_refused_with_its_error(tmp_path: Path) -> None:
-    assert "cannot be opened" in (said := refusal(tmp_path))
-    assert os.strerror(errno.EISDIR) in said
+def test_any_other_error_is_said_once_and_without_its_number(tmp_path: Path) -> None:
+    error = serial.SerialException(errno.EMFILE, f"could not open port {tmp_path}: [Errno 24] Too many open files: 'x'")
+    said = serial_link._why_not(SerialLink(str(tmp_path), BAUD), error)
+    assert said == f"{tmp_path} cannot be opened: {os.strerror(errno.EMFILE)}"
 
 
 def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
