@@ -18,7 +18,7 @@ from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
-from resonator_daemon.host.new_file import check_new, interruptible
+from resonator_daemon.host.new_file import check_new, interruptible, takes_a_stream
 from resonator_daemon.host.printable import printable
 from resonator_daemon.playback.course import Moment, Playback
 from resonator_daemon.playback.progress import Progress
@@ -71,7 +71,8 @@ def export_as_asked(options: argparse.Namespace) -> ExitCode:
         The recording, the configuration or the options cannot be used, or the files cannot be written.
     """
     asked = target(options)
-    with failure_told("export", as_json=options.json), interruptible("what was written is removed"):
+    ended = "a part of it was written" if takes_a_stream(asked.output) else "what was written is removed"
+    with failure_told("export", as_json=options.json), interruptible(ended):
         try:
             told, wrong = _export(options, asked)
         except LinkUnavailableError as error:
@@ -144,9 +145,8 @@ def _said(output: Path) -> Iterator[None]:
 
 
 def _fail(output: Path, error: OSError) -> NoReturn:
-    raise ExportFailedError(
-        f"{output} cannot be written: {error.strerror or error}; what was written of it is removed"
-    ) from error
+    removed = "" if takes_a_stream(output) else "; what was written of it is removed"
+    raise ExportFailedError(f"{output} cannot be written: {error.strerror or error}{removed}") from error
 
 
 def _output(path: Path, config: Config, asked: Target) -> Output:
