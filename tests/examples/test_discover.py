@@ -76,11 +76,19 @@ async def test_a_plate_says_how_it_is_and_what_it_is(mosquitto, tmp_path: Path, 
     said = await discover(mosquitto.url, folder)
     assert said.startswith(f"{name}: online, quartz16, 16 sites up to 10 N, single-tone\n")
     assert "board 0042, RD board <1> 1.2.0, 1000 frames/s\n" in said
+    assert "calibration not named, no expiry date\n" in said
     assert "publishes forces 200/s" in said
     (picture,) = folder.iterdir()
     words = "".join(ElementTree.parse(picture).getroot().itertext())
     assert f"{name}: online" in words
     assert "RD board <1>" in words
+
+
+async def test_a_calibration_is_named_with_its_last_day(mosquitto, tmp_path: Path) -> None:
+    told = info(tmp_path, "quartz16")
+    calibration = told.calibration.model_copy(update={"id": "cal-7", "expiry": "2027-11-21"})
+    await publish(mosquitto.url, "info", told.model_copy(update={"calibration": calibration}), plate="left")
+    assert "calibration cal-7, valid until 2027-11-21\n" in await discover(mosquitto.url, tmp_path)
 
 
 async def test_a_daemon_that_never_met_its_board_is_listed(mosquitto, tmp_path: Path) -> None:

@@ -43,11 +43,12 @@ def describe(name, info, state):
     """Return what one wants to know of a plate, a line each."""
     condition = state["state"] if state else "unknown"
     calibration, sites = info["calibration"], len(info["sites"])
+    valid = f"valid until {calibration['expiry']}" if calibration["expiry"] else "no expiry date"
     rates = ", ".join(f"{topic} {rate:g}/s" for topic, rate in info["rates_hz"].items())
     return [
         f"{name}: {condition}, {info['plate']}, {sites} sites up to {info['force_max_newton']:g} N, {info['counter']}",
         f"board {info['serial_number']}, {info['product']} {info['firmware']}, {info['frame_rate_hz']:g} frames/s",
-        f"calibration {calibration['id']}, valid until {calibration['expiry']}",
+        f"calibration {calibration['id'] or 'not named'}, {valid}",
         f"publishes {rates}",
     ]
 
