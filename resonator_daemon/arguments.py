@@ -19,7 +19,7 @@ Verb = Callable[[argparse.Namespace], ExitCode | None]
 
 def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     """Return the parser; it leaves the function of the verb that was asked for in `verb`."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="resonatord",
         description="Acquisition daemon for a quartz-resonator tactile plate: counts to forces, sites, contacts and "
         "surface traction, published over MQTT.",
@@ -304,6 +304,16 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
     return parser
 
 
+class _Parser(argparse.ArgumentParser):
+    def print_help(self, file: Any = None) -> None:
+        """Print it; OSError where it cannot be written, of which argparse says nothing."""
+        if file is None and sys.stdout is not None:
+            sys.stdout.write(self.format_help())
+            sys.stdout.flush()
+        else:
+            super().print_help(file)
+
+
 class _PrintScenarioSchema(argparse.Action):
     """Like --help: prints and ends, whatever else is given or missing."""
 
@@ -311,6 +321,7 @@ class _PrintScenarioSchema(argparse.Action):
         from simulators.scenario_schema import scenario_schema
 
         sys.stdout.write(json.dumps(scenario_schema()) + "\n")
+        sys.stdout.flush()
         parser.exit()
 
 

@@ -19,14 +19,9 @@ from resonator_daemon.host.printable import printable
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb; return the exit code."""
-    options = make_parser(_VERBS).parse_args(arguments)
-    set_up_logging()
-    if sys.stdout is None:  # closed by whoever started us
-        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # a sign that this locale has not, and paths that are no text
-            stream.reconfigure(errors="backslashreplace")
     try:
+        options = make_parser(_VERBS).parse_args(arguments)  # which may print help and end
+        _set_up_output()
         return _run_verb(options)
     except OperatorError as error:
         for message in error.messages:
@@ -40,8 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.write(f"{error_prefix()}resonatord: {what}; set LC_ALL=C.UTF-8\n")
         return ExitCode.CONFIG
     except OSError as error:  # as where stdout is on a full disk
-        sys.stderr.write(f"resonatord: {printable(error)}\n")
+        where = "" if error.filename is None else f"{error.filename}: "
+        sys.stderr.write(f"resonatord: {printable(f'{where}{error.strerror or error}')}\n")
         return ExitCode.FAILED
+
+
+def _set_up_output() -> None:
+    set_up_logging()
+    if sys.stdout is None:  # closed by whoever started us
+        sys.stdout = open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115 - for as long as the process lives
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a sign that this locale has not, and paths that are no text
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _run_verb(options: argparse.Namespace) -> ExitCode:

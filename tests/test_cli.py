@@ -145,6 +145,18 @@ def test_emulate_refuses_in_one_line(
     assert complaint in run.stderr
 
 
+@pytest.mark.parametrize(
+    "arguments", [("--help",), ("plan", "--help"), ("repair", "-h"), ("emulate", "--scenario-schema"), ("schema",)]
+)
+def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:
+    with open("/dev/full", "w") as full:
+        run = subprocess.run(
+            [*COMMAND, *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
+        )
+    assert run.returncode == 1
+    assert run.stderr == "resonatord: No space left on device\n"
+
+
 def test_emulate_says_in_a_sentence_what_cannot_be_opened(resonatord: Resonatord, tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
