@@ -73,7 +73,7 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	step mypy
 	step lint-imports --no-logo
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
-	step pytest --numprocesses 2
+	step pytest --numprocesses 2 --dist worksteal  # neighbours, which share set-ups, stay together
 
 test-firmware: .venv/test-stamp  ## the C reference as a board program under QEMU, and the daemon against it
 	$(debian-packages)

@@ -179,7 +179,9 @@ def test_emulate_says_in_a_sentence_what_cannot_be_opened(resonatord: Resonatord
             assert run.stderr.count("\n") == 1
 
 
-def test_emulate_says_each_mistake_of_a_scenario_and_of_faults_in_a_line(resonatord: Resonatord, tmp_path: Path) -> None:
+def test_emulate_says_each_mistake_of_a_scenario_and_of_faults_in_a_line(
+    resonatord: Resonatord, tmp_path: Path
+) -> None:
     scenario = tmp_path / "mine.toml"
     scenario.write_text("plate = 3\nseed = -1\n[[touches]]\nforce_newton = 1\n")
     for arguments, keys in (

@@ -224,7 +224,10 @@ def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp
     with pytest.raises(RepairError, match="is no regular file"):
         repaired(tmp_path, tmp_path / "copy.mcap")
     (tmp_path / "text").write_text("Dear diary" * 100)
-    with pytest.raises(RepairError, match="is no recording, or nothing of it was written"):
+    with pytest.raises(
+        RepairError,
+        match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
+    ):
         repaired(tmp_path / "text", tmp_path / "copy.mcap")
     with pytest.raises(RepairError, match="cannot be written: No such file or directory"):
         repaired(path, tmp_path / "none" / "copy.mcap")

@@ -258,7 +258,8 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
     try:
         first, second = next(records), next(records)
     except (*DAMAGE, StopIteration) as error:
-        raise LinkUnavailableError(f"{path} is no recording, or nothing of it was written: {error}") from error
+        remedy = "name a file that `resonatord record` has written"
+        raise LinkUnavailableError(f"{path} is no recording, or nothing of it was written; {remedy}") from error
     if not isinstance(first, Header) or first.profile != PROFILE:
         raise LinkUnavailableError(f"{path} is an MCAP file, but not of this program")
     if not isinstance(second, Metadata) or second.name != RECORDING:

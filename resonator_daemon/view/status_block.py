@@ -83,8 +83,6 @@ def _state(status: Status, part: str, state: State) -> Text:
         text.append(f"; {state.boots} boots of the board")
     if (outage := state.last_outage) is not None:
         length_s = (outage.end_t_ns - outage.start_t_ns) * 1e-9
-        if not 0 <= length_s <= status.ages_s.get("started", math.inf):  # the clock was set meanwhile
-            length_s = math.nan
         text.append(
             f"; {_age(status, 'outage')} ago {duration(length_s)} without frames, "
             f"{_count(outage.frames_lost)} lost: {printable(outage.reason)}"

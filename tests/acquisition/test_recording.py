@@ -357,7 +357,10 @@ def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
 def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
     path = tmp_path / "file"
     path.write_bytes(b"")
-    with pytest.raises(LinkUnavailableError, match="is no recording, or nothing of it was written"):
+    with pytest.raises(
+        LinkUnavailableError,
+        match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
+    ):
         open_recording(str(path), PLATE)
     path.write_bytes(Random(5).randbytes(5000))
     with pytest.raises(LinkUnavailableError, match="is no recording"):

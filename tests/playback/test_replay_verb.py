@@ -205,7 +205,11 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
     ("make", "code", "said"),
     [
         (lambda path: None, 69, "No such file or directory"),
-        (lambda path: path.write_bytes(b""), 69, "is no recording, or nothing of it was written"),
+        (
+            lambda path: path.write_bytes(b""),
+            69,
+            "nothing of it was written; name a file that `resonatord record` has written",
+        ),
         (lambda path: path.write_bytes(b"col1,col2\n" * 100), 69, "is no recording"),
         (lambda path: path.write_bytes(TOUCHES.read_bytes()[:40]), 69, "is no recording"),
         (lambda path: path.write_bytes(newer()), 69, "has format 9, this version reads format"),
