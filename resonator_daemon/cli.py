@@ -9,6 +9,7 @@ import os
 import shutil
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 from resonator_daemon.arguments import Verb, make_parser
@@ -37,7 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:  # as where stdout is on a full disk
         where = "" if error.filename is None else f"{error.filename}: "
         sys.stderr.write(f"resonatord: {printable(f'{where}{error.strerror or error}')}\n")
+        _drop_output()
         return ExitCode.FAILED
+
+
+def _drop_output() -> None:
+    """Have what could not be printed not be tried once more: Python would end with a code of its own."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _set_up_output() -> None:

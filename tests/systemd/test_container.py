@@ -62,7 +62,7 @@ cat /proc/$(systemctl show --value -p MainPID resonatord@left)/status > /out/pro
 stat -c '%U %a %n' /var/lib/resonatord /var/cache/resonatord /run/resonatord/left /etc/resonatord > /out/directories
 
 systemctl reload resonatord@left
-wait_for 'says resonatord@left "frames/s,"'
+wait_for '[ "$(systemctl show --value -p ActiveState resonatord@left)" = active ]'
 show resonatord@left > /out/reloaded
 
 systemctl stop emulator
