@@ -16,7 +16,7 @@ from mcap.reader import make_reader
 
 from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.acquisition.recording_file import open_recording
-from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said, Standing
+from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.plate import load_plate
 from resonator_daemon.record import NoBoardError, RecordOptions, record
@@ -143,7 +143,7 @@ def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
         kinds = [type(event) for event in recording.events()]
         assert recording.damage is None
     assert Goodbye in kinds
-    assert kinds[-1 - (kinds[-1] is Standing)] is Closed
+    assert kinds[-1] is Closed
 
 
 def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> None:

@@ -289,7 +289,7 @@ class Recorder:
                 case Standing():
                     self._turn_over(item)
             file = self._file
-            if file is None or (isinstance(item, Standing) and not file.standing_due):
+            if file is None or (isinstance(item, Standing) and not _is_of_use(item, file)):
                 return False
             match item:
                 case BoardOnline():
@@ -427,3 +427,8 @@ class Recorder:
         if not self._said_failure:
             self._said_failure = True
             self._say(logging.WARNING, said)
+
+
+def _is_of_use(standing: Standing, file: RecordingWriter) -> bool:
+    """Whether a replay could begin with it or, where the chunk before is damaged, go on with the open link."""
+    return not file.begun or (file.standing_due and standing.course.running is not None)

@@ -72,7 +72,7 @@ class RecordingWriter:
     chunks
         How many are whole and in the kernel's hands, with all that was written until then.
     standing_due
-        A `Standing` is of use: a replay can begin or, where what comes before is damaged, go on with it.
+        A chunk has ended since it was last written how the link stands.
     """
 
     def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:
@@ -80,7 +80,7 @@ class RecordingWriter:
         self.begun = False
         self.begun_ns = 0
         self.chunks = 0
-        self.standing_due = True
+        self.standing_due = False
         self._whole_bytes = 0
         self._channels: dict[str, int] = {}
         self._file = _made(path)
@@ -111,7 +111,6 @@ class RecordingWriter:
         now = event.now
         if not self.begun and not isinstance(event, Skipped):
             self.begun, self.begun_ns = True, now.monotonic_ns
-            self.standing_due = False
         if isinstance(event, Standing):
             self.standing_due = False
         self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
@@ -185,7 +184,7 @@ class RecordingWriter:
     def _note_chunk(self) -> None:
         self._whole_bytes = self._file.tell()
         self.chunks += 1
-        self.standing_due = self.begun
+        self.standing_due = True
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
         if topic not in self._channels:
