@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from emulation import emulated
 from jsonschema import validate
 from mcap.reader import make_reader
 
+from resonator_daemon.acquisition.board import BoardReader
 from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.acquisition.recording_file import open_recording
 from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
@@ -63,7 +65,18 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
     assert json.loads(again.stdout)["error"]["code"] == "output"
 
 
-def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def stop_late(reader: BoardReader, stop: Callable[[BoardReader], None] = BoardReader.stop) -> None:
+    """Frames come while the reader is about to stop."""
+    wanted = reader.account().frames + 100
+    while reader.account().frames < wanted:
+        threading.Event().wait(0.01)
+    stop(reader)
+
+
+def test_files_follow_each_other_and_have_what_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(BoardReader, "stop", stop_late)
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     path.write_text(f'name = "hand"\n{path.read_text()}')
