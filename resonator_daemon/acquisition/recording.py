@@ -407,6 +407,8 @@ class Recorder:
     def _break_off(self, error: Exception) -> None:
         """Leave a file as it is that takes nothing more."""
         if self._file is not None:
+            if self._file.chunks != self._chunks:  # it failed behind a chunk, as at the file's end
+                self._count_chunk(self._file)
             self._file.abandon()
             self._take_stock()
             self._file = None

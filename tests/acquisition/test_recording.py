@@ -1,5 +1,6 @@
 """Recordings: every event comes back exactly, from whole, cut and damaged files, and no disk holds up who records."""
 
+import errno
 import os
 import resource
 import signal
@@ -233,6 +234,30 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     assert (recorder.events, recorder.skipped_events) == (0, 2)  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))
     assert recorder.skipped_events == 3
+
+
+def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recording_writer.Writer, "finish", full)
+    path = tmp_path / "run.mcap"
+    written: list[WireEvent] = [Opened(at(0)), Received(at(1), b"x"), Closed(at(2))]
+    monkeypatch.setattr(recording, "FLUSH_S", 3600.0)
+    deadline = time.monotonic() + DEADLINE_S
+    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+        recorder.put(written[0])
+        while not recorder.events:  # flushed once
+            assert time.monotonic() < deadline
+            threading.Event().wait(0.01)
+        for event in written[1:]:
+            recorder.put(event)
+    assert recorder.failure == f"{path}: No space left on device: nothing more is recorded; what was written stays"
+    assert read(path)[0] == written
+    assert (recorder.events, recorder.skipped_events) == (3, 0)
+    assert recorder.all_bytes == path.stat().st_size
 
 
 def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,7 +102,7 @@ class StationaryPrior:
 def _along_x(density: NDArray[np.complex128], phase: Floats) -> Floats:
     """Hankel integrals of A P B* (w, 3, 3), scalar first, for omega times distance (d, w): (d, 3, 3)."""
     order_0, order_1 = j0(phase), j1(phase)
-    # By recurrence, within 2e-15: `jv` takes ten times as long as both together.
+    # By recurrence, within 2e-15: `jv` takes several times as long as both together.
     order_2 = 2.0 * np.divide(order_1, phase, out=np.full_like(phase, 0.5), where=phase > 0.0) - order_0
     mean, difference = (density[:, 1, 1] + density[:, 2, 2]).real / 2, (density[:, 1, 1] - density[:, 2, 2]).real / 2
     table = np.zeros((len(phase), 3, 3))
