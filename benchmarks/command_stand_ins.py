@@ -100,7 +100,7 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         raise TypeError("health carries Health")
     parts = DaemonParts(
         report_health=lambda: health,
-        last_messages=last_messages,
+        last_message=last_messages.get,
         force_chain=stand_in.force_chain,
         locate=stand_in.locate,
         streams=("forces", "contacts"),

@@ -2,7 +2,7 @@
 
 import io
 import math
-from typing import Any, Final, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
 import cbor2
 import numpy as np
@@ -17,8 +17,17 @@ _DIMENSIONS_MAX: Final = 3
 MessageT = TypeVar("MessageT", bound=Message)
 
 
-def encode(message: Message) -> bytes:
+class Encoded(NamedTuple):
+    """A measured message in the form in which it is published, as another process made it."""
+
+    payload: bytes
+    t_ns: int  # of its header, UTC
+
+
+def encode(message: Message | Encoded) -> bytes:
     """Return the payload as published: CBOR for Signals and Decoded, JSON for all others."""
+    if isinstance(message, Encoded):
+        return message.payload
     if isinstance(message, WITH_ARRAYS):
         return cbor2.dumps(message.model_dump(), default=_write_array)
     return message.model_dump_json().encode()

@@ -14,7 +14,7 @@ from paho.mqtt.packettypes import PacketTypes
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.bounded_queue import Pace
 from resonator_daemon.publishing.broker_limits import BrokerLimits
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
@@ -140,13 +140,16 @@ class Publisher:
             spooled=self._outbox.events.spooled,
         )
 
-    def publish(self, base: str, topic: Topic[MessageT], message: MessageT) -> None:
-        """Send a message below `base` as soon as may be, or drop it by the rules of its topic; returns at once."""
-        if not isinstance(message, topic.payload):
-            raise ValueError(f"{topic.path} carries {topic.payload.__name__}, not {type(message).__name__}")
-        if topic.qos == 0:
+    def publish(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
+        """Send a message below `base` as soon as may be, or drop it by the rules of its topic; returns at once.
+
+        Messages of streams (QoS 0) may be encoded already.
+        """
+        if topic.qos == 0 and isinstance(message, topic.payload | Encoded):
             self._publish_stream(base, topic, message)
             return
+        if not isinstance(message, topic.payload):
+            raise ValueError(f"{topic.path} carries {topic.payload.__name__}, not {type(message).__name__}")
         name = f"{base}/{topic.path}"
         if self._make(name, Cause.CLOSED if self._closed else None):
             if topic.retained:
@@ -231,9 +234,9 @@ class Publisher:
             self._account.drop(refused, topic)
         return refused is None
 
-    def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT) -> None:
+    def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
-        t_ns = message.t_ns if isinstance(message, Header) else 0
+        t_ns = message.t_ns if isinstance(message, Header | Encoded) else 0
         names = []
         pace = self._paces.get(topic.path)
         if pace is None or pace.lets_pass(t_ns):

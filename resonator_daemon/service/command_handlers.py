@@ -50,8 +50,8 @@ class DaemonParts:
     ----------
     report_health
         Makes a message of `health`, publishes it and returns it.
-    last_messages
-        The last message of each topic, by its path.
+    last_message
+        Returns the last message of the topic with this path; None where there was none.
     force_chain
         Returns the chain of a plate of force sites while its link is online, else None.
     locate
@@ -67,7 +67,7 @@ class DaemonParts:
     """
 
     report_health: Callable[[], Health]
-    last_messages: Mapping[str, Message]
+    last_message: Callable[[str], Message | None]
     force_chain: Callable[[], ForceChain | None]
     locate: Callable[[Located], None]
     streams: Collection[str]
@@ -122,7 +122,7 @@ class CommandHandlers:
         left_out = []
         room_bytes = SNAPSHOT_BYTES_MAX
         for path in wanted:
-            message = self._parts.last_messages.get(path)
+            message = self._parts.last_message(path)
             if message is None:
                 continue
             size_bytes = len(message.model_dump_json())

@@ -190,7 +190,7 @@ class Service:
     def _begin_publishing(self, name: str) -> RecordingCommands:
         parts = DaemonParts(
             report_health=self._report_health,
-            last_messages=self._outlet.last_messages,
+            last_message=self._outlet.last_message,
             force_chain=self._force_chain,
             locate=self._reader.locate,
             streams=self._course.reporter.streams,
@@ -349,7 +349,7 @@ class Service:
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
-        last = self._outlet.last_messages
+        last = self._outlet.last_message
         status = Status.model_validate(
             {
                 "name": self._name,
@@ -358,9 +358,9 @@ class Service:
                 "version": self._version,
                 "started_t_ns": self._started_utc_ns,
                 "config": self._in_use.status,
-                "daemon": last.get(STATE_DAEMON.path),
-                "link": last.get(STATE_LINK.path),
-                "sensor": last.get(STATE_SENSOR.path),
+                "daemon": last(STATE_DAEMON.path),
+                "link": last(STATE_LINK.path),
+                "sensor": last(STATE_SENSOR.path),
                 "health": self._health,
                 "broker": BrokerStatus(url=self._config.mqtt.anonymous().url, connected=self._outlet.connected),
                 "recording": recording_info(self._recording),

@@ -8,12 +8,12 @@ from resonator_daemon.config import Config
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.publishing import asyncapi
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import Publisher, Subscription
-from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, Topic, full_topic
+from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, TOPICS, Topic, full_topic
 
 NOTHING_MADE: Final = MessageAccount(
     made=0,
@@ -42,10 +42,6 @@ class Outlet:
     make_offline
         Makes the state "offline" of the daemon for a reason: the last will, and the farewell.
 
-    Attributes
-    ----------
-    last_messages
-        The last message of each JSON topic, by its path.
     """
 
     def __init__(self, config: Config, daemon_boot_id: str, make_offline: MakeOffline) -> None:
@@ -57,7 +53,7 @@ class Outlet:
         self._commands: Commands | None = None
         self._base = ""
         self._waiting: dict[Topic[Any], Message] = {}
-        self.last_messages: dict[str, Message] = {}
+        self._last: dict[str, Message | Encoded] = {}
 
     @property
     def open(self) -> bool:
@@ -82,12 +78,17 @@ class Outlet:
         """Commands by what became of them."""
         return dict(self._commands.counts) if self._commands else {}
 
-    def publish(self, topic: Topic[Any], message: Message) -> None:
+    def last_message(self, path: str) -> Message | None:
+        """Return the last message of the JSON topic with this path; None where there was none."""
+        last = self._last.get(path)
+        return decode(TOPICS[path].payload, last.payload) if isinstance(last, Encoded) else last
+
+    def publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
         if topic.content_type == JSON:
-            self.last_messages[topic.path] = message
+            self._last[topic.path] = message
         if self._publisher is not None:
             self._publisher.publish(self._base, topic, message)
-        elif topic.retained:
+        elif topic.retained and isinstance(message, Message):
             self._waiting[topic] = message
 
     def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:

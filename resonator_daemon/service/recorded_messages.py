@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Protocol
 
+from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.topics import JSON, Topic
 
 
@@ -40,4 +41,4 @@ class RecordedMessages:
         if topic.path not in self._schemas:
             self._schemas[topic.path] = topic.payload.model_json_schema(mode="serialization")
         put = self._channels.put_state if topic.retained else self._channels.put_message
-        put(topic.path, message.t_ns, message.model_dump_json().encode(), self._schemas[topic.path])
+        put(topic.path, message.t_ns, encode(message), self._schemas[topic.path])

@@ -12,6 +12,7 @@ from observer import observe
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import connection, outbox, publisher, topics
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.publisher import Publisher
@@ -39,6 +40,20 @@ async def test_messages_reach_a_subscriber_as_they_were_made(broker) -> None:
     assert observer.payloads("resonator/left/contacts/event")[0]["contact"]["id"] == 2
     assert len(by_topic["resonator/left/decoded"].payload) > 2 * 12288
     assert by_topic["resonator/left/decoded/5hz"].payload == by_topic["resonator/left/decoded"].payload
+
+
+async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copies(broker) -> None:
+    first, second, third = (Encoded(b"{%d}" % n, t_ns=n * 40_000_000) for n in range(3))
+    async with observe(broker.url) as observer, publishing(broker.url) as left:
+        await until(lambda: left.connected)
+        for message in (first, second, third):  # 25 Hz
+            left.publish(LEFT, topics.CONTACTS, message)
+        await until(lambda: left.account.waiting == 0)
+        await observer.until(lambda: len(observer.heard) >= 5)
+        with pytest.raises(ValueError, match="contacts/event carries ContactEvent"):
+            left.publish(LEFT, topics.CONTACT_EVENT, first)
+    assert observer.raw("resonator/left/contacts") == [b"{0}", b"{1}", b"{2}"]
+    assert observer.raw("resonator/left/contacts/20hz") == [b"{0}", b"{2}"]
 
 
 async def test_quality_of_service_and_retention_of_each_topic_on_the_wire() -> None:

@@ -8,6 +8,7 @@ import pytest
 from command_stand_ins import messages
 from jsonschema import validate
 
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.service.recorded_messages import RecordedMessages
 
@@ -45,3 +46,12 @@ def test_what_is_wanted_may_change() -> None:
     recorded.derived = True
     recorded.take(TOPICS["forces"], messages()["forces"])
     assert len(channels.messages) == 1
+
+
+def test_what_is_encoded_already_is_recorded_as_it_is() -> None:
+    channels = Channels()
+    contacts = messages()["contacts"]
+    recorded = RecordedMessages(channels, derived=True)
+    recorded.take(TOPICS["contacts"], Encoded(contacts.model_dump_json().encode(), t_ns=7))
+    recorded.take(TOPICS["decoded"], Encoded(b"arrays are not recorded", t_ns=7))
+    assert channels.messages == [("contacts", 7)]
