@@ -51,6 +51,28 @@ class Line(NamedTuple):
     rate_uncertainty: float
 
 
+class TickScale(NamedTuple):
+    """From the tick counts of one boot to the host's clocks, as known at one moment."""
+
+    reference_millihertz: int
+    origin_ticks: int
+    line: Line
+    utc_less_monotonic_ns: int
+    boottime_less_monotonic_ns: int
+
+    def at(self, board_ticks: int) -> Instant:
+        """Return the instant of a tick count."""
+        reference_millihertz, origin_ticks, line, utc_less_ns, boottime_less_ns = self
+        nominal_ns, drawn_ns, uncertainty_ns, rate, rate_uncertainty = line
+        elapsed_ns = (board_ticks - origin_ticks) * 10**12 // reference_millihertz - nominal_ns
+        monotonic_ns = drawn_ns + elapsed_ns + round(elapsed_ns * rate)
+        away_ns = abs(elapsed_ns)
+        uncertainty_ns += away_ns * (rate_uncertainty + away_ns * (RATE_WANDER_PER_S / (2 * _NS)))
+        return Instant(
+            monotonic_ns + utc_less_ns, math.ceil(uncertainty_ns), monotonic_ns, monotonic_ns + boottime_less_ns
+        )
+
+
 class _Bounds(NamedTuple):
     nominal_ns: int
     least_ns: int
@@ -258,23 +280,25 @@ class BoardClock:
         ValueError
             Before the first exchange.
         """
+        return self.scale.at(board_ticks)
+
+    @property
+    def scale(self) -> TickScale:
+        """The relation as it is now; exchanges to come do not change it.
+
+        Raises
+        ------
+        ValueError
+            Before the first exchange.
+        """
         if self._line is None or self._origin is None:
             raise ValueError("the board's clock is not known before the first ping was answered")
-        line = self._line
-        nominal_ns, drawn_ns, uncertainty_ns, rate, rate_uncertainty = line
-        elapsed_ns = self._nominal_ns(board_ticks - self._origin.board_ticks) - nominal_ns
-        monotonic_ns = drawn_ns + elapsed_ns + round(elapsed_ns * rate)
-        away_ns = abs(elapsed_ns)
-        uncertainty_ns += away_ns * (rate_uncertainty + away_ns * (RATE_WANDER_PER_S / (2 * _NS)))
-        # Once a frame: made without the detour of its class.
-        return tuple.__new__(
-            Instant,
-            (
-                monotonic_ns + self.utc_less_monotonic_ns,
-                math.ceil(uncertainty_ns),
-                monotonic_ns,
-                monotonic_ns + self._boottime_less_monotonic_ns,
-            ),
+        return TickScale(
+            self._reference_millihertz,
+            self._origin.board_ticks,
+            self._line,
+            self.utc_less_monotonic_ns,
+            self._boottime_less_monotonic_ns,
         )
 
     def ping_due_ns(self, now_monotonic_ns: int) -> int:

@@ -92,8 +92,15 @@ class Connection:
             The board is not what it was: it must be asked anew.
         """
         self._now = now
+        frames: list[Frame] = []  # that came one after the other
         for event in self._session.receive(data):
-            self._handle(event)
+            if isinstance(event, Frame):
+                frames.append(event)
+            else:
+                self._take_frames(frames)
+                frames = []
+                self._handle(event)
+        self._take_frames(frames)
 
     def data_to_send(self) -> bytes:
         """Return and clear the bytes that the board must get, at once."""
@@ -243,9 +250,9 @@ class Connection:
 
     def _handle(self, event: HostEvent) -> None:
         match event:
-            case Frame() | FramePart():
+            case FramePart():
                 if self.clock is not None and self.described is not None:
-                    self._frames_came(self._intake.take(event, self.clock, self.described.boot_id, self._now))
+                    self._frames_came(self._intake.take_part(event, self.clock, self.described.boot_id, self._now))
             case Pong():
                 if self._session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
                     self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
@@ -271,6 +278,16 @@ class Connection:
             case ForeignVersion():
                 problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(problem, other_protocol=True)
+
+    def _take_frames(self, frames: list[Frame]) -> None:
+        if not frames or self.clock is None or self.described is None:
+            return
+        boot_id, start = self.described.boot_id, 0
+        while start < len(frames) and self._state.state != "online":  # which is announced after the first frame
+            self._frames_came(self._intake.take_frames(frames[start : start + 1], self.clock, boot_id, self._now))
+            start += 1
+        if start < len(frames):
+            self._frames_came(self._intake.take_frames(frames[start:], self.clock, boot_id, self._now))
 
     def _flush_intake(self) -> None:
         if self.clock is not None and self.described is not None:

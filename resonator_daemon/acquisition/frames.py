@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.acquisition.account import FrameLoss
-from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.acquisition.clock import Instant, TickScale
 
-_SINGLE_TONE_BYTES = 700  # a frame with its instant, integers and payload, as tracemalloc sees it
+_SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
 _CHANNELISED_BYTES = 1400  # beside its arrays
 
 
@@ -20,8 +20,14 @@ class SingleToneFrame:
 
     index: int
     board_ticks: int  # at the end of the gate
-    gate_middle: Instant
+    middle_ticks: int
+    scale: TickScale  # as known when the frame was received
     payload: bytes  # parsed where it is used: whoever reads the link has no time for it
+
+    @property
+    def gate_middle(self) -> Instant:
+        """The middle of the gate on the host's clocks."""
+        return self.scale.at(self.middle_ticks)
 
     @property
     def records(self) -> tuple[SingleToneRecord, ...]:

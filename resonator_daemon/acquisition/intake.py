@@ -1,9 +1,11 @@
 """Frames from the wire to the ring: put together, given their time and number, and booked."""
 
+from collections.abc import Sequence
+
 from firmware_protocol.host import Frame, FramePart
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.assembly import AssembledFrame, FrameAssembler
-from resonator_daemon.acquisition.clock import BoardClock, Instant
+from resonator_daemon.acquisition.clock import BoardClock, Instant, TickScale
 from resonator_daemon.acquisition.fit import BoardRefusedError, gate_ticks
 from resonator_daemon.acquisition.frames import ChannelisedFrame, SingleToneFrame
 from resonator_daemon.acquisition.host_time import HostTime
@@ -42,10 +44,15 @@ class FrameIntake:
         """Whether a frame has come in part."""
         return self._assembler.begun
 
-    def take(
-        self, event: Frame | FramePart, clock: BoardClock, boot_id: int, now: HostTime
+    def take_frames(
+        self, frames: Sequence[Frame], clock: BoardClock, boot_id: int, now: HostTime
     ) -> list[tuple[Accepted, Instant]]:
-        """Take what came; return which frames are complete now, with the middle of their gates.
+        """Take frames of a single-tone counter that were read together.
+
+        Returns
+        -------
+        list of tuple
+            The frames that do not merely follow the one before them, with the middle of their gates.
 
         Raises
         ------
@@ -54,41 +61,96 @@ class FrameIntake:
         LinkLostError
             Its clock jumped.
         """
-        match event:
-            case Frame() if self._single_tone:
-                whole = self._put(event, clock, boot_id, now)
-                return [] if whole is None else [whole]
-            case FramePart() if not self._single_tone:
-                frames = self._assembler.add(event)
-                return [taken for frame in frames if (taken := self._put(frame, clock, boot_id, now)) is not None]
-            case _:
-                self._account.messages_malformed += 1  # of the other kind of counter
-                return []
+        if not self._single_tone:
+            self._account.messages_malformed += len(frames)
+            return []
+        begun = []
+        scale, half_gate_ticks = clock.scale, self._gate_ticks // 2
+        start, count = 0, len(frames)
+        while start < count:
+            first = frames[start]
+            end = start + 1
+            accepted = self._accept(first, scale, boot_id, now)
+            if accepted is not None:
+                begun.append(accepted)
+                end = self._follow(frames, start, scale, now)
+                index = accepted[0].index - start
+                self._ring.put_frames(
+                    [
+                        SingleToneFrame(index + at, ticks, ticks - half_gate_ticks, scale, payload)
+                        for at, (_, ticks, _, payload) in enumerate(frames[start:end], start)
+                    ]
+                )
+            start = end
+        return begun
+
+    def take_part(
+        self, part: FramePart, clock: BoardClock, boot_id: int, now: HostTime
+    ) -> list[tuple[Accepted, Instant]]:
+        """Take a part of a channelised frame; return which frames are complete now, with the middle of their gates.
+
+        Raises
+        ------
+        BoardRefusedError, LinkLostError
+            As of `take_frames`.
+        """
+        if self._single_tone:
+            self._account.messages_malformed += 1
+            return []
+        scale = clock.scale
+        return [
+            taken for frame in self._assembler.add(part) if (taken := self._put(frame, scale, boot_id, now)) is not None
+        ]
 
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
         """Take the frame that has begun as it is: no more of it will come. Raises nothing."""
         taken = []
         for frame in self._assembler.flush():
             try:
-                taken.append(self._put(frame, clock, boot_id, now))
+                taken.append(self._put(frame, clock.scale, boot_id, now))
             except (BoardRefusedError, LinkLostError):  # its connection, or its boot, is over anyway
                 self._account.messages_malformed += 1
         return [one for one in taken if one is not None]
 
-    def _put(
-        self, frame: Frame | AssembledFrame, clock: BoardClock, boot_id: int, now: HostTime
+    def _follow(self, frames: Sequence[Frame], start: int, scale: TickScale, now: HostTime) -> int:
+        """Accept the frames that follow an accepted one gate by gate; return where in `frames` that ends."""
+        sequence, ticks, _, _ = frames[start]
+        end, gate_ticks = start + 1, self._gate_ticks
+        for next_sequence, next_ticks, _, _ in frames[end:]:
+            if next_ticks != ticks + gate_ticks or next_sequence != sequence + 1:
+                break
+            sequence, ticks = next_sequence, next_ticks
+            end += 1
+        following = end - start - 1
+        if not following:
+            return end
+        middle = scale.at(ticks - gate_ticks // 2)
+        if not self._may_be(middle, now):
+            return start + 1
+        self._numbering.accept_following(following, ticks, middle)
+        self._account.boots[-1].frames += following
+        self._account.frames += following
+        self.newest_ticks = max(self.newest_ticks, ticks)
+        return end
+
+    def _may_be(self, middle: Instant, now: HostTime) -> bool:
+        """Whether this boot has reached the middle of a gate, and no longer ago than a queue may hold."""
+        return -_FRAME_AGE_NS < now.monotonic_ns - middle.monotonic_ns < _FRAME_AGE_NS
+
+    def _accept(
+        self, frame: Frame | AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
     ) -> tuple[Accepted, Instant] | None:
-        middle = clock.at(frame.board_ticks - self._gate_ticks // 2)
-        if not -_FRAME_AGE_NS < now.monotonic_ns - middle.monotonic_ns < _FRAME_AGE_NS:
-            self._account.messages_malformed += 1  # ticks that this boot has not reached, or long left behind
+        """Accept a frame with its number and count it; return None for one that cannot be, or was there before."""
+        middle = scale.at(frame.board_ticks - self._gate_ticks // 2)
+        if not self._may_be(middle, now):
+            self._account.messages_malformed += 1
             return None
         accepted = self._number(frame, boot_id, middle)
         if accepted is None:
             self._account.messages_stale += 1
             return None
         self.last_frame_ns = now.monotonic_ns
-        if frame.board_ticks > self.newest_ticks:
-            self.newest_ticks = frame.board_ticks
+        self.newest_ticks = max(self.newest_ticks, frame.board_ticks)
         boot, gap = self._account.boots[-1], accepted.gap
         boot.frames += 1
         self._account.frames += 1
@@ -96,12 +158,19 @@ class FrameIntake:
             self._account.lost += gap.loss
             boot.lost += gap.loss
             self._ring.put(gap)
-        if isinstance(frame, Frame):
-            self._ring.put_frame(SingleToneFrame(accepted.index, frame.board_ticks, middle, frame.payload))
-        else:
-            self._account.parts_lost += frame.parts - frame.parts_seen
-            self._account.frames_incomplete += frame.parts_seen < frame.parts
-            self._ring.put_frame(
+        return accepted, middle
+
+    def _put(
+        self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
+    ) -> tuple[Accepted, Instant] | None:
+        taken = self._accept(frame, scale, boot_id, now)
+        if taken is None:
+            return None
+        accepted, middle = taken
+        self._account.parts_lost += frame.parts - frame.parts_seen
+        self._account.frames_incomplete += frame.parts_seen < frame.parts
+        self._ring.put_frames(
+            [
                 ChannelisedFrame(
                     accepted.index,
                     frame.board_ticks,
@@ -111,8 +180,9 @@ class FrameIntake:
                     frame.sigma_code,
                     frame.known,
                 )
-            )
-        return accepted, middle
+            ]
+        )
+        return taken
 
     def _number(self, frame: Frame | AssembledFrame, boot_id: int, middle: Instant) -> Accepted | None:
         try:

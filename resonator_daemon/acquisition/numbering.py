@@ -140,6 +140,15 @@ class FrameNumbering:
         self._frames_of_run += 1
         return Accepted(index, gap, previous)
 
+    def accept_following(self, count: int, board_ticks: int, time: Instant) -> None:
+        """Take `count` frames, the last with these ticks, that follow the one before without a break or a doubt."""
+        if self._last is None or not self._frames_of_run:
+            raise ValueError("frames follow an accepted one of their run")
+        self._next_index += count
+        self._next_sequence = (self._next_sequence + count) % _RANGE
+        self._last = (self._last[0], board_ticks, time)
+        self._frames_of_run += count
+
     def _cannot_be_missing(self, missing: int, time: Instant) -> bool:
         """Tell whether a run has not had the time for as many frames before its first."""
         return not self._frames_of_run and missing * self._gate_ns > time.monotonic_ns - self._started_ns + _QUEUED_NS

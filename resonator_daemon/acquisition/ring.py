@@ -38,17 +38,17 @@ class Ring:
             self._items.append((0, news))
         self._wake()
 
-    def put_frame(self, frame: SingleToneFrame | ChannelisedFrame) -> None:
-        """Append one frame; when it completes a step, the consumer is woken."""
-        size_bytes = frame.memory_bytes
+    def put_frames(self, frames: Sequence[SingleToneFrame] | Sequence[ChannelisedFrame]) -> None:
+        """Append adjacent frames, one or more; when they complete a step, the consumer is woken."""
+        size_bytes = frames[0].memory_bytes  # all of one board are of one size
         with self._lock:
-            self._items.append((size_bytes, frame))
-            self._bytes += size_bytes
+            self._items.extend([(size_bytes, frame) for frame in frames])
+            self._bytes += size_bytes * len(frames)
             if self._bytes > self._limit_bytes:
                 self._make_room()
-        count = frame.index + 1
+        first, end = frames[0].index, frames[-1].index + 1
         for step in self.step_frames:
-            if count % step == 0:
+            if end // step > first // step:
                 self._wake()
                 break
 

@@ -15,7 +15,7 @@ from emulation import emulated
 from listener import DEADLINE_S, Listener, check_bytes, check_indices, frames, gaps, outages
 
 from firmware_protocol.device import DeviceSession
-from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.acquisition.clock import Line, TickScale
 from resonator_daemon.acquisition.frames import (
     BoardOnline,
     BoardRefused,
@@ -33,7 +33,7 @@ from simulators.faults import parse_faults
 
 QUARTZ = load_plate("quartz16")
 SKIN = load_plate("skin32")
-FRAME_BYTES = SingleToneFrame(0, 0, Instant(0, 0), b"").memory_bytes
+FRAME_BYTES = SingleToneFrame(0, 0, 0, TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0), b"").memory_bytes
 
 
 def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:

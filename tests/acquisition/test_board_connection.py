@@ -1,17 +1,18 @@
 """One opening of a link in simulated time: handshake, clock, silence, reboots."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, repeat
 
 import pytest
 from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, online
+from listener import check_indices
 
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.acquisition.account import FrameLoss, LinkAccount
-from resonator_daemon.acquisition.frames import BoardOnline, BoardSays, Outage
+from resonator_daemon.acquisition.frames import Arrival, BoardOnline, BoardSays, Gap, Outage
 from resonator_daemon.acquisition.link import LinkLostError
 
 
@@ -38,6 +39,38 @@ def test_frames_carry_the_middle_of_their_gate() -> None:
         bound_ns = frame.gate_middle.uncertainty_ns
         assert abs(frame.gate_middle.monotonic_ns - middle_ns) <= bound_ns < GATE_TICKS // 5
         assert frame.gate_middle.utc_ns == frame.gate_middle.monotonic_ns + 10**18
+
+
+def cut_up(bench: Bench, cuts: Iterable[int]) -> list[Arrival]:
+    """Receive a second of frames, some of them lost or damaged, in pieces of these sizes; return what arrived."""
+    first = bench.frames[-1]
+    stream = b""
+    for number in range(1000):
+        frame = bench.board.session.frame(
+            first.index + 1 + number, first.board_ticks + (1 + number) * GATE_TICKS, bytes(176)
+        )
+        if number in (300, 301, 650):
+            frame = frame[:150] + b"?" + frame[151:]
+        if number not in (100, 651):
+            stream += frame
+    bench.now_ns += 1000 * MS
+    sizes, at = iter(cuts), 0
+    while at < len(stream):
+        size = next(sizes)
+        bench.connection.receive(stream[at : at + size], bench.host_time())
+        at += size
+    return bench.ring.take()
+
+
+@pytest.mark.parametrize("size", [1, 203, 204, 1020, 7000])
+def test_pieces_of_any_size_make_the_same_frames_and_gaps(size: int) -> None:
+    whole, pieces = online(), online()
+    arrivals = cut_up(whole, repeat(10**6))
+    gaps = [arrival for arrival in arrivals if isinstance(arrival, Gap)]
+    assert [(gap.loss.link_gap, gap.loss.damaged) for gap in gaps] == [(1, 0), (0, 2), (1, 1)]
+    check_indices([*whole.arrivals, *arrivals])
+    assert cut_up(pieces, repeat(size)) == arrivals
+    assert pieces.account == whole.account
 
 
 def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
