@@ -21,6 +21,7 @@ from resonator_daemon.acquisition.port_watch import PortWatch
 from resonator_daemon.acquisition.recording_file import open_recording
 from resonator_daemon.acquisition.replay import Pace, replay
 from resonator_daemon.acquisition.ring import Ring
+from resonator_daemon.acquisition.step_pacing import StepPacing
 from resonator_daemon.acquisition.wire_events import (
     Closed,
     Goodbye,
@@ -36,12 +37,12 @@ from resonator_daemon.acquisition.wire_events import (
     Tended,
     WireEvent,
 )
-from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink
+from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, frame_bytes
 from resonator_daemon.plate import Plate
 
 RING_BYTES = 64 << 20
 
-_POLL_S = 0.02  # the longest that `stop` waits for a read
+_POLL_NS = 20_000_000  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
 _JITTER = (0.75, 1.25)  # so that several daemons do not knock together
 _REFUSED_S = 5.0
@@ -92,6 +93,7 @@ class BoardReader:
         self._plate = plate
         self._ring = Ring(ring_bytes, wake, step_frames)
         self._course = LinkCourse(plate, self._ring, tap)
+        self._pacing = StepPacing(frame_bytes(plate), round(1e9 / plate.counter.frame_rate_hz))
         self._log = LinkLog()
         self._stopping = False
         self._orders: deque[tuple[str, str]] = deque()
@@ -235,13 +237,14 @@ class BoardReader:
                     self._to_locate = False
                     course.apply(Locate(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
-                due_s = (course.due_ns() - time.monotonic_ns()) * 1e-9
-                pieces = self._read(link, min(max(0.0, due_s), _POLL_S))
+                pieces = self._read(link, course.due_ns())
                 if link.overruns != overruns:
                     overruns = link.overruns
                     course.apply(Overrun(read_host_time()))
                 for piece in pieces:
                     course.apply(piece)
+                if self._ring.newest is not None:
+                    self._pacing.has_read(self._ring.newest)
                 now = read_host_time()
                 course.apply(Tended(now, idle=not pieces))
                 if pieces and len(pieces[-1].data) < _FEW_BYTES and course.within_packet:
@@ -269,8 +272,17 @@ class BoardReader:
         while self._orders:
             self._course.apply(Steered(now, *self._orders.popleft()))
 
-    def _read(self, link: Link, timeout_s: float) -> list[Received]:
-        """Read what comes within the time; while an answer is awaited all that is there, each piece with its time."""
+    def _read(self, link: Link, due_ns: int) -> list[Received]:
+        """Read until a monotonic time; while an answer is awaited all that is there, each piece with its time."""
+        now_ns = time.monotonic_ns()
+        due_ns = min(due_ns, now_ns + _POLL_NS)
+        newest = self._ring.newest
+        if newest is not None and not self._course.awaits_answer:
+            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._ring.step_frames, due_ns)
+            if sleep_ns:
+                time.sleep(sleep_ns * 1e-9)
+                now_ns = time.monotonic_ns()
+        timeout_s = max(0, due_ns - now_ns) * 1e-9
         pieces: list[Received] = []
         while len(pieces) < _PIECES and (data := link.read(timeout_s)):
             pieces.append(Received(read_host_time(), data))

@@ -20,6 +20,11 @@ class Ring:
     step_frames
         Frames that are of no use one by one: those whose index, counted from 1, is a multiple of any of these numbers
         complete a step. It may be replaced at any time.
+
+    Attributes
+    ----------
+    newest
+        The frame that was appended last.
     """
 
     def __init__(self, limit_bytes: int, wake: Callable[[], None], step_frames: Sequence[int] = (1,)) -> None:
@@ -31,6 +36,7 @@ class Ring:
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
         self._overflow = 0
+        self.newest: SingleToneFrame | ChannelisedFrame | None = None
 
     def put(self, news: Arrival) -> None:
         """Append what is no frame."""
@@ -41,6 +47,7 @@ class Ring:
     def put_frames(self, frames: Sequence[SingleToneFrame] | Sequence[ChannelisedFrame]) -> None:
         """Append adjacent frames, one or more; when they complete a step, the consumer is woken."""
         size_bytes = frames[0].memory_bytes  # all of one board are of one size
+        self.newest = frames[-1]
         with self._lock:
             self._items.extend([(size_bytes, frame) for frame in frames])
             self._bytes += size_bytes * len(frames)

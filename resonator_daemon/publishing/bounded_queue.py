@@ -1,6 +1,7 @@
 """What waits for the socket: the newest, bounded by count and by bytes; and what passes at a lower rate."""
 
 from collections import deque
+from collections.abc import Iterator
 from typing import Final, Generic, Protocol, TypeVar
 
 _NS_PER_S: Final = 1e9
@@ -25,6 +26,9 @@ class BoundedQueue(Generic[ItemT]):
 
     def __len__(self) -> int:
         return len(self._items)
+
+    def __iter__(self) -> Iterator[ItemT]:
+        return iter(self._items)
 
     def put(self, item: ItemT) -> list[ItemT]:
         """Append an item; return those that had to go for it, the oldest first."""

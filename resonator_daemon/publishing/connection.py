@@ -4,11 +4,13 @@ import asyncio
 import contextlib
 import logging
 import socket
+import ssl
 import threading
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from typing import Any, Final, NamedTuple, TypeVar
 
 import aiomqtt
+from paho.mqtt.client import PUBLISH, MQTTMessageInfo
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import refusals
@@ -37,7 +39,7 @@ _library_log = logging.getLogger(f"{__name__}.aiomqtt")
 _library_log.setLevel(logging.CRITICAL)  # it logs each failure where it happens; here it is once per change
 
 _Result = TypeVar("_Result")
-OnPublished = Callable[[int, object, bool], None]
+OnPublished = Callable[["InFlight", bool], None]
 OnMessage = Callable[[Incoming], None]
 OnDenied = Callable[[str, str], None]
 
@@ -48,14 +50,15 @@ class InFlight(NamedTuple):
     qos: int
     since_s: float
     token: object  # the sender's
+    messages: int = 1
 
 
 class BrokerClient(aiomqtt.Client):
     """An aiomqtt client that writes at once and tells exactly what became of each message.
 
-    `send` takes the place of `publish`: it neither waits nor queues, and the number of system calls per message is
-    one instead of six. `on_published(qos, token, refused)` is called when a QoS 0 message is written to the socket in
-    full, and when a QoS 1 message is acknowledged. `on_message` takes the place of `messages`, and
+    `send` and `send_streams` take the place of `publish`: they neither wait nor queue. `on_published(sent, refused)`
+    is called when QoS 0 messages are written to the socket in full, and when a QoS 1 message is acknowledged.
+    `on_message` takes the place of `messages`, and
     `on_denied(topic_filter, reason)` is called when the broker refuses what was listened to.
 
     Attributes
@@ -126,6 +129,10 @@ class BrokerClient(aiomqtt.Client):
         return self.connected and not self._client.want_write()
 
     @property
+    def messages_in_flight(self) -> int:
+        return sum(sent.messages for sent in self.in_flight.values())
+
+    @property
     def overdue(self) -> bool:
         """Whether nothing has moved for too long: a broker that is frozen, or gone without a word."""
         oldest = next(iter(self.in_flight.values()), None)
@@ -164,6 +171,46 @@ class BrokerClient(aiomqtt.Client):
             self._progress_s = now_s
         self.in_flight[info.mid] = InFlight(qos, now_s, token)
         self.unacknowledged += qos
+        self._flush()
+
+    def send_streams(self, packets: Sequence[bytes]) -> int:
+        """Write whole PUBLISH packets of QoS 0 with one system call, only while `writable`; return how many are begun.
+
+        Of what is begun and not written in full, the rest is queued; what is not begun stays with the caller.
+        """
+        connection = self._client.socket()
+        written, again = 0, False
+        try:
+            if connection is not None:
+                written = connection.send(b"".join(packets))
+        except (ssl.SSLWantWriteError, ssl.SSLWantReadError):
+            again = True  # TLS has taken the bytes, and needs to be given the same ones once more
+        except OSError:  # the socket takes no more for now, or the connection is lost, which `loop_write` notices
+            pass
+        complete = 0
+        while complete < len(packets) and written >= len(packets[complete]):
+            written -= len(packets[complete])
+            complete += 1
+        if complete and self._tell_published is not None:
+            self._tell_published(InFlight(0, self._loop.time(), None, complete), False)
+        begun = len(packets) if again else min(complete + 1, len(packets))
+        if begun > complete:
+            self._write_later(b"".join(packets[complete:begun])[written:], begun - complete)
+        return begun
+
+    def _write_later(self, rest: bytes, messages: int) -> None:
+        """Have the library write what is left of this many messages, as soon as the socket takes it."""
+        library = self._client
+        number = library._mid_generate()  # noqa: SLF001 - it has no public way to queue bytes
+        now_s = self._loop.time()
+        if not self.in_flight:
+            self._progress_s = now_s
+        self.in_flight[number] = InFlight(0, now_s, None, messages)
+        self._sending = True
+        try:
+            library._packet_queue(PUBLISH, rest, number, 0, MQTTMessageInfo(number))  # noqa: SLF001
+        finally:
+            self._sending = False
         self._flush()
 
     def listen(self, topic_filter: str, qos: int = 1) -> None:
@@ -244,7 +291,7 @@ class BrokerClient(aiomqtt.Client):
             self._progress_s = self._loop.time()
             self.unacknowledged -= message.qos
             if self._tell_published is not None:
-                self._tell_published(message.qos, message.token, reason.is_failure)
+                self._tell_published(message, reason.is_failure)
 
     def _subscribed(
         self, _client: object, _userdata: object, mid: int, reasons: list[Any], _properties: object

@@ -3,15 +3,16 @@
 import asyncio
 import logging
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeVar
 
 from resonator_daemon.publishing.bounded_queue import BoundedQueue
 from resonator_daemon.publishing.broker_limits import LargestMessages, packet_bytes
-from resonator_daemon.publishing.connection import BrokerClient
+from resonator_daemon.publishing.connection import BrokerClient, InFlight
 from resonator_daemon.publishing.event_queue import Event, EventQueue
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.packed_properties import PackedProperties, properties_of
 from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.stream_packets import stream_packet
 from resonator_daemon.publishing.topics import CONTACT_EVENT
 
 STREAMS_WAITING_MAX: Final = 4096
@@ -20,7 +21,8 @@ ANSWERS_WAITING_MAX: Final = 32
 ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
 UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 
-_TOGETHER: Final = 32  # messages sent before others of the event loop have their turn
+_TOGETHER: Final = 32  # writes before others of the event loop have their turn
+_SEND_BYTES: Final = 64 * 1024  # of streams in one write
 
 log = logging.getLogger(__name__)
 
@@ -35,6 +37,20 @@ class Packet(NamedTuple):
     @property
     def size_bytes(self) -> int:
         return len(self.payload)
+
+
+class _Stream(NamedTuple):
+    """A message of QoS 0, packed for the wire."""
+
+    topic: str
+    packet: bytes
+
+    @property
+    def size_bytes(self) -> int:
+        return len(self.packet)
+
+
+WaitingT = TypeVar("WaitingT", Packet, _Stream)
 
 
 class Outbox:
@@ -57,7 +73,7 @@ class Outbox:
         self._states: dict[str, Packet] = {}  # those of them that wait
         self.events = EventQueue(account, spool_directory, self.pump_soon)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
-        self._streams: BoundedQueue[Packet] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self._largest = LargestMessages()
         self._too_large: set[str] = set()  # topics of which it was said
         self._pumping = False
@@ -69,7 +85,7 @@ class Outbox:
 
     @property
     def waiting(self) -> int:
-        return self.queued + (len(self._client.in_flight) if self._client is not None else 0)
+        return self.queued + (self._client.messages_in_flight if self._client is not None else 0)
 
     async def all_sent(self) -> None:
         while self.waiting:
@@ -90,7 +106,16 @@ class Outbox:
         self._put(self._answers, packet)
 
     def put_stream(self, packet: Packet) -> None:
-        self._put(self._streams, packet)
+        client = self._client
+        if client is None:
+            self._account.drop(Cause.NO_CONNECTION, packet.topic)
+            return
+        properties = packet.properties if client.version is client.version.V5 else None
+        stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload))
+        if stream.size_bytes > self._size_max(client):
+            self._drop_too_large(packet.topic, stream.size_bytes, client.limits.packet_bytes_max)
+        else:
+            self._put(self._streams, stream)
 
     def connected(self, client: BrokerClient) -> None:
         self._client = client
@@ -112,9 +137,9 @@ class Outbox:
         client, self._client = self._client, None
         if client is None:
             return
+        self._account.unknown_at_disconnect += client.messages_in_flight
         unknown = [message.token for message in client.in_flight.values()]
         client.in_flight.clear()
-        self._account.unknown_at_disconnect += len(unknown)
         self.events.disconnected([event for event in unknown if isinstance(event, Event)])
         self._drop(self._streams, Cause.NO_CONNECTION)
         self._drop(self._answers, Cause.WITHDRAWN)
@@ -134,16 +159,17 @@ class Outbox:
             self._account.drop(Cause.CLOSED, topic)
         self._states.clear()
 
-    def published(self, qos: int, token: object, refused: bool) -> None:
-        """Take what became of a message that was sent."""
-        if qos:
+    def published(self, sent: InFlight, refused: bool) -> None:
+        """Take what became of messages that were sent."""
+        token = sent.token
+        if sent.qos:
             self._largest.acknowledged()
         if refused:
             self._account.drop(Cause.REFUSED, token.topic if isinstance(token, Packet | Event) else "")
-        elif qos:
+        elif sent.qos:
             self._account.acknowledged += 1
         else:
-            self._account.handed_to_socket += 1
+            self._account.handed_to_socket += sent.messages
         if isinstance(token, Event):
             self.events.done(token)
         self._moved.set()
@@ -160,33 +186,49 @@ class Outbox:
         try:
             for _ in range(_TOGETHER):
                 client = self._client
-                if client is None or not client.writable or not self._send_next(client):
+                if client is None or not client.writable:
+                    return
+                if not self._send_next(client) and not self._send_streams(client):
                     return
             asyncio.get_running_loop().call_soon(self.pump_soon)
         finally:
             self._pumping = False
 
     def _send_next(self, client: BrokerClient) -> bool:
-        """Send one message, or drop it as too large; False: nothing can be sent now."""
-        if client.unacknowledged < min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
-            if self._states:
-                packet = self._states.pop(next(iter(self._states)))
-                self._send(client, packet, 1, packet, retain=client.limits.retains)
-                return True
-            if (event := self.events.take()) is not None:
-                packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
-                if not self._send(client, packet, 1, event):
-                    self.events.done(event)
-                return True
-            if self._answers:
-                packet = self._answers.take()
-                self._send(client, packet, 1, packet)
-                return True
-        if self._streams:
-            packet = self._streams.take()
-            self._send(client, packet, 0, packet)
+        """Send one message that is acknowledged, or drop it as too large; False: none can be sent now."""
+        if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
+            return False
+        if self._states:
+            packet = self._states.pop(next(iter(self._states)))
+            self._send(client, packet, 1, packet, retain=client.limits.retains)
+            return True
+        if (event := self.events.take()) is not None:
+            packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
+            if not self._send(client, packet, 1, event):
+                self.events.done(event)
+            return True
+        if self._answers:
+            packet = self._answers.take()
+            self._send(client, packet, 1, packet)
             return True
         return False
+
+    def _send_streams(self, client: BrokerClient) -> bool:
+        """Send the streams that wait, as many as one write should hold; False: none waits."""
+        packets: list[bytes] = []
+        size_bytes = 0
+        for stream in self._streams:
+            packets.append(stream.packet)
+            size_bytes += stream.size_bytes
+            if size_bytes >= _SEND_BYTES:
+                break
+        if not packets:
+            return False
+        now_s = asyncio.get_running_loop().time()
+        for _ in range(client.send_streams(packets)):
+            stream = self._streams.take()
+            self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
+        return True
 
     def _send(self, client: BrokerClient, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
         """Write a message to the socket; False: the broker would not take one of this size."""
@@ -195,10 +237,8 @@ class Outbox:
         size_bytes = packet_bytes(
             packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
         )
-        if size_bytes > min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s)):
-            self._account.drop(Cause.TOO_LARGE, packet.topic)
-            self._say_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
-            self._moved.set()
+        if size_bytes > self._size_max(client):
+            self._drop_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
             return False
         qos = min(qos, client.limits.qos_max)
         try:
@@ -209,7 +249,9 @@ class Outbox:
         self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
         return True
 
-    def _say_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
+    def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
+        self._account.drop(Cause.TOO_LARGE, topic)
+        self._moved.set()
         if topic not in self._too_large and size_bytes > limit_bytes:
             self._too_large.add(topic)
             log.warning(
@@ -219,11 +261,15 @@ class Outbox:
                 limit_bytes,
             )
 
-    def _put(self, queue: BoundedQueue[Packet], packet: Packet) -> None:
+    def _size_max(self, client: BrokerClient) -> int:
+        """Return the size of the largest packet that the broker takes."""
+        return min(client.limits.packet_bytes_max, self._largest.bytes_max(asyncio.get_running_loop().time()))
+
+    def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
         for pushed_out in queue.put(packet):
             self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
         self.pump_soon()
 
-    def _drop(self, queue: BoundedQueue[Packet], cause: Cause) -> None:
+    def _drop(self, queue: BoundedQueue[WaitingT], cause: Cause) -> None:
         for packet in queue.clear():
             self._account.drop(cause, packet.topic)

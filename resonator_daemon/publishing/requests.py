@@ -110,7 +110,7 @@ async def request(
         return BrokerClient(
             broker,
             version,
-            on_published=lambda _qos, _token, refused: denied(command_topic) if refused else None,
+            on_published=lambda _sent, refused: denied(command_topic) if refused else None,
             on_message=take,
             on_denied=lambda topic_filter, _reason: denied(topic_filter),
         )

@@ -17,7 +17,7 @@ from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.measurement.comb_chain import CombChain
 from resonator_daemon.measurement.contacts import ContactEvent
 from resonator_daemon.measurement.readings import ForceReading, SkinReading
-from resonator_daemon.measurement.single_tone_chain import ONSET_FRAMES, SingleToneChain
+from resonator_daemon.measurement.single_tone_chain import SingleToneChain
 from resonator_daemon.measurement.skin_chain import SkinChain
 from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.plate import Plate
@@ -34,6 +34,7 @@ from resonator_daemon.reporting.chains import Chain, make_chain
 from resonator_daemon.reporting.reports import Reporter
 from resonator_daemon.reporting.sensor_state import SensorState
 
+_ONSET_S = 0.005  # that an onset may wait for the frames after it
 _ANEW = "the board started anew"
 
 Floats = NDArray[np.float64]
@@ -245,7 +246,10 @@ class Measuring:
 
 
 def useful_together(plate: Plate, measurement: Measurement) -> tuple[int, ...]:
-    """How many frames are of use together: those that may tell of an onset, and those of a message."""
+    """Return how many frames are of use together: those of a message, and those in which an onset may wait."""
     if plate.counter.kind != "single-tone":
         return (1,)
-    return ONSET_FRAMES, round(measurement.step_s * plate.counter.frame_rate_hz)
+    rate_hz = plate.counter.frame_rate_hz
+    step_frames = round(measurement.step_s * rate_hz)
+    onset_frames = max(1, round(_ONSET_S * rate_hz))
+    return (step_frames,) if step_frames <= onset_frames else (onset_frames, step_frames)

@@ -9,6 +9,7 @@ import secrets
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Coroutine, Mapping
 from importlib.metadata import version
 from typing import Any
@@ -85,8 +86,10 @@ class Service:
         config = self._in_use.config
         self._file_stem = store.path.stem
         self._instance = as_json_text(self._file_stem)
-        self._arrived = asyncio.Event()
         loop = asyncio.get_running_loop()
+        self._loop = loop
+        self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
+        self._arrivals: deque[Arrival] = deque()
         self._recording = RecordingSwitch()
         steps = useful_together(config.plate, config.measurement)
         self._reader = BoardReader(
@@ -111,7 +114,6 @@ class Service:
         self._reload_wanted = asyncio.Event()
         self._ready = False
         self._fatal: OperatorError | None = None
-        self._stopping = False
         self._started_utc_ns = time.time_ns()
 
     async def run(self) -> None:
@@ -126,7 +128,7 @@ class Service:
                 if self._config.name is not None:
                     await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
                 self._reader.start()
-                await self._consume()
+                await self._over
                 self._manager.stopping()
                 for helper in helpers:
                     helper.cancel()
@@ -142,10 +144,13 @@ class Service:
 
     def stop(self, why: str = "ended") -> None:
         """End `run`; from the event loop."""
-        if not self._stopping:
+        if not self._over.done():
             log.info("%s", why)
-        self._stopping = True
-        self._arrived.set()
+        self._end()
+
+    def _end(self) -> None:
+        if not self._over.done():
+            self._over.set_result(None)
 
     def reload(self) -> None:
         """Read the configuration again, and take what can change while all goes on; from the event loop."""
@@ -175,7 +180,7 @@ class Service:
         def arrived() -> None:
             nonlocal pending
             pending = False
-            self._arrived.set()
+            self._consume()
 
         def wake() -> None:
             # One at a time: those of a loop that stalls would fill the pipe that signals come by, too.
@@ -254,17 +259,24 @@ class Service:
         standing = self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
         return self._course.reporter.daemon_state(standing, now_ns)
 
-    async def _consume(self) -> None:
-        while not self._stopping and self._fatal is None:
-            await self._arrived.wait()
-            self._arrived.clear()
-            for count, arrival in enumerate(self._reader.take()):
-                self._handle(arrival)
-                if count % _TOGETHER == _TOGETHER - 1:
-                    await asyncio.sleep(0)  # much has come at once: messages and signals must not wait for all of it
-                    if self._stopping:
-                        break
-            await asyncio.sleep(0)
+    def _consume(self) -> None:
+        """Do what follows from what has arrived; where it is much, messages and signals have their turn in between."""
+        scheduled = bool(self._arrivals)
+        self._arrivals += self._reader.take()
+        if not scheduled:
+            self._go_on()
+
+    def _go_on(self) -> None:
+        try:
+            for _ in range(min(_TOGETHER, len(self._arrivals))):
+                if self._over.done():
+                    return
+                self._handle(self._arrivals.popleft())
+        except Exception as error:  # noqa: BLE001 - `run` raises it
+            self._over.set_exception(error)
+        else:
+            if self._arrivals:
+                self._loop.call_soon(self._go_on)
 
     def _handle(self, arrival: Arrival) -> None:
         match arrival:
@@ -289,6 +301,7 @@ class Service:
             recordings = self._begin_publishing(plate_name(serial_number))
         except ValueError as error:
             self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
+            self._end()
             return False
         self._tasks.create_task(self._keep_recording(recordings), name="recording")
         return True
@@ -298,6 +311,7 @@ class Service:
             return  # the right board was here before and may come back
         error = IncompatibleBoardError if refused.other_protocol else ConfigError
         self._fatal = error(*refused.problems)
+        self._end()
         self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
 
     def _publish(self, topic: Topic[Any], message: Message) -> None:

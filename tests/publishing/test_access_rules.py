@@ -101,7 +101,7 @@ class Client(BrokerClient):
             identifier=identifier,
             will=aiomqtt.Will(will, b"will", qos=1) if will else None,
             on_message=self.got.append,
-            on_published=lambda _, topic, refused: self.refused.update({str(topic): refused}),
+            on_published=lambda sent, refused: self.refused.update({str(sent.token): refused}),
         )
 
     async def send_all(self, topics: set[str], *, retain: bool = False) -> set[str]:

@@ -32,7 +32,7 @@ async def test_messages_beyond_the_packet_size_are_dropped_and_said_once_per_top
             assert left.account.dropped == {"too_large": 5}  # three, the copy of the first, and the document
             assert left.account.acknowledged == 3
     said = [record.getMessage() for record in caplog.records if record.levelno == logging.WARNING]
-    assert [line.split(":")[0] for line in said] == [f"{LEFT}/schema", f"{LEFT}/decoded", f"{LEFT}/decoded/5hz"]
+    assert [line.split(":")[0] for line in said] == [f"{LEFT}/decoded", f"{LEFT}/decoded/5hz", f"{LEFT}/schema"]
     assert "the broker takes 2000" in said[0]
 
 

@@ -1,13 +1,12 @@
 """CBOR with typed arrays against bytes written by hand from RFC 8949 and RFC 8746; damage is refused."""
 
 import struct
-import time
 from typing import Any
 
 import cbor2
 import numpy as np
 import pytest
-from mqtt_helpers import HEADER, Messages
+from mqtt_helpers import HEADER
 from numpy.typing import NDArray
 
 from resonator_daemon.publishing.codec import decode, encode
@@ -183,19 +182,3 @@ def test_damaged_arrays_are_refused(array: bytes, finding: str) -> None:
 def test_cbor_that_is_no_message_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="Signals"):
         decode(Signals, payload)
-
-
-def microseconds(encode_once: Any, repetitions: int = 200) -> float:
-    best_s = float("inf")
-    for _ in range(10):
-        before_s = time.perf_counter()
-        for _ in range(repetitions):
-            encode_once()
-        best_s = min(best_s, time.perf_counter() - before_s)
-    return best_s / repetitions * 1e6
-
-
-def test_encoding_costs_little() -> None:
-    forces, arrays = Messages.forces(1), Messages.decoded(1)
-    assert microseconds(lambda: encode(forces)) < 30
-    assert microseconds(lambda: encode(arrays)) < 50

@@ -32,7 +32,7 @@ async def test_the_commands_of_the_page_make_certificates_that_work(tmp_path: Pa
         async with BrokerClient(
             broker,
             aiomqtt.ProtocolVersion.V5,
-            on_published=lambda _, topic, denied: refused.update({topic: denied}),
+            on_published=lambda sent, denied: refused.update({sent.token: denied}),
         ) as client:
             for topic in ("left-index", "right-index"):
                 client.send(topic, b"", qos=1, token=topic)

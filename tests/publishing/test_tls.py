@@ -18,7 +18,9 @@ from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import connection
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.packed_properties import pack
 from resonator_daemon.publishing.requests import reach
+from resonator_daemon.publishing.stream_packets import stream_packet
 from resonator_daemon.publishing.tls import make_tls
 
 TO_NOBODY = "anonymous"
@@ -158,6 +160,24 @@ async def test_messages_go_both_ways_through_tls(
             await until(lambda: len(attempts.heard) == len(payloads))
             assert [message.payload for message in attempts.heard] == payloads
     assert said(caplog) == ["connected, MQTT 5"]
+
+
+async def test_streams_that_are_written_together_come_whole_through_tls(
+    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with tls_mosquitto(tmp_path, files) as running:
+        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca))
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: attempts.connected)
+            client = attempts.served[0]
+            payloads = [bytes([number]) * (10_000 * number) for number in range(60)]  # far more than a socket holds
+            packets = [stream_packet("echo/1", pack(), payload) for payload in payloads]
+            while packets:
+                await until(lambda: client.writable)
+                del packets[: client.send_streams(packets)]
+            await until(lambda: len(attempts.heard) == len(payloads))
+            assert [message.payload for message in attempts.heard] == payloads
+            assert client.messages_in_flight == 0
 
 
 async def test_a_client_certificate_lets_in(tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch) -> None:
