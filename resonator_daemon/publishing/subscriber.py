@@ -2,20 +2,21 @@
 
 import asyncio
 import logging
+import time
 from collections import deque
 from collections.abc import AsyncGenerator, Collection
+from contextlib import suppress
 from typing import Final, NamedTuple
-
-import aiomqtt
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.codec import decode
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
-from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.receiver import Arrival, Receiver
 from resonator_daemon.publishing.topics import TOPICS, Topic, full_topic, split_topic
 
-RECEIVED_MAX: Final = 1024  # a reader that does not keep up loses the oldest
+STREAM_AGE_MAX_S: Final = 0.25  # of a message of a stream, where the same topic has a newer one
+STREAM_WAITING_MAX: Final = 1024  # the oldest are dropped
+OTHERS_WAITING_MAX: Final = 65_536  # states and events come seldom: a consumer that never reads would fill the memory
 
 log = logging.getLogger(__name__)
 
@@ -36,47 +37,85 @@ async def subscribe(
     """Yield messages of all plates below the broker's prefix as they come, the retained ones first, for ever.
 
     Without `full_rate`, of topics that have a decimated copy that is taken instead. Messages that cannot be read are
-    passed over and logged. To stop, close the iterator (contextlib.aclosing).
+    passed over and logged. Where the consumer is slow, messages of streams (QoS 0) that have become old are dropped in
+    favour of newer ones; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
     """
+    loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
-    received: deque[tuple[str, bytes]] = deque(maxlen=RECEIVED_MAX)
-    closing = asyncio.get_running_loop().create_future()
+    waiting = _Waiting(broker.prefix)
 
-    def on_message(message: Incoming) -> None:
-        received.append((message.topic, message.payload))
-        arrived.set()
+    def on_arrival(arrival: Arrival) -> None:
+        if waiting.append(arrival):
+            wake()
 
-    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(broker, version, on_message=on_message)
+    def on_end() -> None:
+        waiting.over = True
+        wake()
 
-    async def serve(client: BrokerClient) -> None:
-        # Retained topics last: whoever has seen a state misses nothing of what is sent from then on.
-        for topic in sorted(topics, key=lambda topic: topic.retained):
-            path = topic.path if full_rate or topic.slow_hz is None else topic.slow_path
-            await client.subscribe(full_topic(broker.prefix, "+", path), qos=topic.qos)
-        # Not for ever: up to Python 3.11, a cancellation that meets the acknowledgement of a subscription is lost.
-        await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
+    def wake() -> None:
+        with suppress(RuntimeError):  # the consumer's loop has ended without closing the iterator
+            loop.call_soon_threadsafe(arrived.set)
 
-    connection = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
-    connection.add_done_callback(lambda _: arrived.set())  # it ends by a defect only, which must not look like silence
+    receiver = Receiver(broker, topic_filters(broker.prefix, topics, full_rate=full_rate), on_arrival, on_end)
+    receiver.start()
     try:
-        while not connection.done():
+        while not waiting.over:
             await arrived.wait()
             arrived.clear()
-            while received:
-                message = _read(broker.prefix, *received.popleft())
+            while (arrival := waiting.pop()) is not None:
+                message = _read(broker.prefix, arrival)
                 if message is not None:
                     yield message
     finally:
-        closing.set_result(None)
-        await connection
+        await receiver.close()
 
 
-def _read(prefix: str, topic: str, payload: bytes) -> Received | None:
-    plate, path = split_topic(prefix, topic)
+def topic_filters(prefix: str, topics: Collection[Topic[Message]], *, full_rate: bool) -> dict[str, int]:
+    """Return topic filters for all plates below the prefix with their QoS, in the order in which to subscribe."""
+    # Retained topics last: whoever has seen a state misses nothing of what is sent from then on.
+    return {
+        full_topic(prefix, "+", topic.path if full_rate or topic.slow_hz is None else topic.slow_path): topic.qos
+        for topic in sorted(topics, key=lambda topic: topic.retained)
+    }
+
+
+class _Waiting:
+    """Messages that the consumer has not taken yet; one thread appends, one takes."""
+
+    def __init__(self, prefix: str) -> None:
+        self.over = False
+        self._prefix = prefix
+        self._streams: deque[Arrival] = deque(maxlen=STREAM_WAITING_MAX)
+        self._others: deque[Arrival] = deque(maxlen=OTHERS_WAITING_MAX)
+        self._newest_ns: dict[str, int] = {}  # by topic, of streams
+
+    def append(self, arrival: Arrival) -> bool:
+        """Append a message; return whether it is the only one."""
+        _, path = split_topic(self._prefix, arrival.topic)
+        if _BY_PATH[path].qos:
+            self._others.append(arrival)
+        else:
+            self._newest_ns[arrival.topic] = arrival.arrived_ns
+            self._streams.append(arrival)
+        return len(self._streams) + len(self._others) == 1
+
+    def pop(self) -> Arrival | None:
+        """Return the oldest message that is still of use; None where there is none."""
+        stale_ns = time.time_ns() - round(STREAM_AGE_MAX_S * 1e9)
+        while self._streams:
+            if self._others and self._others[0].arrived_ns <= self._streams[0].arrived_ns:
+                break
+            arrival = self._streams.popleft()
+            if arrival.arrived_ns >= min(stale_ns, self._newest_ns[arrival.topic]):
+                return arrival
+        return self._others.popleft() if self._others else None
+
+
+def _read(prefix: str, arrival: Arrival) -> Received | None:
+    plate, path = split_topic(prefix, arrival.topic)
     kind = _BY_PATH[path]
     try:
-        return Received(plate, kind.path, decode(kind.payload, payload))
+        return Received(plate, kind.path, decode(kind.payload, arrival.payload))
     except (ValueError, RecursionError, OverflowError) as error:
-        log.warning("%s: message cannot be read: %s", topic, str(error).partition("\n")[0])
+        log.warning("%s: message cannot be read: %s", arrival.topic, str(error).partition("\n")[0])
         return None

@@ -11,7 +11,7 @@ import pytest
 from mqtt_helpers import LEFT, Messages, publishing, until
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import subscriber, topics
+from resonator_daemon.publishing import receiver, subscriber, topics
 from resonator_daemon.publishing.subscriber import Received, subscribe
 
 
@@ -109,13 +109,17 @@ async def test_a_restart_of_the_broker_is_survived(broker) -> None:
             pass
 
 
-async def test_a_slow_reader_loses_the_oldest(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subscriber, "RECEIVED_MAX", 10)
+@pytest.mark.parametrize(("setting", "value", "most"), [("STREAM_WAITING_MAX", 10, 10), ("STREAM_AGE_MAX_S", 0.0, 1)])
+async def test_a_slow_reader_loses_what_is_old_of_streams_and_no_event(
+    mosquitto, monkeypatch: pytest.MonkeyPatch, setting: str, value: float, most: int
+) -> None:
+    monkeypatch.setattr(subscriber, setting, value)
     async with publishing(mosquitto.url) as left, aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
         left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
         await next_of(received, "state/link")
         async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as after:
             await after.subscribe("resonator/left/forces")
+            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(0))
             for number in range(100):
                 left.publish(LEFT, topics.FORCES, Messages.forces(number))
             async with asyncio.timeout(10):
@@ -124,10 +128,11 @@ async def test_a_slow_reader_loses_the_oldest(mosquitto, monkeypatch: pytest.Mon
                         break
         left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(100))
         await until(lambda: left.account.waiting == 0)
+        assert (await anext(received)).message == Messages.event(0)
         numbers = []
         while (message := await anext(received)).path != "contacts/event":
             numbers.append(message.message.seq)
-        assert len(numbers) <= 10
+        assert 1 <= len(numbers) <= most
         assert numbers == list(range(100 - len(numbers), 100))
 
 
@@ -137,7 +142,7 @@ async def test_a_defect_ends_the_subscription_instead_of_its_messages(
     async def defective(*_: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(subscriber, "keep_connected", defective)
+    monkeypatch.setattr(receiver, "keep_connected", defective)
     async with aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
         with pytest.raises(ZeroDivisionError):
             await anext(received)
