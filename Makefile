@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
 .ONESHELL:
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-firmware coverage bench figures fuzz soak pins clean
+.PHONY: help setup demo test test-firmware coverage bench bench-cost figures fuzz soak pins clean
 
 # A user's PATH on Debian lacks the place of mosquitto.
 export PATH := $(PATH):/usr/local/sbin:/usr/sbin
@@ -99,6 +99,11 @@ bench: .venv/peers-stamp  ## figures as tables: demo, latency, publishing, wire,
 	for benchmark in counting matching baseline calibration end_to_end emulator_noise emulator_speed; do run $$benchmark; done
 	for benchmark in elastic_fields elastic_contact elastic_friction elastic_convergence; do run $$benchmark; done
 	for benchmark in frame_cost decoding contact_decoding slip template; do run $$benchmark; done
+
+bench-cost: .venv/test-stamp  ## processor time of each stage per frame, against its record; 1 if one exceeds it by 15 %
+	$(debian-packages)
+	debian-packages $(BROKER)
+	.venv/bin/python benchmarks/stage_cost.py
 
 figures: .venv/figures-stamp  ## draw the pictures of README.md, docs/reproduction.md and docs/elastic.md anew
 	@export OMP_NUM_THREADS=1

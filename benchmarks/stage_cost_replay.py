@@ -1,0 +1,31 @@
+"""Processor time of a replayed frame of quartz16, for `stage_cost.py`: prints pairs of microseconds as JSON."""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from replay_speed import record
+from stage_cost_parts import RECORDED_S, reference_us
+
+from resonator_daemon.playback.source import open_playback
+
+ROUNDS = 5
+
+
+def main(folder: Path) -> None:
+    path = record(folder, RECORDED_S)
+    samples = []
+    for _ in range(ROUNDS):
+        loop_us = reference_us()
+        begun_s = time.process_time()
+        with open_playback(path) as playback:
+            for _moment in playback.moments():
+                pass
+            frames = playback.account.frames
+        samples.append(((time.process_time() - begun_s) / frames * 1e6, (loop_us + reference_us()) / 2))
+    print(json.dumps({"replay of quartz16, bytes to messages": samples}))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
