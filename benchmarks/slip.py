@@ -16,8 +16,8 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import fit_partial_slip
 from resonator_daemon.decoding.fitting.slip import SlipWatch, margin_from_forces
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.elastic import HalfSpace

@@ -10,7 +10,7 @@ from scene import BODY, DEPTH_M, FRICTION, PITCH_M, RADIUS_M, SITES_M, noise_rms
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import fit_partial_slip
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.decoding.patches import PatchFinder
 
 Floats = NDArray[np.float64]

@@ -4,9 +4,10 @@ from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, fit_partial_slip
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.shape import Shape, ShapeFitter
 from resonator_daemon.decoding.fitting.slip import SlipWatch
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.decoding.fitting.template import TemplateDecoder
 from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder

@@ -76,9 +76,9 @@ class SkinContacts:
         self._noise_std = noise_std
         self._gain_std = skin.gain_std
         self._curvature = 4.0 / 3.0 * skin.half_space.youngs_modulus_pascal / (1.0 - skin.half_space.poisson_ratio**2)
-        self._model = DiscModel(
-            skin.half_space, sites_m, skin.depth_m, _RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
-        )
+        radius_max_m = _RADIUS_SHARE * float(np.ptp(sites_m, axis=0).max())
+        self._model = DiscModel(skin.half_space, sites_m, skin.depth_m, radius_max_m)
+        _ = self._model.slip  # made now rather than at the first contact
         known = friction_coefficient
         self._friction = None if known is None else Friction(known, _FRICTION_STD * known)
         self.tracker = PatchTracker()
@@ -142,6 +142,8 @@ class SkinContacts:
 
     def _noise_of(self, signals: Floats) -> Floats:
         """Noise and gain errors of a frame, (3, n)."""
+        if not self._gain_std:
+            return self._noise_std
         sound = np.where(np.abs(signals) <= SIGNAL_LIMIT, signals, 0.0)
         return np.hypot(self._noise_std, self._gain_std * sound)
 

@@ -9,12 +9,8 @@ from slip_scenes import DEPTH_M, NU, SITES_M, E, Scene, model, noise_std, noisy
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import (
-    PartialSlip,
-    fit_partial_slip,
-    partial_slip_signals,
-    stick_ratio,
-)
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
@@ -34,18 +30,6 @@ def about(scene: Scene, friction: Friction | None = None) -> ContactStart:
 
 def one(discs: DiscModel, signals: Floats, noise: float, scene: Scene, friction: Friction | None) -> PartialSlip:
     return fit_partial_slip(discs, signals, noise, [about(scene, friction)])[0]
-
-
-def test_signals_as_in_space_and_slopes_as_differences(discs: DiscModel) -> None:
-    contact = np.array([*SCENE.centre_m, SCENE.radius_m, *SCENE.force_newton, SCENE.stick_ratio**3])
-    value, slopes = partial_slip_signals(discs, contact)
-    assert np.linalg.norm(value - SCENE.signals.ravel()) < 1e-4 * np.linalg.norm(value)
-    for index, slope in enumerate(slopes):
-        step = np.zeros(7)
-        step[index] = 1e-6 * contact[index]
-        ahead, behind = (partial_slip_signals(discs, contact + sign * step)[0] for sign in (1.0, -1.0))
-        expected = (ahead - behind) / (2.0 * step[index])
-        assert np.linalg.norm(slope - expected) < 1e-6 * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("friction", [None, Friction(0.5), Friction(0.5, 0.02)])

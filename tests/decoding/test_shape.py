@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, Scene, model, noise_std, noisy
 
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
-from resonator_daemon.decoding.fitting.partial_slip import fit_partial_slip
 from resonator_daemon.decoding.fitting.shape import ShapeFitter
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ _DAMPING_LIMIT = 1e8
 _UNEXPLAINED_LIMIT = 0.03  # share of the signals' energy that another kind of contact leaves ...
 _CHI2_LIMIT = 1.5  # ... beyond what the noise hides
 _SETTLED = 1e-2  # expected fall of chi-square, below which what is left is within a tenth of a standard deviation
+_SINGULAR = 1e12  # condition of the correlations, from which parameters count as undetermined
 
 
 @dataclass(frozen=True)
@@ -56,10 +58,14 @@ class Fit:
         scale = np.sqrt(np.diag(self.precision))
         if not scale.all():
             return np.full_like(self.precision, np.inf)
-        correlation = self.precision / np.outer(scale, scale)
-        if np.linalg.cond(correlation) > 1e12:
+        scales = np.outer(scale, scale)
+        try:
+            inverse = np.linalg.inv(self.precision / scales)
+        except np.linalg.LinAlgError:
             return np.full_like(self.precision, np.inf)
-        found: Floats = np.linalg.inv(correlation) / np.outer(scale, scale) * max(self.chi2, 1.0)
+        if not np.linalg.norm(inverse) < _SINGULAR:
+            return np.full_like(self.precision, np.inf)
+        found: Floats = inverse / scales * max(self.chi2, 1.0)
         return found
 
     @property
@@ -71,6 +77,32 @@ class Fit:
         excess = max(self.chi2, 1.0)
         penalty = self.parameters.size * np.log(self.count)
         return -0.5 * float(self.chi_square / excess + self.count * np.log(excess) + penalty)
+
+
+class Quadratic(Protocol):
+    """Chi-square about some parameters, to second order in them."""
+
+    @property
+    def chi_square(self) -> float: ...
+    @property
+    def gradient(self) -> Floats:
+        """(p,), half of the fall of chi-square by the parameters."""
+        ...
+
+    @property
+    def precision(self) -> Floats:
+        """(p, p), half of its second derivative."""
+        ...
+
+
+@dataclass(frozen=True)
+class _Expansion:
+    chi_square: float
+    gradient: Floats
+    precision: Floats
+
+
+Expanded = TypeVar("Expanded", bound=Quadratic)
 
 
 def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floats, noise_std: Floats) -> Fit:
@@ -101,34 +133,41 @@ def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floa
     if not everything:
         whiten, target = whiten[known], target[known]
 
-    def evaluate(parameters: Floats) -> tuple[float, Floats, Floats]:
+    def expand(parameters: Floats) -> _Expansion:
         value, slopes = model(parameters)
         if not everything:
             value, slopes = value[known], slopes[:, known]
         left, slopes = target - value * whiten, slopes * whiten
-        return float(left @ left), slopes @ left, slopes @ slopes.T
+        return _Expansion(float(left @ left), slopes @ left, slopes @ slopes.T)
 
+    parameters, found = minimise(expand, start, lower, upper, count)
+    return Fit(parameters, found.precision, found.chi_square, count, float(target @ target))
+
+
+def minimise(
+    expand: Callable[[Floats], Expanded], start: Floats, lower: Floats, upper: Floats, count: int
+) -> tuple[Floats, Expanded]:
+    """Minimise a chi-square of so many signals between bounds; returns the parameters and its expansion there."""
     parameters = np.clip(start, lower, upper)
-    chi_square, gradient, precision = evaluate(parameters)
+    best = expand(parameters)
     damping = _DAMPING
     for _ in range(_STEPS):
         if damping > _DAMPING_LIMIT:
             break
-        step = _step(parameters, lower, upper, gradient, precision, damping)
-        if 0.5 * float(gradient @ step) < _SETTLED * max(chi_square / count, 1.0):
+        step = bounded_step(parameters, lower, upper, best.gradient, best.precision, damping)
+        if 0.5 * float(best.gradient @ step) < _SETTLED * max(best.chi_square / count, 1.0):
             break
         tried = np.clip(parameters + step, lower, upper)
-        found = evaluate(tried)
-        fall = chi_square - found[0]
-        if fall < 0.0:
+        found = expand(tried)
+        if found.chi_square > best.chi_square:
             damping *= 10.0
             continue
-        parameters, (chi_square, gradient, precision) = tried, found
+        parameters, best = tried, found
         damping *= 0.1
-    return Fit(parameters, precision, chi_square, count, float(target @ target))
+    return parameters, best
 
 
-def _step(
+def bounded_step(
     parameters: Floats, lower: Floats, upper: Floats, gradient: Floats, precision: Floats, damping: float
 ) -> Floats:
     """Damped Gauss-Newton step among the parameters that do not lie at a bound they press against."""

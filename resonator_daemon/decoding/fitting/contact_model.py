@@ -1,12 +1,14 @@
 """Signals at the sites of a load spread over a disc, by Hankel integrals of the half-space's transfer matrices."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import j0, j1
 
+from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
@@ -112,6 +114,25 @@ class DiscModel:
             for name in ("value", "by_radius", "by_x", "by_y"):
                 getattr(whole, name)[:, :, members] = getattr(part, name)
         return whole
+
+    @cached_property
+    def slip(self) -> SlipSignals:
+        """Signals of contacts in partial slip, for the Hertz profile; made at first use."""
+        reach = (self._table.shape[2] - 3) * _DISTANCE_STEP
+        return SlipSignals(self.sites_m, self.depth_m, self.radial, reach, _RADIUS_STEP)
+
+    def radial(self, distance: Floats) -> tuple[Floats, Floats]:
+        """Interpolate the five integrals over distance (n,), in depths, and their slopes by it: at all radii.
+
+        Each (radii; value, slope by radius times the step; 5; n), in the order pressed, along for p, along for strain,
+        sheared, turned.
+        """
+        place = distance / _DISTANCE_STEP
+        knots = np.minimum(place.astype(np.intp), self._table.shape[2] - 2)
+        weights, slopes = (part.reshape(2, 2, 1, 1, 1, -1) for part in _hermite(place - knots))
+        # (distance knot; value, slope; radii; value, slope; 5; n)
+        near = np.stack([self._table[:, :, knots], self._table[:, :, knots + 1]]).transpose(0, 4, 1, 2, 5, 3)
+        return (weights * near).sum(axis=(0, 1)), (slopes * near).sum(axis=(0, 1)) / _DISTANCE_STEP
 
     def _at_depth(self, depth_m: float, offset_m: Floats, radius_m: float) -> DiscSignals:
         x, y = np.ascontiguousarray(offset_m.T) / depth_m

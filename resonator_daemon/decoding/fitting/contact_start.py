@@ -43,32 +43,47 @@ class ContactStart:
     friction: Friction | None = None
 
 
+def clipped(model: DiscModel, start: ContactStart) -> Floats:
+    """Centre and radius (3,) of a start, where a fit may begin; ValueError for one that is not finite."""
+    pose = np.array([*start.centre_m, start.radius_m])
+    if not np.isfinite(pose).all():
+        raise ValueError(f"start {start.centre_m} m, radius {start.radius_m} m must be finite")
+    lower, upper = bounds(model, 1.0)
+    return np.asarray(np.clip(pose, lower[:3], upper[:3]), np.float64)
+
+
+def bounds(model: DiscModel, force_newton: float) -> tuple[Floats, Floats]:
+    """Lower and upper bounds of x, y, a, F_x, F_y, F_z (6,) each, of contacts whose largest force is about as given.
+
+    Centres may lie as far beyond the sites as half the model's margin, so that what is spread about them stays within
+    it.
+    """
+    smallest_m = _SMALLEST_RADIUS * float(model.depth_m.min())
+    lowest_m, highest_m = model.lowest_m - model.margin_m / 2.0, model.highest_m + model.margin_m / 2.0
+    largest = max(force_newton, float(np.finfo(np.float64).tiny))
+    limit = _FORCE_LIMIT * largest
+    return (
+        np.array([*lowest_m, smallest_m, -limit, -limit, _LEAST_FORCE * largest]),
+        np.array([*highest_m, model.radius_max_m, limit, limit, limit]),
+    )
+
+
 def disc_starts(
     model: DiscModel, starts: Sequence[ContactStart], signals: Floats, noise_std: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Parameters x, y, a, F_x, F_y, F_z of each contact (contacts, 6), and their lower and upper bounds (6,).
 
-    Forces are those of Hertz distributions that fit the signals (3 n,) best; centres may lie as far beyond the sites as
-    half the model's margin, so that what is spread about them stays within it. ValueError for a start that is not
-    finite or a noise not above 0.
+    Forces are those of discs that fit the signals (3 n,) best. ValueError for a start that is not finite or a noise not
+    above 0.
     """
     if not (noise_std > 0.0).all():
         raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
-    for start in starts:
-        if not np.isfinite([*start.centre_m, start.radius_m]).all():
-            raise ValueError(f"start {start.centre_m} m, radius {start.radius_m} m must be finite")
-    smallest_m = _SMALLEST_RADIUS * float(model.depth_m.min())
-    lowest_m, highest_m = model.lowest_m - model.margin_m / 2.0, model.highest_m + model.margin_m / 2.0
-    centres = [np.clip(np.asarray(start.centre_m), lowest_m, highest_m) for start in starts]
-    radii = [float(np.clip(start.radius_m, smallest_m, model.radius_max_m)) for start in starts]
-    discs = [model.signals(centre, radius).value for centre, radius in zip(centres, radii, strict=True)]
-    columns = np.concatenate(discs).reshape(3 * len(discs), -1)
+    poses = [clipped(model, start) for start in starts]
+    columns = np.concatenate([model.signals(pose[:2], float(pose[2])).value for pose in poses])
+    columns = columns.reshape(3 * len(poses), -1)
     known = np.isfinite(signals)
     whiten = 1.0 / noise_std[known]
     solution, *_ = np.linalg.lstsq((columns[:, known] * whiten).T, signals[known] * whiten)
     forces = np.asarray(solution, np.float64).reshape(-1, 3)
-    largest = max(float(np.abs(forces).max()), np.finfo(np.float64).tiny)
-    limit = _FORCE_LIMIT * largest
-    lower = np.array([*lowest_m, smallest_m, -limit, -limit, _LEAST_FORCE * largest])
-    upper = np.array([*highest_m, model.radius_max_m, limit, limit, limit])
-    return np.column_stack([centres, radii, np.clip(forces, lower[3:], upper[3:])]), lower, upper
+    lower, upper = bounds(model, float(np.abs(forces).max()))
+    return np.column_stack([poses, np.clip(forces, lower[3:], upper[3:])]), lower, upper

@@ -9,8 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_starts
-from resonator_daemon.decoding.fitting.partial_slip import FORCE_Z, RADIUS, PartialSlip, fit_partial_slip
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.shape_models import FlatFace, StraightEdge
+from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
+from resonator_daemon.decoding.fitting.slip_problem import FORCE_Z, RADIUS
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 

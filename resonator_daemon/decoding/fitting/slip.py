@@ -9,7 +9,8 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, fit_partial_slip, stick_ratio
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio
+from resonator_daemon.decoding.fitting.slip_fitter import SlipFitter
 
 INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
 REARM_MARGIN = 0.4  # ... and above this, it may be announced anew
@@ -82,7 +83,7 @@ class SlipWatch:
     """
 
     def __init__(self, model: DiscModel, friction: Friction | None = None) -> None:
-        self._model = model
+        self._fitter = SlipFitter(model)
         self._friction = friction
         self._followed: dict[int, _Followed] = {}
 
@@ -104,8 +105,8 @@ class SlipWatch:
                 self._followed[contact].start = replace(start, friction=self._followed[contact].start.friction)
         if not contacts:
             return {}, ()
-        starts = [self._followed[contact].start for contact in contacts]
-        fits = dict(zip(contacts, fit_partial_slip(self._model, signals, noise_std, starts), strict=True))
+        starts = {contact: self._followed[contact].start for contact in contacts}
+        fits = self._fitter.fit(signals, noise_std, starts)
         events = []
         for contact, slip in fits.items():
             followed = self._followed[contact]
