@@ -1,17 +1,20 @@
 """Contact patches of a decoded map: which places belong to each, its area, centroid, net force and moment."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from resonator_daemon.decoding.layout import at_border, neighbours, spacing_m
+from resonator_daemon.decoding.layout import as_grid, at_border, neighbours, spacing_m
 
 Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
+Labels = NDArray[np.int32]
 
 _THRESHOLD = 0.15  # of the map's peak pressure: what belongs to a patch
 _PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...
@@ -22,6 +25,20 @@ _NEIGHBOUR_DEPTHS = 3.0  # up to which places with none between belong together:
 _MARGIN_DEPTHS = 1.0  # around a patch, whose load still counts: the map is blurred
 _CORRELATION_DEPTHS = 0.2  # over which the map's errors go together ...
 _CORRELATION_REACH = 6.0  # ... times this, beyond which they do not
+
+_EIGHT = np.ones((3, 3), np.bool_)
+
+
+@dataclass(frozen=True)
+class NetLoad:
+    """Force and moment of a contact; components x, y, z, each (3,); the centroid, x and y, is that of the pressure."""
+
+    force_newton: Floats
+    force_std_newton: Floats
+    moment_newton_m: Floats
+    moment_std_newton_m: Floats
+    centroid_m: Floats
+    centroid_std_m: Floats
 
 
 @dataclass(frozen=True)
@@ -86,6 +103,8 @@ class PatchFinder:
         self._correlation = csr_array((np.exp(-apart.data / length_m), (apart.row, apart.col)), shape=apart.shape)
         near = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
         self._pairs = np.vstack([near, neighbours(self._places_m, _NEIGHBOUR_DEPTHS * depth_m)])
+        grid = as_grid(self._places_m)
+        self._shape = grid.shape if grid and _are_eight_neighbours(self._pairs, grid.shape) else None
         self._border = at_border(self._places_m, self._places_m)
 
     def find(self, traction_pascal: ArrayLike, traction_std_pascal: ArrayLike) -> list[Patch]:
@@ -99,40 +118,57 @@ class PatchFinder:
             if field.ndim not in (2, 3) or field.shape[0] != 3 or field[0].size != count:
                 raise ValueError(f"{name} has shape {field.shape}, must be (3, {count}) or a grid of as many places")
         traction, std = traction.reshape(3, -1), std.reshape(3, -1)
-        if not np.isfinite(traction).all():
-            return []
-        groups = self._groups(traction[2], std[2])
-        if not groups:
-            return []
-        members = np.concatenate(groups)
-        owner = np.repeat(np.arange(len(groups)), [group.size for group in groups])
-        # Each place near a patch counts for the nearest one.
-        distance, nearest = cKDTree(self._places_m[members]).query(self._places_m)
-        within = distance <= _MARGIN_DEPTHS * self._depth_m
-        owners = owner[nearest]
-        patches = [
-            self._patch(group, np.flatnonzero(within & (owners == index)), traction, std)
-            for index, group in enumerate(groups)
-        ]
+        regions = self.regions(traction[2], std[2])
+        loads = self.sums(regions, traction, std)
+        patches = [self.patch(region, load) for region, load in zip(regions, loads, strict=True)]
         return sorted(patches, key=lambda patch: -float(patch.force_newton[2]))
 
-    def _groups(self, pressure: Floats, std: Floats) -> list[Places]:
-        peak = float(pressure.max())
-        above = pressure > _THRESHOLD * max(peak, 0.0)
-        touching = self._pairs[above[self._pairs].all(axis=1)]
-        graph = coo_array((np.ones(len(touching)), touching.T), shape=(pressure.size, pressure.size))
-        count, labels = connected_components(graph, directed=False)
-        labels = np.where(above, labels, count)
-        groups = []
-        for label in np.unique(labels[above]):
-            group = np.flatnonzero(labels == label)
-            highest = group[np.argmax(pressure[group])]
-            least = max(_PEAK * peak, _SIGNIFICANCE * float(std[highest]))
-            if group.size >= _LEAST_PLACES and pressure[highest] >= least:
-                groups.append(group)
-        return groups
+    def regions(self, pressure_pascal: Floats, std_pascal: Floats) -> list[Places]:
+        """Places of each patch, from a map of pressure and its standard deviation, (m,) each. NaN has none."""
+        peak = float(pressure_pascal.max())
+        if not peak > 0.0:
+            return []
+        high = np.flatnonzero(pressure_pascal >= _PEAK * peak)
+        high = high[pressure_pascal[high] >= _SIGNIFICANCE * std_pascal[high]]
+        if not high.size:
+            return []
+        labels = self._labels(pressure_pascal > _THRESHOLD * peak)
+        regions = [np.flatnonzero(labels == label) for label in sorted(set(labels[high].tolist()))]
+        return [region for region in regions if region.size >= _LEAST_PLACES]
 
-    def _patch(self, group: Places, around: Places, traction: Floats, std: Floats) -> Patch:
+    def sums(self, regions: Sequence[Places], traction_pascal: Floats, std_pascal: Floats) -> list[NetLoad]:
+        """Sum a map and its standard deviation, (3, m) each, over each region and 1 depth around it.
+
+        A place near several regions counts for the nearest one.
+        """
+        if not regions:
+            return []
+        members = np.concatenate(regions)
+        owner = np.repeat(np.arange(len(regions)), [region.size for region in regions])
+        distance, nearest = cKDTree(self._places_m[members]).query(self._places_m)
+        owners = np.where(distance <= _MARGIN_DEPTHS * self._depth_m, owner[nearest], -1)
+        return [
+            self._sum(np.flatnonzero(owners == index), traction_pascal, std_pascal) for index in range(len(regions))
+        ]
+
+    def patch(self, region: Places, load: NetLoad) -> Patch:
+        """Patch of a region that bears a load."""
+        return Patch(
+            area_m2=float(self._area_m2[region].sum()),
+            at_border=bool(self._border[region].any()),
+            places=region,
+            **vars(load),
+        )
+
+    def _labels(self, above: NDArray[np.bool_]) -> Labels:
+        """Return the number of the patch of each place above the threshold, (m,)."""
+        if self._shape is not None:
+            return np.asarray(ndimage.label(above.reshape(self._shape), _EIGHT)[0].ravel(), np.int32)
+        touching = self._pairs[above[self._pairs].all(axis=1)]
+        graph = coo_array((np.ones(len(touching)), touching.T), shape=(above.size, above.size))
+        return np.asarray(connected_components(graph, directed=False)[1], np.int32)
+
+    def _sum(self, around: Places, traction: Floats, std: Floats) -> NetLoad:
         x, y = self._places_m[around].T
         share = traction[:, around] * self._area_m2[around]
         share_std = std[:, around] * self._area_m2[around]
@@ -143,14 +179,27 @@ class PatchFinder:
         parts[3:5, around] = share_std[2] * (self._places_m[around] - centroid).T
         parts[5:, around] = share_std[[2, 2, 1, 0]] * np.array([y, x, x, y])
         spread = np.sqrt(np.einsum("sp,ps->s", parts, self._correlation @ parts.T))
-        return Patch(
-            centroid_m=centroid,
-            centroid_std_m=spread[3:5] / abs(force[2]),
-            area_m2=float(self._area_m2[group].sum()),
+        return NetLoad(
             force_newton=force,
             force_std_newton=spread[:3],
             moment_newton_m=np.array([y @ share[2], -x @ share[2], x @ share[1] - y @ share[0]]),
             moment_std_newton_m=np.array([spread[5], spread[6], np.hypot(spread[7], spread[8])]),
-            at_border=bool(self._border[group].any()),
-            places=group,
+            centroid_m=centroid,
+            centroid_std_m=spread[3:5] / abs(force[2]),
         )
+
+
+def _are_eight_neighbours(pairs: NDArray[np.intp], shape: tuple[int, int]) -> bool:
+    """Whether pairs of places, in any order and number, are those of a grid's sides and diagonals."""
+    place = np.arange(shape[0] * shape[1]).reshape(shape)
+    expected = [
+        np.column_stack([first.ravel(), second.ravel()])
+        for first, second in (
+            (place[:, :-1], place[:, 1:]),
+            (place[:-1], place[1:]),
+            (place[:-1, :-1], place[1:, 1:]),
+            (place[:-1, 1:], place[1:, :-1]),
+        )
+    ]
+    given = np.unique(np.sort(pairs, axis=1), axis=0)
+    return np.array_equal(given, np.unique(np.concatenate(expected), axis=0))

@@ -1,7 +1,6 @@
 """The two ways to read a skin's surface: a map and the patches on it, or one contact where a map would mislead."""
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Protocol
 
@@ -9,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
-from resonator_daemon.decoding.contact_physics.net_load import NetLoad
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
 from resonator_daemon.decoding.fourier.decoder import FourierDecoder
@@ -84,29 +82,37 @@ class MapReader:
         return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
 
     def patches(self, decoded: Decoded) -> list[Patch]:
-        patches = self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
-        if self.physics is not None:
-            patches = with_net_loads(patches, self.physics, math.prod(self.shape))
-        return patches
+        if self.physics is None:
+            return self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
+        return net_patches(self._finder, self.physics, decoded)
 
 
-def with_net_loads(patches: Sequence[Patch], physics: ContactDecoder, places: int) -> list[Patch]:
-    """Give patches on a map of so many places the net loads that contact physics tells of them.
+def net_patches(finder: PatchFinder, physics: ContactDecoder, decoded: Decoded) -> list[Patch]:
+    """Return the patches on the map that contact physics decoded last, with its net loads.
 
-    While it tells none, its matrices being prepared, a linear map cut to its support is summed: biased by some percent.
+    While it has none, because its matrices are being prepared, the map cut to its support is summed: biased by some
+    percent.
     """
-    masks = np.zeros((len(patches), places), np.bool_)
-    for mask, patch in zip(masks, patches, strict=True):
-        mask[patch.places] = True
-    loads = physics.net_loads(list(masks), (0.0, 0.0))
-    return [_loaded(patch, load) for patch, load in zip(patches, loads, strict=True)]
+    traction, std = decoded.traction_pascal.reshape(3, -1), decoded.traction_std_pascal.reshape(3, -1)
+    regions = finder.regions(traction[2], std[2])
+    masks = np.zeros((len(regions), traction.shape[1]), np.bool_)
+    for mask, region in zip(masks, regions, strict=True):
+        mask[region] = True
+    net_loads = physics.net_loads(list(masks), (0.0, 0.0))
+    sums = finder.sums(regions, traction, std) if None in net_loads else net_loads
+    patches = []
+    for region, net_load, load in zip(regions, net_loads, sums, strict=True):
+        if load is not None:
+            biases = _CUT_BIAS if net_load is None else _SUM_BIAS
+            patches.append(_widened(finder.patch(region, net_load or load), biases))
+    return sorted(patches, key=lambda patch: -float(patch.force_newton[2]))
 
 
-def _loaded(patch: Patch, load: NetLoad | None) -> Patch:
-    if load is not None:
-        patch = replace(patch, **vars(load))
-    biases = _CUT_BIAS if load is None else _SUM_BIAS
+def _widened(patch: Patch, biases: tuple[float, float]) -> Patch:
+    """Widen standard deviations by what sums may be off by, inside and at the border of the sites."""
     bias = biases[patch.at_border]
+    if bias == 0.0:
+        return patch
     off_newton = bias * float(np.linalg.norm(patch.force_newton))
     lever_m = float(np.linalg.norm(patch.centroid_m)) + patch.radius_m
     return replace(

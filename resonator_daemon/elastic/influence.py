@@ -68,6 +68,16 @@ class SurfaceCompliance:
         kernel = [[self._coefficients(row, column, squares, lags_y, lags_x) for column in columns] for row in rows]
         return Convolution(np.array(kernel), shape)
 
+    def coefficients(self, shape: tuple[int, int]) -> Floats:
+        """Displacements by unit tractions at each lag among the pixels of a window, in metres per pascal.
+
+        Shape (3, 3, 2 ny - 1, 2 nx - 1): components of the displacement, of the traction, lags 1 - n .. n - 1.
+        """
+        squares = _Squares(shape, self.pitch_m)
+        lags_y, lags_x = (np.arange(1 - count, count) for count in shape)
+        axes = (X, Y, Z)
+        return np.array([[self._coefficients(row, column, squares, lags_y, lags_x) for column in axes] for row in axes])
+
     @property
     def of_own_load(self) -> float:
         """Normal displacement of a pixel's centre by its own normal traction, in metres per pascal."""

@@ -13,7 +13,7 @@ from resonator_daemon.decoding.layout import cell_areas_m2
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
-from resonator_daemon.decoding.surface_readers import with_net_loads
+from resonator_daemon.decoding.surface_readers import net_patches
 
 Floats = NDArray[np.float64]
 
@@ -56,9 +56,10 @@ def follow(rig: Rig, frames: Iterable[Floats], *, physics: bool = True, seed: in
     for frame in frames:
         signals = noisy(frame, random)
         decoded = (rig.physics if physics else rig.linear).decode(signals)
-        patches = FINDER.find(decoded.traction_pascal, decoded.traction_std_pascal)
         if physics:
-            patches = with_net_loads(patches, rig.physics, SITES)
+            patches = net_patches(FINDER, rig.physics, decoded)
+        else:
+            patches = FINDER.find(decoded.traction_pascal, decoded.traction_std_pascal)
         followed.append(Followed(*rig.contacts.update(signals, patches)))
     return followed
 

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
+from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.decoding.contact_physics.signal_rows import SignalRows
+from resonator_daemon.decoding.contact_physics.support_matrices import Model
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 
 LENGTH_M, RATIO, STD_PASCAL, NOISE_STD = 1e-3, 0.3, 50.0, 1.7
-ROWS, COLUMNS, SITES = 5, 6, (6, 6)
+ROWS, COLUMNS, SITES, PITCH_M = 5, 6, (6, 6), 4e-4
+EMPTY = 4  # pixels around the lattice that carry no load, either
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +36,21 @@ def scene():
     return centres_m, kernel.astype(np.float32), support
 
 
-def dense(scene, known=None, around=None):
-    """A (signals, 3 n) and the prior covariance of the traction, in double precision."""
-    centres_m, kernel, support = scene
+def dense(scene, known=None, support=None):
+    """A (signals, 3 n) and the prior covariance of the traction given that all around is 0, in double precision."""
+    centres_m, kernel, drawn = scene
+    support = drawn if support is None else support
     pixels = np.flatnonzero(support)
-    distance = np.linalg.norm(centres_m[pixels][:, None] - centres_m[pixels], axis=-1)
-    correlation = np.exp(-distance / LENGTH_M)
-    if around is not None:  # a Gaussian field given that it is 0 there
-        empty = centres_m[around]
-        across = np.exp(-np.linalg.norm(centres_m[pixels][:, None] - empty, axis=-1) / LENGTH_M)
-        among = np.exp(-np.linalg.norm(empty[:, None] - empty, axis=-1) / LENGTH_M)
-        correlation = correlation - across @ np.linalg.solve(among, across.T)
+    y, x = np.divmod(np.arange((ROWS + 2 * EMPTY) * (COLUMNS + 2 * EMPTY)), COLUMNS + 2 * EMPTY)
+    wide_m = (np.column_stack([x, y]) - EMPTY) * PITCH_M
+    loaded_m = centres_m[pixels]
+    off_m = np.linalg.norm(wide_m[:, None] - loaded_m, axis=-1)
+    empty_m = wide_m[off_m.min(axis=1) > 1e-9]
+    correlation, across, among = (
+        np.exp(-np.linalg.norm(one[:, None] - other, axis=-1) / LENGTH_M)
+        for one, other in ((loaded_m, loaded_m), (loaded_m, empty_m), (empty_m, empty_m))
+    )
+    correlation -= across @ np.linalg.solve(among, across.T)
     correlation *= STD_PASCAL**2
     prior = np.kron(np.diag([RATIO, RATIO, 1.0]), correlation)
     matrix = kernel[:, pixels].astype(float).reshape(3 * pixels.size, -1).T
@@ -51,10 +59,10 @@ def dense(scene, known=None, around=None):
     return matrix, prior
 
 
-def problem_of(scene, rows, lost=None, around=None):
-    centres_m, _, support = scene
-    around = np.zeros(support.size, bool) if around is None else around
-    return SupportProblem(rows.kernel, centres_m, support.ravel(), around, STD_PASCAL, NOISE_STD, LENGTH_M, RATIO, lost)
+def problem_of(scene, rows, lost=None, support=None, before=None):
+    prior = PixelPrior(PixelLattice((0.0, 0.0), PITCH_M, (ROWS, COLUMNS)), LENGTH_M)
+    model = Model(rows.kernel, prior, RATIO, lost, STD_PASCAL, NOISE_STD, 6.0)
+    return SupportProblem(model, (scene[2] if support is None else support).ravel(), before)
 
 
 def everywhere(problem):
@@ -75,15 +83,28 @@ def test_linear_solution_is_the_bayes_estimate(scene, shape):
     )
 
 
-def test_pixels_known_to_be_empty_tell_about_the_others(scene):
+def test_a_problem_made_from_another_is_the_same(scene):
     rows = SignalRows(scene[1], None)
-    around = ~scene[2].ravel()
-    problem = problem_of(scene, rows, around=around)
+    moved = np.roll(scene[2], 1, 1)
+    one = problem_of(scene, rows)
+    other = problem_of(scene, rows, support=moved, before=one)
+    back = problem_of(scene, rows, before=other)
+    assert (one.matrices.updates, other.matrices.updates, back.matrices.updates) == (0, 1, 2)
     signals = np.random.default_rng(1).standard_normal(108).astype(np.float32) * 3.0
-    matrix, prior = dense(scene, around=around)
-    expected = prior @ matrix.T @ np.linalg.solve(matrix @ prior @ matrix.T + NOISE_STD**2 * np.eye(108), signals)
-    found = problem.linear(problem.right_side(signals), *everywhere(problem))
-    np.testing.assert_allclose(found.ravel(), expected, atol=0.003 * np.abs(expected).max())
+    for problem, support in ((other, moved), (back, scene[2])):
+        matrix, prior = dense(scene, support=support)
+        expected = prior @ matrix.T @ np.linalg.solve(matrix @ prior @ matrix.T + NOISE_STD**2 * np.eye(108), signals)
+        order = np.argsort(problem.pixels)
+        found = problem.linear(problem.right_side(signals), *everywhere(problem))[:, order]
+        np.testing.assert_allclose(found.ravel(), expected, atol=0.003 * np.abs(expected).max())
+        afresh = problem_of(scene, rows, support=support)
+        np.testing.assert_allclose(problem.std()[:, order], afresh.std(), rtol=1e-5)
+
+
+def test_little_overlap_is_no_reason_to_take_matrices_over(scene):
+    rows = SignalRows(scene[1], None)
+    far = np.roll(scene[2], 2, 1)
+    assert problem_of(scene, rows, support=far, before=problem_of(scene, rows)).matrices.updates == 0
 
 
 @pytest.mark.parametrize("shape", [None, SITES])
@@ -120,24 +141,24 @@ def test_chi2_counts_what_is_left(scene):
     matrix, _ = dense(scene)
     left = np.random.default_rng(6).standard_normal(108)
     signals = (matrix @ traction.ravel() + left).astype(np.float32)
-    assert problem.chi2(signals, traction) == pytest.approx(np.mean(left**2), rel=1e-4)
+    assert problem.chi2(signals, problem.right_side(signals), traction) == pytest.approx(np.mean(left**2), rel=1e-4)
 
 
 def test_net_load_scatters_as_its_standard_error_says(scene):
     rows = SignalRows(scene[1], None)
     problem = problem_of(scene, rows)
-    inside, _ = everywhere(problem)
     matrix, prior = dense(scene)
     rng = np.random.default_rng(7)
     centres_m = scene[0][problem.pixels]
-    arms_m = centres_m - centres_m.mean(axis=0)
+    about_m = tuple(centres_m.mean(axis=0))
+    arms_m = centres_m - about_m
     root = np.linalg.cholesky(prior)
-    sums = LoadSums(problem, inside, centres_m, tuple(centres_m.mean(axis=0)), 1.6e-7)
+    sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
     z = []
     for _ in range(150):
         load = root @ rng.standard_normal(len(prior))
         signals = matrix @ load + NOISE_STD * rng.standard_normal(108)
-        net = sums.load(problem.right_side(signals.astype(np.float32)), 1.0)
+        (net,) = sums.loads([problem.pixels], problem.right_side(signals.astype(np.float32)), 1.0, about_m)
         f_x, f_y, f_z = load.reshape(3, -1) * 1.6e-7
         force = np.array([f_x.sum(), f_y.sum(), f_z.sum()])
         x, y = arms_m.T

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import cKDTree
 
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
@@ -21,21 +20,20 @@ from resonator_daemon.decoding.contact_physics.hypothesis import (
     examine,
     solve,
 )
-from resonator_daemon.decoding.contact_physics.net_load import LoadSums, NetLoad
-from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
-from resonator_daemon.decoding.contact_physics.support import connected, load_support
-from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.support import load_support
 from resonator_daemon.decoding.contact_physics.support_search import Frame, LinearDecoder, Located, SupportSearch
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.elastic import SurfaceCompliance
+from resonator_daemon.decoding.open_plane.linear_map import Estimate
+from resonator_daemon.decoding.patches import NetLoad
 
 Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one
 _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
-_COLD, _WARM = 12, 1  # iterations
+_COLD = 12  # iterations
+_WARM = 1  # iterations, and ...
+_WARM_MOST = 6  # ... how many where they are needed to explain the signals
 _MOVED = 0.75  # pixels, after which the other thread follows
 _STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
 _SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
@@ -95,16 +93,9 @@ class ContactDecoder:
         self._told_friction = friction_coefficient
         self._friction_estimate: float | None = None
         self._background = background
-        sites, places = linear_decoder.site_positions_m, linear_decoder.query_positions_m
-        self._lattice = PixelLattice.over(sites, float(np.median(linear_decoder.depths_m)))
-        self._to_places = self._lattice.to_places(places)
-        self._nearest = self._lattice.nearest(places)
-        self._search = SupportSearch(linear_decoder, self._lattice)
-        compliance = SurfaceCompliance(linear_decoder.half_space, self._lattice.shape, self._lattice.pitch_m)
-        self._displacement = compliance.convolution((0, 1, 2), (0, 1, 2), self._lattice.shape)
-        self._count = len(sites)
-        self._sums_of: SupportProblem | None = None
-        self._sums: dict[tuple[bytes, tuple[float, float]], LoadSums] = {}
+        self._search = SupportSearch(linear_decoder)
+        self._nearest = self._search.places.nearest
+        self._count = len(linear_decoder.site_positions_m)
         self.reset()
 
     def reset(self) -> None:
@@ -151,7 +142,7 @@ class ContactDecoder:
         axes = 2 if frames.shape[-2:] == (3, self._count) else 3
         leading = frames.shape[:-axes]
         if not frames.size:
-            return self._linear.decode(frames, displacement=displacement)  # which knows the shapes
+            return self._linear.decode(frames, displacement=displacement)  # which checks shapes
         decoded = [self._decode(frame, displacement) for frame in frames.reshape(-1, *frames.shape[-axes:])]
         return Decoded.stack(decoded, leading, decoded[0].traction_pascal.shape) if leading else decoded[0]
 
@@ -176,37 +167,13 @@ class ContactDecoder:
         if self._last is None:
             return [None] * len(contacts)
         frame, located = self._last.frame, self._last.located
-        problem = located.problem
-        if self._sums_of is not problem:
-            self._sums_of, self._sums = problem, {}
-        right_side, noise_std = problem.right_side(frame.rows), frame.noise_std / problem.noise_std
-        found: list[NetLoad | None] = []
-        for chosen in self._shares([self._nearest[np.flatnonzero(mask)] for mask in contacts], located):
-            key = chosen.tobytes(), about_m
-            if chosen.any() and key not in self._sums:
-                centres_m, area_m2 = self._lattice.centres_m[problem.pixels], self._lattice.pitch_m**2
-                self._sums[key] = LoadSums(problem, chosen, centres_m, about_m, area_m2)
-            found.append(self._sums[key].load(right_side, noise_std) if chosen.any() else None)
-        return found
+        pixels = [self._nearest[np.flatnonzero(mask)] for mask in contacts]
+        noise_std = frame.noise_std / located.problem.model.noise_std
+        return located.sums.loads(pixels, self._last.right_side, noise_std, about_m)
 
     def net_load(self, places: Mask, about_m: tuple[float, float]) -> NetLoad | None:
         """As `net_loads`, of a single contact."""
         return self.net_loads([places], about_m)[0]
-
-    def _shares(self, seeds: list[NDArray[np.intp]], located: Located) -> list[Mask]:
-        """Which of a problem's pixels belong to each of the contacts whose pixels are given, (n,) each."""
-        pixels = located.problem.pixels
-        shares = []
-        for seed in seeds:
-            touched = np.zeros(self._lattice.shape, np.bool_)
-            touched.ravel()[seed] = True
-            shares.append(connected(located.solved, touched).ravel()[pixels])
-        if len(seeds) > 1:
-            owner = np.repeat(np.arange(len(seeds)), [seed.size for seed in seeds])
-            centres_m = self._lattice.centres_m
-            nearest = np.asarray(cKDTree(centres_m[np.concatenate(seeds)]).query(centres_m[pixels])[1], np.intp)
-            shares = [share & (owner[nearest] == index) for index, share in enumerate(shares)]
-        return shares
 
     @property
     def rebuild_wanted(self) -> bool:
@@ -237,30 +204,27 @@ class ContactDecoder:
         self._age = 0
 
     def _fresh(self, located: Located | None) -> Hypothesis:
-        return Hypothesis(located, np.zeros(self._lattice.shape, np.bool_))
+        return Hypothesis(located, np.zeros(self._search.shape, np.bool_))
 
     def _decode(self, signals: Floats, displacement: bool) -> Decoded:
-        linear = self._linear.decode(signals, displacement=displacement)
-        if linear.status != "ok":
+        estimate = self._linear.estimate(signals)
+        surface = estimate.surface
+        if surface is None or surface.significance < _SIGNIFICANT:
             self._release()
-            return linear
-        places = linear.traction_pascal.reshape(3, -1)
-        peak = int(np.argmax(places[2]))
-        if places[2, peak] < _SIGNIFICANT * linear.traction_std_pascal.reshape(3, -1)[2, peak]:
-            self._release()
-            return linear
+            return estimate.decoded(displacement)
         self._age += 1
         if self._age > _RETRY_FRAMES:
             self._reconsider()
         self._adopt()
         if not self._is_dropped():
-            frame = self._search.frame(signals, linear)
+            frame = self._search.frame(estimate, surface)
             self._last = self._solve(frame)
             if self._last is not None:
-                return self._shown(self._last, linear)
+                return self._shown(self._last, estimate, displacement)
             if not self._is_dropped():
-                return self._masked(linear, frame)
+                return self._masked(estimate, frame, displacement)
         self._last = None
+        linear = estimate.decoded(displacement)
         return replace(linear, status="constraint_dropped", reason=self._hypothesis.reason)
 
     def _is_dropped(self) -> bool:
@@ -301,7 +265,10 @@ class ContactDecoder:
         if located is None:
             return None
         friction = self._friction(self._hypothesis.bounds)
-        solved = solve(frame, located, friction, self._last, _COLD if self._last is None else _WARM)
+        if self._last is None:
+            solved = solve(frame, located, friction, None, _COLD)
+        else:
+            solved = solve(frame, located, friction, self._last, _WARM, _WARM_MOST)
         if solved.is_sound:
             return solved
         if self._background:
@@ -313,52 +280,44 @@ class ContactDecoder:
             self._age = 0
         return examined
 
-    def _masked(self, linear: Decoded, frame: Frame) -> Decoded:
+    def _masked(self, estimate: Estimate, frame: Frame, displacement: bool) -> Decoded:
         """Linear map cut to support and cone, while there are no matrices."""
         friction, support = self._friction(self._hypothesis.bounds), load_support(frame.pressure).ravel()
-        shape = linear.traction_pascal.shape
-        places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
-        traction = project_on_cone(places, friction) * support[self._nearest]
-        on_pixels = project_on_cone(frame.traction, friction) * support
+        linear = estimate.decoded(displacement=False)
+        places = project_on_cone(linear.traction_pascal.reshape(3, -1).astype(np.float32), friction)
+        displaced = None
+        if displacement:
+            pixels = np.flatnonzero(support)
+            on_pixels = project_on_cone(frame.traction[:, pixels], friction)
+            displaced = self._search.places.under(pixels).displacement(on_pixels).reshape(estimate.shape)
         return replace(
             linear,
-            traction_pascal=traction.astype(np.float64).reshape(shape),
-            displacement_m=None if linear.displacement_m is None else self._displaced(on_pixels).reshape(shape),
-            reason="; ".join(filter(None, [str(linear.reason), _PREPARING])),
+            traction_pascal=(places * support[self._nearest]).astype(np.float64).reshape(estimate.shape),
+            displacement_m=displaced,
+            reason="; ".join(filter(None, [estimate.reason, _PREPARING])),
         )
 
-    def _shown(self, solved: Solved, linear: Decoded) -> Decoded:
+    def _shown(self, solved: Solved, estimate: Estimate, displacement: bool) -> Decoded:
         """As the linear decoder would return it, of the traction found."""
-        problem, shape = solved.located.problem, linear.traction_pascal.shape
-        noise_std = solved.frame.noise_std / problem.noise_std
-        size = np.sqrt(np.sum(solved.traction**2, axis=0))
-        whole = np.zeros((2, 3, solved.located.solved.size), np.float32)
-        whole[0][:, problem.pixels] = solved.traction
+        located, view, shape = solved.located, solved.located.view, estimate.shape
+        noise_std = solved.frame.noise_std / located.problem.model.noise_std
         is_known = self._friction(self._hypothesis.bounds) < UNKNOWN_FRICTION
-        factor = (_KNOWN_FRICTION if is_known else 1.0) * solved.inside
-        whole[1][:, problem.pixels] = factor * np.hypot(
-            _STD_FACTOR * noise_std * solved.located.std_pascal, _SHAPE_ERROR * size
-        )
-        std = whole[1][:, self._nearest]
-        std = np.where(std > 0.0, std, linear.traction_std_pascal.reshape(3, -1))
-        return replace(
-            linear,
-            traction_pascal=self._at_places(whole[0]).reshape(shape),
+        factor = _KNOWN_FRICTION if is_known else 1.0
+        size = np.linalg.norm(solved.traction, axis=0)
+        pixel_std = np.hypot(factor * _STD_FACTOR * noise_std * located.std_pascal, factor * _SHAPE_ERROR * size)
+        std = solved.frame.surface.std()
+        loaded = solved.inside[view.nearest]
+        std[:, view.covered[loaded]] = pixel_std[:, view.nearest[loaded]]
+        return Decoded(
+            traction_pascal=view.traction(solved.traction).reshape(shape),
             traction_std_pascal=std.reshape(shape),
-            displacement_m=None if linear.displacement_m is None else self._displaced(whole[0]).reshape(shape),
+            displacement_m=view.displacement(solved.traction).reshape(shape) if displacement else None,
+            border_contact=solved.frame.surface.reaches_border,
+            log_evidence=estimate.log_evidence,
             chi2=solved.chi2,
             status="ok" if self._hypothesis.bounds == "all" else "constraint_dropped",
-            reason="; ".join(filter(None, [str(linear.reason), self._hypothesis.reason])),
+            reason="; ".join(filter(None, [estimate.reason, self._hypothesis.reason])),
         )
-
-    def _displaced(self, traction: Singles) -> Floats:
-        """Displacement of the places (3, m) under a traction on the pixels (3, ny nx)."""
-        pixels = traction.astype(np.float64).reshape(3, *self._lattice.shape)
-        return self._at_places(self._displacement(pixels).reshape(3, -1))
-
-    def _at_places(self, pixels: Floats | Singles) -> Floats:
-        """From fields on the pixels, (3, ny nx) to (3, m)."""
-        return np.asarray((self._to_places @ pixels.T).T, np.float64)
 
 
 def _refuse_friction(name: str, value: float) -> None:

@@ -36,6 +36,7 @@ class Solved:
 
     frame: Frame
     located: Located
+    right_side: Singles  # (3 n,)
     inside: Mask  # pixels that may carry load, (n,)
     traction: Singles  # (3, n)
     multiplier: Singles
@@ -55,8 +56,13 @@ class Solved:
         return tuple(whole[..., located.problem.pixels])
 
 
-def solve(frame: Frame, located: Located, friction: float, before: Solved | None, iterations: int) -> Solved:
-    """Traction in the friction cone, from where the frame before ended or from the linear map."""
+def solve(
+    frame: Frame, located: Located, friction: float, before: Solved | None, iterations: int, most: int = 0
+) -> Solved:
+    """Traction in the friction cone, from where the frame before ended or from the linear map.
+
+    Iterations go on one by one, up to `most`, until the traction explains the signals.
+    """
     problem, inside = located.problem, located.inside(frame)
     if before is None:
         traction = project_on_cone(frame.traction[:, problem.pixels], friction) * inside
@@ -64,9 +70,14 @@ def solve(frame: Frame, located: Located, friction: float, before: Solved | None
     else:
         traction, multiplier = before.on(located)
     right_side = problem.right_side(frame.rows)
-    traction, multiplier = problem.constrained(right_side, friction, inside, traction, multiplier, iterations)
-    chi2 = problem.chi2(frame.rows, traction) / frame.noise_floor
-    return Solved(frame, located, inside, traction, multiplier, chi2)
+    while True:
+        traction, multiplier = problem.constrained(right_side, friction, inside, traction, multiplier, iterations)
+        chi2 = problem.chi2(frame.rows, right_side, traction) / frame.noise_floor
+        solved = Solved(frame, located, right_side, inside, traction, multiplier, chi2)
+        most -= iterations
+        if solved.is_sound or most <= 0:
+            return solved
+        iterations = 1
 
 
 def examine(
@@ -96,8 +107,8 @@ def examine(
         if solved.is_sound:
             return hypothesis, solved
         problem, by_pixels = located.problem, located.model_chi2(frame)
-        free = problem.linear(problem.right_side(frame.rows), solved.inside, solved.traction)
-        chi2 = problem.chi2(frame.rows, free) / frame.noise_floor
+        free = problem.linear(solved.right_side, solved.inside, solved.traction)
+        chi2 = problem.chi2(frame.rows, solved.right_side, free) / frame.noise_floor
         if chi2 > frame.chi2_limit + by_pixels:
             missed = hypothesis.missed | search.missed_load(frame, problem, free)
             if not (missed & ~located.found).any():

@@ -3,81 +3,186 @@
 Bounds would bias the sums, and a linear map without a support adds weak opposite load around the contact.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.patches import NetLoad
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-_F_Z, _M_X, _M_Y = 2, 3, 4
+_F_Z, _M_X, _M_Y, _M_Z = 2, 3, 4, 5
 # Of forces x, y, z and moments x, y, z; both to fit closed-form contacts.
 _STD_FACTOR = np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2])  # of the posterior's: contacts are not drawn from the prior
 _PIXEL_ERROR = np.array([3e-4, 3e-4, 2e-4, 2e-4, 2e-4, 3e-4])  # of the force: traction is not even over each pixel
 
 
-@dataclass(frozen=True)
-class NetLoad:
-    """Components x, y, z, each (3,); the centroid, x and y, is that of the pressure."""
-
-    force_newton: Floats
-    force_std_newton: Floats
-    moment_newton_m: Floats
-    moment_std_newton_m: Floats
-    centroid_m: Floats
-    centroid_std_m: Floats
-
-
 class LoadSums:
-    """How the right sides of a problem add up to the load on some of its pixels; as good for any frame as the problem.
+    """How the right sides of a problem add up to the loads of contacts; as good for any frame as the problem.
+
+    A contact bears the load of all blobs of pixels that it touches. A blob that several contacts touch is divided
+    between them by distance, once: the division holds while each of them stays in its own part.
 
     Parameters
     ----------
     problem
         Of n pixels.
-    chosen
-        Pixels to sum over, at least one, (n,).
+    blobs
+        Number of the blob of each pixel of the lattice, 0 where the problem has none, (pixels,).
     centres_m
-        Of the pixels, (n, 2).
-    about_m
-        What moments refer to.
+        Of those pixels, (pixels, 2).
     area_m2
         Of a pixel.
     """
 
-    def __init__(
-        self, problem: SupportProblem, chosen: Mask, centres_m: Floats, about_m: tuple[float, float], area_m2: float
-    ) -> None:
-        arms_m = centres_m - about_m
-        sums = (_functionals(arms_m, chosen) * area_m2).reshape(6, -1)
-        unit = np.abs(sums).max(axis=1, keepdims=True)
-        unit[unit == 0.0] = 1.0  # a single pixel right there
-        self._answers = unit * problem.solutions(sums / unit)
-        self._covariance = problem.std_pascal * sums @ self._answers.T * np.outer(_STD_FACTOR, _STD_FACTOR)
-        self._about_m = np.array(about_m)
-        self._lever_m = float(np.sqrt(np.mean(np.sum(arms_m[chosen] ** 2, axis=1))))
-        self._radius_m = float(np.sqrt(area_m2 * np.count_nonzero(chosen) / np.pi))
+    def __init__(self, problem: SupportProblem, blobs: NDArray[np.int32], centres_m: Floats, area_m2: float) -> None:
+        self._blobs = blobs
+        self._pixels = problem.pixels
+        self._blob_of = blobs[problem.pixels]
+        self._centres_m = centres_m
+        self._area_m2 = area_m2
+        self._reference_m = centres_m[problem.pixels].mean(axis=0)
+        self._unit = problem.model.std_pascal
+        arms_m = centres_m[problem.pixels] - self._reference_m
+        self._blob_count = int(self._blob_of.max())
+        masks = np.arange(1, self._blob_count + 1)[:, None] == self._blob_of
+        sums = np.array([_functionals(arms_m, mask) * area_m2 for mask in masks]).reshape(-1, 3 * arms_m.shape[0])
+        self._sums = sums  # (6 blobs, 3 n)
+        self._answers = _answers(problem, sums)
+        self._whole: dict[tuple[int, ...], _ContactSum] = {}
+        self._problem = problem
+        self._parts = np.zeros(0, np.intp)  # of the lattice's pixels, where a blob is divided
+        self._part_count = 0
+        self._divided: dict[tuple[int, tuple[int, ...], tuple[int, ...]], _ContactSum] = {}
 
-    def load(self, right_side: Singles, noise_std: float) -> NetLoad:
-        """Of a frame; `noise_std` over that of the problem."""
-        values = self._answers @ right_side
-        covariance = self._covariance * noise_std**2
-        by_pixels = _PIXEL_ERROR * np.linalg.norm(values[:3]) * np.repeat([1.0, self._lever_m], 3)
-        std = np.hypot(np.sqrt(np.maximum(np.diag(covariance), 0.0)), by_pixels)
-        normal = float(values[_F_Z])
-        arm_m = np.array([-values[_M_Y], values[_M_X]]) / normal
-        # What a sum of f_z times the distance from the centroid scatters by, (x, y).
-        away = np.zeros((2, 6))
-        away[0, _M_Y], away[1, _M_X] = -1.0, 1.0
-        away[:, _F_Z] = -arm_m
-        variance = np.einsum("cs,st,ct->c", away, covariance, away)
-        centroid_std_m = np.sqrt(np.maximum(variance, 0.0)) / abs(normal)
-        centroid_std_m = np.hypot(centroid_std_m, _PIXEL_ERROR[_F_Z] * self._radius_m)
-        return NetLoad(values[:3], std[:3], values[3:], std[3:], self._about_m + arm_m, centroid_std_m)
+    def loads(
+        self, places: Sequence[NDArray[np.intp]], right_side: Singles, noise_std: float, about_m: tuple[float, float]
+    ) -> list[NetLoad | None]:
+        """Return the loads of contacts in a frame; None for one that touches no blob.
+
+        Parameters
+        ----------
+        places
+            Indices of pixels of the lattice that belong to each contact.
+        right_side
+            Of the frame, (3 n,).
+        noise_std
+            Of the frame over that of the problem.
+        about_m
+            What moments refer to.
+        """
+        count = np.array([np.bincount(self._blobs[pixels], minlength=self._blob_count + 1) for pixels in places])
+        touched = count[:, 1:] > 0
+        shared = touched.sum(axis=0) > 1
+        parts = self._parts_of(places) if shared.any() else list(range(len(places)))
+        sums = [
+            self._sum(mask, shared, part) if mask.any() else None for mask, part in zip(touched, parts, strict=True)
+        ]
+        return [None if each is None else each.load(right_side, noise_std, about_m) for each in sums]
+
+    def _sum(self, touched: Mask, shared: Mask, part: int) -> "_ContactSum":
+        """Sum over blobs that a contact touches; of those that are shared, over its part."""
+        blobs, divided = (tuple((np.flatnonzero(mask) + 1).tolist()) for mask in (touched, touched & shared))
+        if not divided:
+            if blobs not in self._whole:
+                rows = np.array([np.arange(6 * blob - 6, 6 * blob) for blob in blobs])
+                self._whole[blobs] = self._contact_sum(
+                    np.isin(self._blob_of, blobs), self._sums[rows].sum(axis=0), self._answers[rows].sum(axis=0)
+                )
+            return self._whole[blobs]
+        key = part, blobs, divided
+        if key not in self._divided:
+            own = ~np.isin(self._blob_of, divided) | (self._parts[self._pixels] == part)
+            chosen = np.isin(self._blob_of, blobs) & own
+            sums = self._sums.reshape(-1, 6, 3 * chosen.size).sum(axis=0) * np.tile(chosen, 3)
+            self._divided[key] = self._contact_sum(chosen, sums, _answers(self._problem, sums))
+        return self._divided[key]
+
+    def _contact_sum(self, chosen: Mask, sums: Floats, answers: Floats) -> "_ContactSum":
+        return _ContactSum(
+            self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
+            answers,
+            self._reference_m,
+            self._centres_m[self._pixels[chosen]],
+            self._area_m2,
+        )
+
+    def _parts_of(self, places: Sequence[NDArray[np.intp]]) -> list[int]:
+        """Which part of the divided blobs belongs to each contact."""
+        if self._parts.size:
+            parts = [int(np.bincount(self._parts[pixels]).argmax()) if pixels.size else -1 for pixels in places]
+            if sorted(parts) == list(range(self._part_count)):
+                return parts
+        owner = np.repeat(np.arange(len(places)), [pixels.size for pixels in places])
+        members_m = self._centres_m[np.concatenate(places)]
+        self._parts = owner[cKDTree(members_m).query(self._centres_m)[1]]
+        self._part_count = len(places)
+        self._divided = {}
+        return list(range(len(places)))
+
+
+class _ContactSum:
+    """Load of one contact: its six sums over the pixels, about a point of reference."""
+
+    def __init__(
+        self, covariance: Floats, answers: Floats, reference_m: Floats, centres_m: Floats, area_m2: float
+    ) -> None:
+        self._covariance = covariance  # (6, 6)
+        self._answers = answers  # (6, 3 n)
+        self._reference_m = reference_m
+        self._centres_m = centres_m
+        self._radius_m = math.sqrt(area_m2 * len(centres_m) / math.pi)
+        self._about_m: tuple[float, float] | None = None
+
+    def load(self, right_side: Singles, noise_std: float, about_m: tuple[float, float]) -> NetLoad:
+        """Load in a frame; `noise_std` over that of the problem."""
+        if about_m != self._about_m:
+            self._refer_to(about_m)
+        values = self._about @ right_side
+        force, moment = values[:3], values[3:]
+        size_newton = math.sqrt(float(force @ force))
+        std = np.sqrt(self._variance * noise_std**2 + (self._by_pixels * size_newton) ** 2)
+        normal = float(force[2])
+        arm_x, arm_y = -float(moment[1]) / normal, float(moment[0]) / normal
+        # What a sum of f_z times the distance from the centroid scatters by.
+        zz, zx, zy, xx, yy = self._tilts
+        spread = np.array([arm_x**2 * zz + 2.0 * arm_x * zy + yy, arm_y**2 * zz - 2.0 * arm_y * zx + xx])
+        centroid_variance = np.maximum(spread, 0.0) * (noise_std / normal) ** 2
+        return NetLoad(
+            force,
+            std[:3],
+            moment,
+            std[3:],
+            np.array([about_m[0] + arm_x, about_m[1] + arm_y]),
+            np.sqrt(centroid_variance + (_PIXEL_ERROR[_F_Z] * self._radius_m) ** 2),
+        )
+
+    def _refer_to(self, about_m: tuple[float, float]) -> None:
+        """Refer moments to another point."""
+        x, y = self._reference_m - about_m
+        shift = np.eye(6)
+        shift[_M_X, 2], shift[_M_Y, 2], shift[_M_Z, 0], shift[_M_Z, 1] = y, -x, -y, x
+        self._about_m = about_m
+        self._about = shift @ self._answers
+        covariance = shift @ self._covariance @ shift.T
+        self._variance = np.maximum(np.diag(covariance), 0.0)
+        self._tilts = [float(covariance[i, k]) for i, k in ((2, 2), (2, 3), (2, 4), (3, 3), (4, 4))]
+        lever_m = math.sqrt(float(np.mean(np.sum((self._centres_m - about_m) ** 2, axis=1))))
+        self._by_pixels = _PIXEL_ERROR * np.repeat([1.0, lever_m], 3)
+
+
+def _answers(problem: SupportProblem, sums: Floats) -> Floats:
+    """Return what a right side is multiplied by for sums (k, 3 n) over the traction that it leads to, (k, 3 n)."""
+    unit = np.abs(sums).max(axis=1, keepdims=True)
+    unit[unit == 0.0] = 1.0  # of a single pixel about itself
+    answers: Floats = unit * problem.solutions(sums / unit)
+    return answers
 
 
 def _functionals(arms_m: Floats, chosen: Mask) -> Floats:

@@ -47,6 +47,8 @@ class SignalRows:
         order = np.argsort(power)[::-1]
         needed = int(np.argmax(power.sum() - np.cumsum(power[order]) <= _LEFT_OUT * power.sum())) + 1
         self._kept = np.sort(order[:needed])
+        channel, row, column = np.unravel_index(self._kept, (channels, *shape))
+        self._places = np.ravel_multi_index((column, channel, row), (shape[1], channels, shape[0]))
         self.kernel = np.ascontiguousarray(rotated[..., self._kept])
 
     def project(self, whitened: Singles) -> Singles:
@@ -54,8 +56,8 @@ class SignalRows:
         if self._bases is None:
             return whitened
         y, x = self._bases
-        field = whitened.reshape(3, y.shape[0], x.shape[0])
-        rows: Singles = np.matmul(y.T, field @ x).ravel()[self._kept]
+        columns = x.T.dot(whitened.reshape(-1, len(x)).T).reshape(-1, len(y))  # (nx, 3, ny) in two axes
+        rows: Singles = columns.dot(y).take(self._places)
         return rows
 
     def whitener(self, known: NDArray[np.bool_]) -> "LostRows":

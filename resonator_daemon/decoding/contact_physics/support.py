@@ -26,8 +26,9 @@ def load_support(pressure: Floats) -> Mask:
     index = np.arange(1, count + 1)
     peaks = np.atleast_1d(ndimage.maximum(pressure, labels, index))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    kept = np.flatnonzero((peaks >= BLOB_PEAK * pressure.max()) & (sizes >= _BLOB_PIXELS)) + 1
-    return dilated(np.isin(labels, kept))
+    kept = np.zeros(count + 1, np.bool_)
+    kept[1:] = (peaks >= BLOB_PEAK * pressure.max()) & (sizes >= _BLOB_PIXELS)
+    return dilated(kept[labels])
 
 
 def dilated(mask: Mask, times: int = 1) -> Mask:
@@ -52,11 +53,6 @@ def swept(mask: Mask, steps: NDArray[np.float64]) -> Mask:
     return passed
 
 
-def count_blobs(mask: Mask) -> int:
-    return int(ndimage.label(mask, _EIGHT)[1])
-
-
-def connected(mask: Mask, seed: Mask) -> Mask:
-    """Those blobs of a mask that a seed touches."""
-    labels, _ = ndimage.label(mask, _EIGHT)
-    return np.isin(labels, np.unique(labels[seed & mask]))
+def blobs(mask: Mask) -> NDArray[np.int32]:
+    """Return the number of the blob of each pixel (ny, nx), from 1, and 0 outside the mask."""
+    return np.asarray(ndimage.label(mask, _EIGHT)[0], np.int32)

@@ -2,26 +2,32 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.net_load import LoadSums
+from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
+from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows, SignalRows
 from resonator_daemon.decoding.contact_physics.site_kernel import site_kernel
 from resonator_daemon.decoding.contact_physics.support import (
     BLOB_PEAK,
-    count_blobs,
+    blobs,
     dilated,
     load_support,
     raw_support,
     swept,
 )
+from resonator_daemon.decoding.contact_physics.support_matrices import Model
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
-from resonator_daemon.decoding.parameters import GAIN_FLOOR, SIGNAL_LIMIT
+from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
+from resonator_daemon.decoding.parameters import GAIN_FLOOR
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
@@ -32,7 +38,6 @@ _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean squa
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
 _LEAD = 1.3  # of what a contact moved between two problems: how far the solved support goes ahead of it ...
 _MOST_LEAD = 3.0  # ... in pixels
-_AROUND = 2  # pixels beside it that are known to carry no load
 _FLICKER = 0.05  # of the solved support: how much of a load's may lie beside it before matrices are due
 _FARTHEST = 4.0  # pixels of such a move; more is another contact
 _REACH = 8  # pixels beyond the linear map in which a contact at its border is looked for
@@ -44,8 +49,10 @@ _MODEL_EXPONENT = -0.75  # ... to this power
 _NOTICED = 6.0  # standard deviations by which a pressure that was missed shows
 _CLOSE = 0.6  # of its peak: where it may be
 _DRIFT = 1.3  # factor by which the prior's standard deviation over the noise's may change before matrices are due ...
+_STALE = 2.0  # ... until which the old ones serve ...
+_KEPT = 1.15  # ... and until which new matrices keep the old prior and noise
+_RHO = 6.0  # of the method of multipliers, over the inverse prior variance of f_z
 _TINY = 1e-30
-_STALE = 2.0  # ... and until which the old ones serve
 
 
 Fit = Literal["good", "due", "unfit"]  # of a problem for a frame: due, serves but should be followed by another
@@ -71,16 +78,19 @@ class LinearDecoder(Protocol):
     @property
     def tangential_ratio(self) -> float: ...
 
+    def estimate(self, signals: ArrayLike) -> Estimate: ...
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded: ...
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame's signals and its linear map."""
+    """One frame's signals and its linear map, on the pixels 0 where that does not reach."""
 
     rows: Singles  # of the whitened signals
     known: Mask | None  # (3 n,), None where all are
-    traction: Singles  # of the linear map on the pixels, (3, ny nx); 0 where it does not reach
+    surface: Surface
+    to_pixels: Interpolation  # from the surface's places
+    pressure: Singles  # on the pixels, (ny, nx)
     support: Mask  # where its pressure says that load may be, quick and rough, (ny, nx)
     centre: Floats  # of that pressure, in pixels (y, x)
     noise_floor: float  # noise variance that is reckoned with, over the declared one
@@ -89,11 +99,10 @@ class Frame:
     chi2_limit: float  # what a load of the right support and bounds leaves of the rows, at most
     row_share: float  # of rows in signals
 
-    @property
-    def pressure(self) -> Singles:
-        """Of the linear map, (ny, nx)."""
-        pressure: Singles = self.traction[2].reshape(self.support.shape)
-        return pressure
+    @cached_property
+    def traction(self) -> Singles:
+        """Linear map on the pixels, (3, ny nx)."""
+        return np.ascontiguousarray((self.to_pixels @ self.surface.traction.reshape(3, -1).T).T)
 
     @property
     def noise_std(self) -> float:
@@ -110,8 +119,10 @@ class Located:
     solved: Mask  # pixels of the problem
     centre: Floats  # of the frame that it was made for
     problem: SupportProblem
+    sums: LoadSums
+    view: SurfaceView
     std_pascal: Singles  # of the problem's pixels, (3, n)
-    level: float  # prior standard deviation that the linear map gives, over the noise's
+    level: float  # prior standard deviation that the linear map gave, over the noise's
     model_error: float  # of the pixels, over the signals
 
     def model_chi2(self, frame: Frame) -> float:
@@ -134,24 +145,24 @@ class SupportSearch:
     Parameters
     ----------
     linear
-    lattice
-        Pixels that may carry load.
     """
 
-    def __init__(self, linear: LinearDecoder, lattice: PixelLattice) -> None:
-        sites, places = linear.site_positions_m, linear.query_positions_m
+    def __init__(self, linear: LinearDecoder) -> None:
+        sites, positions_m = linear.site_positions_m, linear.query_positions_m
+        lattice = PixelLattice.over(sites, float(np.median(linear.depths_m)))
         noise_std = np.broadcast_to(linear.noise_std, (3, len(sites)))
         kernel = site_kernel(linear.half_space, sites, linear.depths_m, lattice)
         kernel /= noise_std.astype(np.float32)
         grid = as_grid(sites)
         self._rows = SignalRows(kernel, grid.shape if grid else None)
-        self._whiten = (1.0 / noise_std).ravel().astype(np.float32)
         self._gain_floor = (GAIN_FLOOR * linear.gain_std) ** 2
-        self._correlation_length_m = linear.correlation_length_m
+        self._prior = PixelPrior(lattice, linear.correlation_length_m)
         self._tangential_ratio = linear.tangential_ratio
         self._lattice = lattice
         self._centres_m = lattice.centres_m
-        self._from_places = lattice.from_places(places)
+        self.places = SurfacePlaces(linear.half_space, lattice, positions_m)
+        self.shape = lattice.shape
+        self._from_places = lattice.from_places(positions_m)
         self._unmapped = (np.diff(self._from_places.indptr) == 0).reshape(lattice.shape)
         self._mapped = ~self._unmapped
         self._edge = dilated(self._unmapped) & ~self._unmapped
@@ -160,34 +171,31 @@ class SupportSearch:
         self._moments = np.stack([np.ones_like(ny), ny]), np.stack([np.ones_like(nx), nx], axis=1)
         self._lost: tuple[bytes, LostRows] | None = None
 
-    def frame(self, signals: Floats, linear: Decoded) -> Frame:
-        """Of signals that the linear decoder decoded."""
-        flat = signals.reshape(-1)
-        whitened = flat.astype(np.float32) * self._whiten
-        sound = np.abs(flat) <= SIGNAL_LIMIT  # False for NaN
-        known, lost = None, None
-        if not sound.all():
-            known, lost = sound, self._lost_rows(sound)
-            whitened[~sound] = 0.0
-        power = float(whitened @ whitened) / np.count_nonzero(sound)
+    def frame(self, estimate: Estimate, surface: Surface) -> Frame:
+        """Frame of which the linear decoder made an estimate."""
+        known, lost = estimate.known, None
+        rows, count = self._rows.project(estimate.whitened), estimate.whitened.size
+        if known is not None:
+            lost, count = self._lost_rows(known), int(np.count_nonzero(known))
+            rows = lost.signals(rows)
+        power = estimate.energy / count
         floor = 1.0 + self._gain_floor * power
-        rows = self._rows.project(whitened)
-        places = linear.traction_pascal.reshape(3, -1).astype(np.float32)
-        traction = np.ascontiguousarray((self._from_places @ places.T).T)
-        pressure = traction[2].reshape(self._lattice.shape)
+        pressure = (self._from_places @ surface.pressure).reshape(self._lattice.shape)
         support = raw_support(pressure)
-        excess, snr = max(float(linear.chi2), 1.0), max(power / floor - 1.0, 0.0) ** 0.5
+        excess, snr = max(estimate.chi2, 1.0), max(power / floor - 1.0, 0.0) ** 0.5
         return Frame(
-            rows if lost is None else lost.signals(rows),
+            rows,
             known,
-            traction,
+            surface,
+            self._from_places,
+            pressure,
             support,
             self._centre(pressure * support),
             floor,
             excess,
             snr,
             excess * (1.0 + _CHI2_SIGMAS * (2.0 / rows.size) ** 0.5),
-            rows.size / flat.size,
+            rows.size / estimate.whitened.size,
         )
 
     def locate(self, frame: Frame, missed: Mask, before: Located | None) -> Located:
@@ -215,16 +223,22 @@ class SupportSearch:
         solved = found
         if before is not None:
             solved = swept(found, np.clip(_LEAD * before.moved(frame), -_MOST_LEAD, _MOST_LEAD))
-        problem = self._problem(frame, solved, std_pascal)
-        model_error = _MODEL_ERROR * (np.count_nonzero(found) / count_blobs(found)) ** _MODEL_EXPONENT
+        level /= frame.noise_std
+        noise_std = frame.noise_std
+        previous = None if before is None else before.problem
+        if before is not None and 1.0 / _KEPT < level / before.level < _KEPT:
+            # Most matrices serve on where prior and noise stay as they were.
+            level, std_pascal, noise_std = before.level, before.problem.model.std_pascal, before.problem.model.noise_std
+        problem = self._problem(frame, solved, std_pascal, noise_std, previous)
+        model_error = _MODEL_ERROR * (np.count_nonzero(found) / int(blobs(found).max())) ** _MODEL_EXPONENT
         lasting = found & self._unmapped | grown
-        return Located(
-            found, lasting, solved, frame.centre, problem, problem.std(), level / frame.noise_std, model_error
-        )
+        sums = LoadSums(problem, blobs(solved).ravel(), self._centres_m, self._lattice.pitch_m**2)
+        view = self.places.under(problem.pixels)
+        return Located(found, lasting, solved, frame.centre, problem, sums, view, problem.std(), level, model_error)
 
     def _free_pressure(self, frame: Frame, wide: Mask, std_pascal: float) -> Singles:
         """Least-squares f_z of a frame on many pixels, (ny, nx)."""
-        problem = self._problem(frame, wide, std_pascal)
+        problem = self._problem(frame, wide, std_pascal, frame.noise_std, None)
         count = problem.pixels.size
         start = np.zeros((3, count), np.float32)
         load = problem.linear(problem.right_side(frame.rows), np.ones(count, np.bool_), start)
@@ -235,8 +249,8 @@ class SupportSearch:
     def missed_load(self, frame: Frame, problem: SupportProblem, traction: Singles) -> Mask:
         """Pixels (ny, nx) whose pressure would best explain what a traction leaves of a frame's signals."""
         left = frame.rows - problem.predicted(traction)
-        if problem.lost is not None:
-            left = problem.lost.back(left)
+        if problem.model.lost is not None:
+            left = problem.model.lost.back(left)
         pressure = self._rows.kernel[2]
         score = (pressure @ left) / np.sqrt(self._pressure_power)
         score /= np.float32(frame.noise_std)
@@ -249,7 +263,7 @@ class SupportSearch:
         """Whether a problem's prior, noise and lost signals do for a frame, and its pixels for the load."""
         drift = self._prior_std_pascal(frame, frame.support) / frame.noise_std / located.level
         lost = None if frame.known is None else self._lost_rows(frame.known)
-        if located.problem.lost is not lost or not 1.0 / _STALE < drift < _STALE:
+        if located.problem.model.lost is not lost or not 1.0 / _STALE < drift < _STALE:
             return "unfit"
         most = _FLICKER * located.problem.pixels.size
         if np.count_nonzero(frame.support & ~located.solved) > most:
@@ -262,18 +276,12 @@ class SupportSearch:
     def _prior_std_pascal(self, frame: Frame, support: Mask) -> float:
         return _prior_std_pascal(frame.pressure[support & self._mapped], frame.snr)
 
-    def _problem(self, frame: Frame, support: Mask, std_pascal: float) -> SupportProblem:
-        return SupportProblem(
-            self._rows.kernel,
-            self._centres_m,
-            support.ravel(),
-            (dilated(support, _AROUND) & ~support).ravel(),
-            std_pascal,
-            frame.noise_std,
-            self._correlation_length_m,
-            self._tangential_ratio,
-            None if frame.known is None else self._lost_rows(frame.known),
-        )
+    def _problem(
+        self, frame: Frame, support: Mask, std_pascal: float, noise_std: float, before: SupportProblem | None
+    ) -> SupportProblem:
+        lost = None if frame.known is None else self._lost_rows(frame.known)
+        model = Model(self._rows.kernel, self._prior, self._tangential_ratio, lost, std_pascal, noise_std, _RHO)
+        return SupportProblem(model, support.ravel(), before)
 
     def _centre(self, weight: Singles) -> Floats:
         """In pixels (y, x)."""

@@ -11,7 +11,7 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
 from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridModes, WholeGrid
-from resonator_daemon.decoding.open_plane.linear_map import LinearMap, Tier
+from resonator_daemon.decoding.open_plane.linear_map import Estimate, LinearMap, Tier
 from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
@@ -150,10 +150,14 @@ class OpenPlaneDecoder:
         ValueError
             Signals of another shape, or not numbers.
         """
-        frames, leading, on_grid = self._frames(signals)
-        shape = (3, *self._shape) if self._shape and on_grid and self._asks_at_sites else (3, self._places)
-        decoded = [self._map.decode(frame, displacement, shape) for frame in frames]
+        frames, leading, shape = self._frames(signals)
+        decoded = [self._map.estimate(frame, shape).decoded(displacement) for frame in frames]
         return Decoded.stack(decoded, leading, shape) if leading else decoded[0]
+
+    def estimate(self, signals: ArrayLike) -> Estimate:
+        """Estimate the surface from one frame, (3, n) or (3, ny, nx), as `decode` does, as far as it is asked for."""
+        (frame,), _, shape = self._frames(signals)
+        return self._map.estimate(frame, shape)
 
     def anomaly_scores(self, signals: ArrayLike) -> Floats:
         """Deviation of each signal from what all others predict, in standard deviations, of the shape of the signals.
@@ -163,13 +167,14 @@ class OpenPlaneDecoder:
         frames, _, _ = self._frames(signals)
         return np.array([self._map.anomaly_scores(frame) for frame in frames]).reshape(np.shape(signals))
 
-    def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], bool]:
-        """Frames (k, 3 n), the leading axes, and whether the sites came as a grid."""
+    def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], tuple[int, ...]]:
+        """Frames (k, 3 n), the leading axes, and the shape of a frame's surface arrays."""
         frames = np.asarray(signals, np.float64)
         flat = (3, self._count)
         if self._shape and frames.shape[-3:] == (3, *self._shape):
-            return frames.reshape(-1, 3 * self._count), frames.shape[:-3], True
+            shape = (3, *self._shape) if self._asks_at_sites else (3, self._places)
+            return frames.reshape(-1, 3 * self._count), frames.shape[:-3], shape
         if frames.shape[-2:] != flat:
             grid = f" or (..., 3, {self._shape[0]}, {self._shape[1]})" if self._shape else ""
             raise ValueError(f"signals have shape {frames.shape}, must be (..., 3, {self._count}){grid}")
-        return frames.reshape(-1, 3 * self._count), frames.shape[:-2], False
+        return frames.reshape(-1, 3 * self._count), frames.shape[:-2], (3, self._places)

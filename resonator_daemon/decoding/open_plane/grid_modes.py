@@ -95,18 +95,27 @@ class _Bases:
 
 
 class _Synthesis:
-    """From modes (4 r,) to a field on the grid, flat (3 ny nx,)."""
+    """From modes (4 r,) to a field on the grid, flat (3 ny nx,), or to some of its components."""
 
-    def __init__(self, bases: _Bases, blocks: list[Floats]) -> None:
-        self._places = bases.places.ravel()
-        self._blocks = np.array(blocks, np.float32)
+    def __init__(self, bases: _Bases, blocks: list[Floats], components: tuple[int, ...] = (0, 1, 2)) -> None:
+        x, component, y = np.unravel_index(bases.places, (bases.x.shape[1], 3, bases.y.shape[1]))
+        asked = np.isin(component, components)
+        # Classes keep unequal numbers of products of a component: the surplus goes to a place of its own.
+        most = int(asked.sum(axis=1).max())
+        rows = np.argsort(~asked, axis=1, kind="stable")[:, :most]
+        shape = bases.x.shape[1], len(components), bases.y.shape[1]
+        self._size = int(np.prod(shape))
+        inner = np.clip(np.searchsorted(components, component), 0, len(components) - 1)
+        places = np.where(asked, np.ravel_multi_index((x, inner, y), shape), self._size)
+        self._places = np.take_along_axis(places, rows, axis=1).ravel()
+        self._blocks = np.take_along_axis(np.array(blocks, np.float32), rows[..., None], axis=1)
         self._y = np.ascontiguousarray(bases.y.T, np.float32)
         self._x = np.ascontiguousarray(bases.x.T, np.float32)
 
     def __call__(self, modes: Singles) -> Singles:
-        coefficients = np.zeros(3 * len(self._x) * len(self._y), np.float32)
+        coefficients = np.zeros(self._size + 1, np.float32)
         coefficients[self._places] = (self._blocks @ modes.reshape(4, -1, 1)).ravel()
-        columns = coefficients.reshape(-1, len(self._y)).dot(self._y).reshape(len(self._x), -1)
+        columns = coefficients[:-1].reshape(-1, len(self._y)).dot(self._y).reshape(len(self._x), -1)
         field: Singles = columns.T.dot(self._x).ravel()
         return field
 
@@ -173,6 +182,7 @@ class GridModes(Modes):
         self._sensor = bases["sensor"]
         self._rotation = np.array(rotations)
         self._to_traction = _Synthesis(bases["traction"], surface["traction"])
+        self._to_pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
         self._to_displacement = _Synthesis(bases["displacement"], surface["displacement"])
         self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
         self._y = np.ascontiguousarray(self._sensor.y, np.float32)
@@ -186,6 +196,9 @@ class GridModes(Modes):
 
     def traction(self, modes: Singles) -> Singles:
         return self._to_traction(modes)
+
+    def pressure(self, modes: Singles) -> Singles:
+        return self._to_pressure(modes)
 
     def displacement(self, modes: Singles) -> Singles:
         return self._to_displacement(modes)

@@ -3,6 +3,8 @@
 import math
 from collections import OrderedDict
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +34,112 @@ class Tier(NamedTuple):
     level: float
     modes: Modes
     bank: ScaleBank
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimate from one frame of 3 n signals at m places; the surface is computed as far as it is asked for.
+
+    With a `status` other than "ok" there is no surface, and `reason` states the cause.
+    """
+
+    shape: tuple[int, ...]  # of surface arrays, (3, m) or m split in two
+    whitened: Singles  # signals over their noise, lost ones 0, (3 n,)
+    known: NDArray[np.bool_] | None  # (3 n,); None where all are
+    energy: float  # sum of squares of the whitened signals
+    log_evidence: float
+    chi2: float
+    status: str
+    reason: str
+    surface: "Surface | None" = None
+
+    def decoded(self, displacement: bool) -> Decoded:
+        """Return all that the linear decoder gives, the displacement only where asked for."""
+        if self.surface is None:
+            traction, std, moved = np.full((3, *self.shape), np.nan)
+            moved, border = (moved if displacement else None), False
+        else:
+            traction = self.surface.traction.astype(np.float64).reshape(self.shape)
+            std, border = self.surface.std().reshape(self.shape), self.surface.reaches_border
+            moved = self.surface.displacement().reshape(self.shape) if displacement else None
+        return Decoded(traction, std, moved, border, self.log_evidence, self.chi2, self.status, self.reason)
+
+
+class Surface:
+    """Surface of a frame, out of its modes.
+
+    Parameters
+    ----------
+    modes
+    amplitudes
+        Of the modes, (r,).
+    std
+        Posterior standard deviation of the traction at the declared noise, (3, m).
+    excess
+        Factor of the standard deviation by noise beyond the declared one.
+    contact_factor
+        Further factor under a contact.
+    least_pressure
+        That a contact may have.
+    border
+        Indices of the places at the border.
+    """
+
+    def __init__(
+        self,
+        modes: Modes,
+        amplitudes: Singles,
+        std: Floats,
+        excess: float,
+        contact_factor: float,
+        least_pressure: float,
+        border: NDArray[np.intp],
+    ) -> None:
+        self._modes = modes
+        self._amplitudes = amplitudes
+        self._std = std
+        self._excess = excess
+        self._contact_factor = contact_factor
+        self._least_pressure = least_pressure
+        self._border = border
+
+    @cached_property
+    def traction(self) -> Singles:
+        """Traction, (3 m,)."""
+        return self._modes.traction(self._amplitudes)
+
+    @cached_property
+    def pressure(self) -> Singles:
+        """f_z, (m,)."""
+        whole = self.__dict__.get("traction")
+        return self._modes.pressure(self._amplitudes) if whole is None else whole[-whole.size // 3 :]
+
+    def displacement(self) -> Floats:
+        """Return the displacement, (3 m,)."""
+        return self._modes.displacement(self._amplitudes).astype(np.float64)
+
+    def std(self) -> Floats:
+        """Return the standard deviation of the traction, (3, m)."""
+        under = self.pressure > self._threshold
+        return self._std * np.where(under, self._excess * self._contact_factor, self._excess)
+
+    @cached_property
+    def significance(self) -> float:
+        """Largest pressure over its standard deviation."""
+        highest = int(self.pressure.argmax())
+        std = float(self._std[2, highest]) * self._excess
+        pressure = float(self.pressure[highest])
+        return pressure / (std * self._contact_factor if pressure > self._threshold else std)
+
+    @property
+    def reaches_border(self) -> bool:
+        """Whether the load goes on beyond the border."""
+        at_border = float(self.pressure.take(self._border).max(initial=0.0))
+        return at_border > _BORDER_RATIO * self._threshold
+
+    @cached_property
+    def _threshold(self) -> float:
+        return max(_SUPPORT_SHARE * float(self.pressure.max()), self._least_pressure)
 
 
 class LinearMap:
@@ -74,9 +182,10 @@ class LinearMap:
         self._lost: OrderedDict[tuple[float, bytes], LostSignals] = OrderedDict()
         self._inverse_diagonal: dict[tuple[float, int], Floats] = {}
 
-    def decode(self, signals: Floats, displacement: bool, shape: tuple[int, ...]) -> Decoded:
-        """Decode one frame (3 n,) to surface arrays of `shape`, (3, m) or m split in two."""
+    def estimate(self, signals: Floats, shape: tuple[int, ...]) -> Estimate:
+        """Estimate the surface from one frame (3 n,), in arrays of `shape`, (3, m) or m split in two."""
         whitened, known, energy = self._prepare(signals)
+        frame = shape, whitened, known, energy
         tier = self._tier(energy)
         reason, lost_variance = "", None
         if known is None:
@@ -85,7 +194,7 @@ class LinearMap:
             share = float(known.mean())
             if share < KNOWN_LIMIT:
                 reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
-                return self._unknown(displacement, shape, np.nan, np.nan, "no_signal", reason)
+                return Estimate(*frame, np.nan, np.nan, "no_signal", reason)
             reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
             lost = self._lost_signals(tier, known)
             choice, modes, _ = lost.choose(tier.modes.project(whitened), energy, self._floor(energy))
@@ -95,26 +204,20 @@ class LinearMap:
             left = choice.chi2 * self._floor(energy) * whitened.size / energy
             if left > UNEXPLAINED_LIMIT:
                 reason = f"chi2 {choice.chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
-                return self._unknown(displacement, shape, choice.log_evidence, choice.chi2, "rejected", reason)
+                return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", reason)
 
-        modes = tier.bank.gain[choice.scale] * modes
-        traction = tier.modes.traction(modes)
-        pressure = traction[-traction.size // 3 :]
-        excess = math.sqrt(choice.excess)
-        threshold = max(_SUPPORT_SHARE * float(pressure.max()), _SIGNIFICANT * excess * self._least_std[choice.scale])
-        at_border = pressure.take(self._border).max(initial=0.0) > _BORDER_RATIO * threshold
         std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance)
-        widened = np.where(pressure > threshold, excess * self._contact_factor, excess)
-        return Decoded(
-            traction_pascal=traction.astype(np.float64).reshape(shape),
-            traction_std_pascal=(std.reshape(3, -1) * widened).reshape(shape),
-            displacement_m=tier.modes.displacement(modes).astype(np.float64).reshape(shape) if displacement else None,
-            border_contact=bool(at_border),
-            log_evidence=choice.log_evidence,
-            chi2=choice.chi2,
-            status="ok",
-            reason=reason,
+        excess = math.sqrt(choice.excess)
+        surface = Surface(
+            tier.modes,
+            tier.bank.gain[choice.scale] * modes,
+            std.reshape(3, -1),
+            excess,
+            self._contact_factor,
+            _SIGNIFICANT * excess * self._least_std[choice.scale],
+            self._border,
         )
+        return Estimate(*frame, choice.log_evidence, choice.chi2, "ok", reason, surface)
 
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""
@@ -170,9 +273,3 @@ class LinearMap:
                 self._lost.popitem(last=False)
         self._lost.move_to_end(key)
         return self._lost[key]
-
-    def _unknown(
-        self, displacement: bool, shape: tuple[int, ...], log_evidence: float, chi2: float, status: str, reason: str
-    ) -> Decoded:
-        traction, std, moved = np.full((3, *shape), np.nan)
-        return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)

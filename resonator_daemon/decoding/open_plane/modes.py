@@ -31,6 +31,10 @@ class Modes(ABC):
         """F times modes: (r,) to (3 m,)."""
 
     @abstractmethod
+    def pressure(self, modes: Singles) -> Singles:
+        """As `traction`, of f_z alone: (m,)."""
+
+    @abstractmethod
     def displacement(self, modes: Singles) -> Singles:
         """As `traction`, of the displacement."""
 
@@ -72,6 +76,9 @@ class DenseModes(Modes):
 
     def traction(self, modes: Singles) -> Singles:
         return self._traction @ modes
+
+    def pressure(self, modes: Singles) -> Singles:
+        return self._traction[-len(self._traction) // 3 :] @ modes
 
     def displacement(self, modes: Singles) -> Singles:
         return self._displacement @ modes

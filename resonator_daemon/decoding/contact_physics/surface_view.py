@@ -1,0 +1,108 @@
+"""From the pixels that carry load to the places that are shown: tractions, displacements.
+
+Few pixels carry load. Their displacements are convolved on the smallest transform that holds their bounding box and
+the places, by small matrices; spectra are kept for each box.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Pixels = NDArray[np.intp]
+Complexes = NDArray[np.complex64]
+
+
+class SurfacePlaces:
+    """Places that are shown (m, 2), over a lattice of pixels."""
+
+    def __init__(self, half_space: HalfSpace, lattice: PixelLattice, positions_m: Floats) -> None:
+        self.count = len(positions_m)
+        self.to_places = lattice.to_places(positions_m)
+        self.nearest = lattice.nearest(positions_m)
+        self.width = lattice.shape[1]
+        compliance = SurfaceCompliance(half_space, lattice.shape, lattice.pitch_m)
+        coefficients = compliance.coefficients(lattice.shape).astype(np.float32)
+        self.coefficients = {pair: coefficients[pair] for pair in np.ndindex(3, 3) if coefficients[pair].any()}
+        self.reach = lattice.shape[0] - 1, lattice.shape[1] - 1  # lags of the coefficients
+        rows, columns = np.divmod(np.unique(self.to_places.indices), self.width)
+        self.corner = int(rows.min()), int(columns.min())
+        self.window = int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
+        y, x = (begin + np.arange(count) for begin, count in zip(self.corner, self.window, strict=True))
+        self.from_window = self.to_places[:, (y[:, None] * self.width + x).ravel()]
+
+    def under(self, pixels: Pixels) -> "SurfaceView":
+        """View of fields on some pixels."""
+        return SurfaceView(self, pixels)
+
+
+class SurfaceView:
+    """Shows fields on n pixels, flat indices into the lattice, at the places."""
+
+    def __init__(self, places: SurfacePlaces, pixels: Pixels) -> None:
+        self._places = places
+        weights = places.to_places[:, pixels].tocsr()
+        self._touched = np.flatnonzero(np.diff(weights.indptr))
+        self._weights: Singles = weights[self._touched].toarray()
+        number = np.full(places.to_places.shape[1], -1)
+        number[pixels] = np.arange(pixels.size)
+        nearest = number[places.nearest]
+        self.covered = np.flatnonzero(nearest >= 0)  # places of which the nearest pixel is one of these
+        self.nearest = nearest[self.covered]  # that pixel, as one of the n
+        self._prepare_displacement(pixels)
+
+    def traction(self, traction: Singles) -> Floats:
+        """Traction of the places (3, m) from that of the pixels (3, n), interpolated."""
+        shown = np.zeros((3, self._places.count))
+        shown[:, self._touched] = traction @ self._weights.T
+        return shown
+
+    def displacement(self, traction: Singles) -> Floats:
+        """Displacement of the places (3, m) by tractions of the pixels (3, n)."""
+        box = np.zeros((3, *self._box), np.float32)
+        box[:, self._y, self._x] = traction
+        along_x = (box.reshape(-1, box.shape[2]) @ self._to_x).view(np.complex64).reshape(3, self._box[0], -1)
+        inputs = self._to_y @ along_x
+        outputs = np.zeros_like(inputs)
+        for row, column, spectrum in self._spectra:
+            outputs[row] += spectrum * inputs[column]
+        columns = np.ascontiguousarray(self._from_y @ outputs)
+        window = columns.reshape(3 * self._places.window[0], -1).view(np.float32) @ self._from_x
+        found: Floats = (self._places.from_window @ window.reshape(3, -1).T).T.astype(np.float64)
+        return found
+
+    def _prepare_displacement(self, pixels: Pixels) -> None:
+        places = self._places
+        y, x = np.divmod(pixels, places.width)
+        top, left = int(y.min()), int(x.min())
+        self._y, self._x = y - top, x - left
+        self._box = h, w = int(self._y.max()) + 1, int(self._x.max()) + 1
+        # Lags from the last pixel of the box to the first of the window, and so on to the opposite.
+        ny, nx = (count + side - 1 for count, side in zip(places.window, self._box, strict=True))
+        first_y = places.reach[0] + places.corner[0] - top - (h - 1)
+        first_x = places.reach[1] + places.corner[1] - left - (w - 1)
+        self._spectra = [
+            (row, column, fft.rfft2(kernel[first_y : first_y + ny, first_x : first_x + nx]))
+            for (row, column), kernel in places.coefficients.items()
+        ]
+        half = nx // 2 + 1
+        self._to_x = _waves(np.arange(w), half, nx, -1).view(np.float32)
+        self._to_y = _waves(np.arange(ny), h, ny, -1)
+        self._from_y = _waves(np.arange(h - 1, ny), ny, ny, 1) / np.float32(ny)
+        weight = np.full((half, 1), 2.0 / nx, np.float32)  # of frequencies that stand for their negatives, too
+        weight[0] = 1.0 / nx
+        if nx % 2 == 0:
+            weight[-1] = 1.0 / nx
+        back = _waves(np.arange(half), nx, nx, 1)[:, w - 1 :] * weight
+        self._from_x = np.stack([back.real, -back.imag], axis=1).reshape(2 * half, -1)
+
+
+def _waves(rows: NDArray[np.intp], columns: int, period: int, sign: int) -> Complexes:
+    """exp(sign 2 pi i r c / period) for rows r and columns c from 0."""
+    return np.exp(sign * 2j * np.pi / period * (np.multiply.outer(rows, np.arange(columns)) % period)).astype(
+        np.complex64
+    )
