@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
-from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridModes, WholeGrid
+from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridCovariance, GridModes
 from resonator_daemon.decoding.open_plane.linear_map import Estimate, LinearMap, Tier
 from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
@@ -97,7 +97,7 @@ class OpenPlaneDecoder:
         grid = as_grid(sites)
         modes: dict[float, Modes]
         if grid and query_positions_m is None and np.ptp(depths) == 0.0 and not np.ptp(noise, axis=1).any():
-            whole = WholeGrid(prior, grid, float(depths[0]), noise[:, 0], scales)
+            whole = GridCovariance(prior, grid, float(depths[0]), noise[:, 0], float(scales.max()))
             modes = {level.power: GridModes(whole, level) for level in LEVELS}
         else:
             covariance = SiteCovariance(prior, sites, depths)

@@ -1,20 +1,19 @@
 """Eigenmodes of a regular grid of sites in a reduced, separable basis: a few small products in place of one large one.
 
-Parity splits the covariances into four blocks, exactly. Each axis then keeps the even and odd vectors that the estimate
-uses: the leading eigenvectors of the marginals of V w V' for the signals and of F w F' for the surface, w weighting the
-modes by their part in the estimate. Of the products of both axes' vectors those stay that carry the estimate. Strong
-signals need more than faint ones: there is a set for each level.
+Parity splits the covariances into four blocks, exactly. Each block is reduced to bases that carry the estimate.
+Strong signals need more of them than faint ones: there is a set for each level.
 """
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.layout import Grid
-from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles, explained_variance
-from resonator_daemon.decoding.open_plane.parity import CLASSES, class_block, half, offset_table, parities, unfold
+from resonator_daemon.decoding.open_plane.estimate_power import EstimatePower
+from resonator_daemon.decoding.open_plane.grid_bases import Bases, Reduction
+from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.open_plane.parity import CLASSES, offset_table
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
 
@@ -31,73 +30,19 @@ class Level(NamedTuple):
 
 
 LEVELS = (
-    Level(1.5e2, 0.006, 0.0025),
-    Level(1.5e3, 0.009, 0.0035),
-    Level(1.5e4, 0.004, 0.0020),
-    Level(1.5e6, 0.002, 0.0012),
+    Level(1.5e2, 0.0055, 0.0025),
+    Level(1.5e3, 0.008, 0.0035),
+    Level(1.5e4, 0.0036, 0.0020),
+    Level(1.5e6, 0.0016, 0.0012),
 )
 _HEADROOM = 8.0  # of the scale: a contact puts the array's power on a tenth of its area, and its edges are sharp
-_FEWEST = 150  # products of a class: fewer save no time
 _DISPLACEMENT_PART = 0.2  # of the surface's share: most of the power is in long waves, which take few vectors
-# Parts of these shares that each axis' vectors may lose, before the products are chosen.
-_AXIS_PART: dict[Field, float] = {"sensor": 0.1, "traction": 0.2, "displacement": 0.2}
-
-
-class _Bases:
-    """Even and odd vectors along both axes, as many of each, and the products of them that each class keeps."""
-
-    def __init__(self, grid: Grid, field: Field, blocks: list[Floats], left_out: float) -> None:
-        """From matrices (channels of a class, r), one for each class, whose squares are the power to be kept."""
-        self._grid = grid
-        self._field: Field = field
-        ny, nx = grid.shape
-        power = {(axis, odd): np.zeros((half(n, odd),) * 2) for axis, n in enumerate((nx, ny)) for odd in (0, 1)}
-        for parity, block in zip(CLASSES, blocks, strict=True):
-            for (x, y), channel in zip(
-                parities(field, parity), np.split(block, _bounds(grid, field, parity)), strict=True
-            ):
-                cube = channel.reshape(half(ny, y), half(nx, x), -1)
-                along_x, along_y = cube.swapaxes(0, 1).reshape(half(nx, x), -1), cube.reshape(half(ny, y), -1)
-                power[0, x] += along_x @ along_x.T
-                power[1, y] += along_y @ along_y.T
-        self._folded = [_leading(power[axis, 0], power[axis, 1], _AXIS_PART[field] * left_out) for axis in (0, 1)]
-        self.x, self.y = (  # columns of (count, 2 k), even ones first
-            np.hstack([unfold(n, odd) @ self._folded[axis][odd] for odd in (0, 1)]) for axis, n in enumerate((nx, ny))
-        )
-        ky, kx = self.y.shape[1], self.x.shape[1]
-        place = np.arange(3 * ky * kx).reshape(2, kx // 2, 3, 2, ky // 2)
-        power_of_class = np.array([np.sum(self._products(block, i) ** 2, axis=1) for i, block in enumerate(blocks)])
-        ranks = np.argsort(-power_of_class, axis=1)
-        by_rank = np.take_along_axis(power_of_class, ranks, axis=1).sum(axis=0)
-        self._kept = ranks[:, : max(_FEWEST, _needed(by_rank, left_out))]
-        self.places = np.array(  # of what each class keeps, in (2 kx, 3, 2 ky): two plain products lead there and back
-            [
-                np.concatenate([place[x, :, c, y].T.ravel() for c, (x, y) in enumerate(parities(field, parity))])[kept]
-                for parity, kept in zip(CLASSES, self._kept, strict=True)
-            ]
-        )
-
-    def reduce(self, block: Floats, index: int) -> Floats:
-        """Coefficients in the bases: rows (channels of a class) to rows (products kept)."""
-        kept: Floats = self._products(block, index)[self._kept[index]]
-        return kept
-
-    def _products(self, block: Floats, index: int) -> Floats:
-        parity, count = CLASSES[index], block.shape[1]
-        products = []
-        for (x, y), part in zip(
-            parities(self._field, parity), np.split(block, _bounds(self._grid, self._field, parity)), strict=True
-        ):
-            along_y, along_x = self._folded[1][y], self._folded[0][x]
-            columns = (along_y.T @ part.reshape(len(along_y), -1)).reshape(-1, len(along_x), count)
-            products.append((along_x.T @ columns).reshape(-1, count))
-        return np.concatenate(products)
 
 
 class _Synthesis:
     """From modes (4 r,) to a field on the grid, flat (3 ny nx,), or to some of its components."""
 
-    def __init__(self, bases: _Bases, blocks: list[Floats], components: tuple[int, ...] = (0, 1, 2)) -> None:
+    def __init__(self, bases: Bases, blocks: list[Floats], components: tuple[int, ...] = (0, 1, 2)) -> None:
         x, component, y = np.unravel_index(bases.places, (bases.x.shape[1], 3, bases.y.shape[1]))
         asked = np.isin(component, components)
         # Classes keep unequal numbers of products of a component: the surplus goes to a place of its own.
@@ -119,11 +64,19 @@ class _Synthesis:
         field: Singles = columns.T.dot(self._x).ravel()
         return field
 
+    def quarter(self, index: int) -> Singles:
+        """Return the modes of a class on a quarter of the grid, (r, 3, ny / 2, nx / 2) rounded up."""
+        y, x = (vectors[:, : -(-vectors.shape[1] // 2)] for vectors in (self._y, self._x))
+        block = self._blocks[index]
+        coefficients = np.zeros((block.shape[1], len(x) * 3 * len(y)), np.float32)
+        coefficients[:, self._places.reshape(4, -1)[index]] = block.T
+        along_y = coefficients.reshape(-1, len(x), 3, len(y)) @ y
+        fields: Singles = np.einsum("rxcy,xn->rcyn", along_y, x, optimize=True)
+        return fields
 
-class WholeGrid:
-    """L, V, F and F of the displacement of each class, nothing left out.
 
-    Of a regular grid of sites at one depth with equal noise in each channel; the surface is asked for at the sites.
+class GridCovariance:
+    """Covariances of a regular grid of sites at one depth with equal noise in each channel, and of the surface at them.
 
     Parameters
     ----------
@@ -133,51 +86,56 @@ class WholeGrid:
     depth_m
     noise_std
         Of each channel, (3,).
-    scales
-        Bank of scales, (k,).
+    largest_scale
+        Of the prior.
     """
 
-    def __init__(self, prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats, scales: Floats) -> None:
+    def __init__(
+        self, prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats, largest_scale: float
+    ) -> None:
         self.grid = grid
-        self.largest_scale = float(scales.max())
-        self.classes = list(_whole_modes(prior, grid, depth_m, noise_std))
-        self.mean_power = sum(float(values.sum()) for values, *_ in self.classes) / (3 * grid.shape[0] * grid.shape[1])
-        explained = np.zeros((scales.size, 3, *grid.shape))
-        for parity, (eigenvalues, _, traction, _) in zip(CLASSES, self.classes, strict=True):
-            _spread(grid, parity, explained_variance(traction, eigenvalues, scales), explained)
-        self.explained_variance = explained.reshape(scales.size, -1)
+        self.largest_scale = largest_scale
+        row_depths_m: dict[Field, float] = {"sensor": depth_m, "traction": 0.0, "displacement": 0.0}
+        self.tables = {
+            field: offset_table(grid, prior, field, row_depth_m, "sensor", depth_m) / noise_std[:, None, None]
+            for field, row_depth_m in row_depths_m.items()
+        }
+        self.tables["sensor"] /= noise_std[:, None, None, None]
+        ny, nx = grid.shape
+        self.mean_power = float(np.einsum("cc->", self.tables["sensor"][..., ny - 1, nx - 1])) / 3.0
+        self._along_x = EstimatePower(prior, grid, depth_m, noise_std, 0)
+        self._along_y = EstimatePower(prior, grid, depth_m, noise_std, 1)
+
+    def bases(self, scale: float, left_out: dict[Field, float]) -> dict[Field, Bases]:
+        """Bases that lose no more than a share of each field's estimate at a scale of the prior."""
+        along_x, along_y = self._along_x.by_channel(scale), self._along_y.by_channel(scale)
+        return {field: Bases(self.grid, field, (along_x[field], along_y[field]), left_out[field]) for field in left_out}
 
 
 class GridModes(Modes):
     """Eigenmodes in bases that serve up to a level."""
 
-    def __init__(self, whole: WholeGrid, level: Level) -> None:
-        self._grid = grid = whole.grid
-        self.explained_variance = whole.explained_variance
-        scale = min(level.power / whole.mean_power, _HEADROOM * whole.largest_scale)
-        weighted: dict[Field, list[Floats]] = {"sensor": [], "traction": [], "displacement": []}
-        for eigenvalues, vectors, traction, displacement in whole.classes:
-            std = scale / np.sqrt(scale * eigenvalues + 1.0)
-            weighted["traction"].append(traction * std)
-            weighted["displacement"].append(displacement * std)
-            weighted["sensor"].append(vectors * (std * np.linalg.norm(traction, axis=0)))
-
-        bases: dict[Field, _Bases] = {
-            "sensor": _Bases(grid, "sensor", weighted["sensor"], level.signals),
-            "traction": _Bases(grid, "traction", weighted["traction"], level.surface),
-            "displacement": _Bases(grid, "displacement", weighted["displacement"], _DISPLACEMENT_PART * level.surface),
+    def __init__(self, covariance: GridCovariance, level: Level) -> None:
+        self._grid = covariance.grid
+        scale = min(level.power / covariance.mean_power, _HEADROOM * covariance.largest_scale)
+        left_out: dict[Field, float] = {
+            "sensor": level.signals,
+            "traction": level.surface,
+            "displacement": _DISPLACEMENT_PART * level.surface,
         }
+        bases = covariance.bases(scale, left_out)
         values_of_class: list[Floats] = []
         rotations: list[Floats] = []
         surface: dict[Field, list[Floats]] = {"traction": [], "displacement": []}
-        for index, (eigenvalues, vectors, traction, displacement) in enumerate(whole.classes):
-            seen = bases["sensor"].reduce(vectors, index)
-            values, rotation = np.linalg.eigh((seen * eigenvalues) @ seen.T)
-            back = seen.T @ rotation
+        reductions = {
+            field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
+        }
+        for index in range(len(CLASSES)):
+            values, rotation = np.linalg.eigh(reductions["sensor"].block(index))
             values_of_class.append(np.maximum(values, 0.0))
             rotations.append(rotation)
-            surface["traction"].append(bases["traction"].reduce(traction @ back, index))
-            surface["displacement"].append(bases["displacement"].reduce(displacement @ back, index))
+            for field, blocks in surface.items():
+                blocks.append(reductions[field].block(index) @ rotation)
         self.eigenvalues = np.concatenate(values_of_class)
         self._sensor = bases["sensor"]
         self._rotation = np.array(rotations)
@@ -203,6 +161,17 @@ class GridModes(Modes):
     def displacement(self, modes: Singles) -> Singles:
         return self._to_displacement(modes)
 
+    def explained_variance(self, scales: Floats) -> Floats:
+        ny, nx = self._grid.shape
+        gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
+        of_class = [
+            np.tensordot(gains, self._to_traction.quarter(index) ** 2, (1, 0))
+            for index, gains in enumerate(np.split(gain, len(CLASSES), axis=1))
+        ]
+        quarter = np.sum(of_class, axis=0)  # parity gives the rest
+        y, x = (np.minimum(np.arange(count), np.arange(count)[::-1]) for count in (ny, nx))
+        return np.asarray(quarter[..., y[:, None], x], np.float64).reshape(scales.size, -1)
+
     def rows(self, signals: NDArray[np.intp]) -> Floats:
         channel, y, x = np.unravel_index(signals, (3, *self._grid.shape))
         coefficients = np.zeros((signals.size, self._sensor.x.shape[1], 3, self._sensor.y.shape[1]))
@@ -212,51 +181,3 @@ class GridModes(Modes):
         of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
         rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
         return rows
-
-
-def _spread(grid: Grid, parity: tuple[int, int], variance: Floats, total: Floats) -> None:
-    """Add a class's variances (k, channels of the class) of the traction to those on the grid (k, 3, ny, nx)."""
-    ny, nx = grid.shape
-    parts = np.split(variance, _bounds(grid, "traction", parity), axis=1)
-    for channel, ((x, y), part) in enumerate(zip(parities("traction", parity), parts, strict=True)):
-        power_x, power_y = unfold(nx, x) ** 2, unfold(ny, y) ** 2
-        total[:, channel] += power_y @ part.reshape(-1, half(ny, y), half(nx, x)) @ power_x.T
-
-
-def _whole_modes(
-    prior: StationaryPrior, grid: Grid, depth_m: float, noise_std: Floats
-) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
-    """L, V, F and F of the displacement of each class."""
-    sensor = offset_table(grid, prior, "sensor", depth_m, "sensor", depth_m) / noise_std[:, None, None, None]
-    tables: list[tuple[Field, Floats]] = [
-        (field, offset_table(grid, prior, field, 0.0, "sensor", depth_m)) for field in ("traction", "displacement")
-    ]
-    for parity in CLASSES:
-        eigenvalues, vectors = np.linalg.eigh(
-            class_block(grid, sensor / noise_std[:, None, None], "sensor", "sensor", parity)
-        )
-        traction, displacement = (
-            class_block(grid, table / noise_std[:, None, None], field, "sensor", parity) @ vectors
-            for field, table in tables
-        )
-        yield np.maximum(eigenvalues, 0.0), vectors, traction, displacement
-
-
-def _bounds(grid: Grid, field: Field, parity: tuple[int, int]) -> NDArray[np.intp]:
-    """Where the second and the third channel of a class begin."""
-    ny, nx = grid.shape
-    return np.cumsum([half(ny, y) * half(nx, x) for x, y in parities(field, parity)])[:2]
-
-
-def _leading(even: Floats, odd: Floats, left_out: float) -> list[Floats]:
-    """Leading eigenvectors of both matrices, as many of each as the one in need of more needs."""
-    values, vectors = zip(*(np.linalg.eigh(matrix) for matrix in (even, odd)), strict=True)
-    needed = max(_needed(value[::-1], left_out) for value in values)
-    count = min(needed, *(value.size for value in values))
-    return [vector[:, ::-1][:, :count] for vector in vectors]
-
-
-def _needed(power: Floats, left_out: float) -> int:
-    """Count the leading entries after which no more than a share of the sum is left."""
-    rest = power.sum() - np.cumsum(power)
-    return int(np.argmax(rest <= left_out * power.sum())) + 1

@@ -173,8 +173,9 @@ class LinearMap:
         self._tiers = tiers
         self._whiten = (1.0 / noise_std).astype(np.float32)
         self._gain_floor = (GAIN_FLOOR * gain_std) ** 2 / noise_std.size
-        scales = tiers[-1].bank.scales[:, None]
-        self._std = np.sqrt(np.maximum(scales * prior_variance - tiers[-1].modes.explained_variance, 0.0))
+        scales = tiers[-1].bank.scales
+        explained = tiers[-1].modes.explained_variance(scales)
+        self._std = np.sqrt(np.maximum(scales[:, None] * prior_variance - explained, 0.0))
         self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
         self._contact_factor = contact_factor
         self._border = np.flatnonzero(border)

@@ -20,7 +20,6 @@ class Modes(ABC):
     """
 
     eigenvalues: Floats  # L, (r,)
-    explained_variance: Floats  # of the traction by the signals, for each scale of the bank: (k, 3 m)
 
     @abstractmethod
     def project(self, whitened: Singles) -> Singles:
@@ -37,6 +36,10 @@ class Modes(ABC):
     @abstractmethod
     def displacement(self, modes: Singles) -> Singles:
         """As `traction`, of the displacement."""
+
+    @abstractmethod
+    def explained_variance(self, scales: Floats) -> Floats:
+        """Variance of the traction that the signals explain, diagonal of q^2 F (q L + 1)^-1 F': (k,) to (k, 3 m)."""
 
     @abstractmethod
     def rows(self, signals: NDArray[np.intp]) -> Floats:
@@ -65,10 +68,8 @@ class DenseModes(Modes):
         kept = min(scales.max(), _POWER_RATIO / eigenvalues.mean()) * eigenvalues > _FAINTEST
         self.eigenvalues, self._vectors = eigenvalues[kept], vectors[:, kept]
         scaled = self._vectors / noise_std[:, None]
-        exact = traction @ scaled
-        self.explained_variance = explained_variance(exact, self.eigenvalues, scales)
         self._project = np.ascontiguousarray(self._vectors.T, np.float32)
-        self._traction = exact.astype(np.float32)
+        self._traction = (traction @ scaled).astype(np.float32)
         self._displacement = (displacement @ scaled).astype(np.float32)
 
     def project(self, whitened: Singles) -> Singles:
@@ -83,11 +84,9 @@ class DenseModes(Modes):
     def displacement(self, modes: Singles) -> Singles:
         return self._displacement @ modes
 
+    def explained_variance(self, scales: Floats) -> Floats:
+        gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
+        return np.asarray(gain @ (self._traction.astype(np.float64) ** 2).T, np.float64)
+
     def rows(self, signals: NDArray[np.intp]) -> Floats:
         return self._vectors[signals]
-
-
-def explained_variance(surface: Floats, eigenvalues: Floats, scales: Floats) -> Floats:
-    """Diagonal of q^2 F (q L + 1)^-1 F' for each scale q: (3 m, r) to (k, 3 m)."""
-    scales = scales[:, None]
-    return np.asarray((scales**2 / (scales * eigenvalues + 1.0)) @ (surface**2).T, np.float64)

@@ -55,24 +55,8 @@ def offset_table(
     return kernel(np.stack(np.meshgrid(x, y), axis=-1)).transpose(2, 3, 0, 1)
 
 
-def class_block(grid: Grid, table: Floats, row: Field, column: Field, parity: Parity) -> Floats:
-    """Covariance of a class between the even and odd vectors of both fields' channels, channel by channel."""
-    ny, nx = grid.shape
-    return np.block(
-        [
-            [
-                _fold(_fold(entry, nx, row_x, column_x), ny, row_y, column_y, axis=0)
-                .transpose(0, 2, 1, 3)
-                .reshape(half(ny, row_y) * half(nx, row_x), half(ny, column_y) * half(nx, column_x))
-                for entry, (column_x, column_y) in zip(entries, parities(column, parity), strict=True)
-            ]
-            for entries, (row_x, row_y) in zip(table, parities(row, parity), strict=True)
-        ]
-    )
-
-
-def _fold(table: Floats, count: int, row_odd: int, column_odd: int, axis: int = 1) -> Floats:
-    """Replace an axis of offsets, 2 count - 1 long, by two axes of even or odd vectors.
+def fold(table: Floats, count: int, row_odd: int, column_odd: int) -> Floats:
+    """Replace the last axis of offsets, 2 count - 1 long, by two axes of even or odd vectors.
 
     Mirrored rows only repeat what the first half says; mirrored columns add.
     """
@@ -84,6 +68,4 @@ def _fold(table: Floats, count: int, row_odd: int, column_odd: int, axis: int = 
     norm = np.ones_like(near, np.float64)
     norm[2 * rows == count - 1, :] /= np.sqrt(2.0)
     norm[:, 2 * columns == count - 1] /= np.sqrt(2.0)
-    if axis == 1:
-        return np.asarray((table[:, near] + sign * table[:, far]) * norm, np.float64)
-    return np.asarray((table[near] + sign * table[far]) * norm[..., None, None], np.float64)
+    return np.asarray((table[..., near] + sign * table[..., far]) * norm, np.float64)

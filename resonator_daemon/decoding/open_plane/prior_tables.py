@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
 from resonator_daemon.elastic import HalfSpace
 
 Floats = NDArray[np.float64]
+Complexes = NDArray[np.complex128]
 Field = Literal["sensor", "traction", "displacement"]
 
 _FADED = 40.0  # omega times depth at which signals have faded to exp(-40)
@@ -68,12 +69,8 @@ class StationaryPrior:
             raise ValueError(f"depth {depth_m} m is too shallow for sites {reach_m} m apart, must be 1/400 of that")
         reach_m = max(reach_m, depth_m)
         omega, weights = self._quadrature(depth_m, reach_m)
-        power = 4.0 * np.pi * self.correlation_length_m**2 / (1.0 + (omega * self.correlation_length_m) ** 2) ** 2
-        left, right = (
-            self._response(field, omega, place_m) for field, place_m in ((row, row_depth_m), (column, column_depth_m))
-        )
-        density = (left * self.traction_variance) @ right.conj().swapaxes(-1, -2)
-        density *= (weights * omega * power / (2.0 * np.pi))[:, None, None]
+        density = self.spectral_density(row, row_depth_m, column, column_depth_m, omega, 0.0)
+        density *= (weights * omega / (2.0 * np.pi))[:, None, None]
         density = density[:, _SCALAR_FIRST[row], :][:, :, _SCALAR_FIRST[column]]
 
         distance_m = np.linspace(0.0, reach_m, 4 + int(np.ceil(reach_m * _KNOTS_PER_DEPTH / depth_m)))
@@ -81,6 +78,27 @@ class StationaryPrior:
         for part in np.array_split(np.arange(distance_m.size), 1 + distance_m.size * omega.size // _PHASES):
             table[part] = _along_x(density, np.multiply.outer(distance_m[part], omega))
         return Kernel(CubicSpline(distance_m, table), np.argsort(_SCALAR_FIRST[row]), np.argsort(_SCALAR_FIRST[column]))
+
+    def spectral_density(
+        self,
+        row: Field,
+        row_depth_m: float,
+        column: Field,
+        column_depth_m: float,
+        omega_x: ArrayLike,
+        omega_y: ArrayLike,
+    ) -> Complexes:
+        """Return A P B* at spatial frequencies in rad/m, (..., 3, 3); see the head of this file."""
+        omega_x, omega_y = np.broadcast_arrays(omega_x, omega_y)
+        squared = (omega_x**2 + omega_y**2) * self.correlation_length_m**2
+        power = 4.0 * np.pi * self.correlation_length_m**2 / (1.0 + squared) ** 2
+        left, right = (
+            self._response(field, omega_x, omega_y, depth_m)
+            for field, depth_m in ((row, row_depth_m), (column, column_depth_m))
+        )
+        density: Complexes = (left * self.traction_variance) @ right.conj().swapaxes(-1, -2)
+        density *= power[..., None, None]
+        return density
 
     def _quadrature(self, depth_m: float, reach_m: float) -> tuple[Floats, Floats]:
         """Nodes and weights from 0 to where everything has faded, fine enough for the Bessel functions and for p."""
@@ -92,14 +110,14 @@ class StationaryPrior:
         omega = (edges[:-1, None] + half * (nodes + 1.0)).ravel()
         return omega, np.tile(half * weights, edges.size - 1)
 
-    def _response(self, field: Field, omega: Floats, depth_m: float) -> NDArray[np.complex128]:
-        """Matrix (n, 3, 3) from the traction to a field, for frequencies along x."""
+    def _response(self, field: Field, omega_x: Floats, omega_y: Floats, depth_m: float) -> Complexes:
+        """Matrix (..., 3, 3) from the traction to a field."""
         if field == "traction":
-            return np.broadcast_to(np.eye(3, dtype=np.complex128), (omega.size, 3, 3))
-        return self.half_space.transfer_matrix(field, "traction", omega, 0.0, depth_m)
+            return np.broadcast_to(np.eye(3, dtype=np.complex128), (*omega_x.shape, 3, 3))
+        return self.half_space.transfer_matrix(field, "traction", omega_x, omega_y, depth_m)
 
 
-def _along_x(density: NDArray[np.complex128], phase: Floats) -> Floats:
+def _along_x(density: Complexes, phase: Floats) -> Floats:
     """Hankel integrals of A P B* (w, 3, 3), scalar first, for omega times distance (d, w): (d, 3, 3)."""
     order_0, order_1 = j0(phase), j1(phase)
     # By recurrence, within 2e-15: `jv` takes several times as long as both together.
