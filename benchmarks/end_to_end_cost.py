@@ -19,8 +19,8 @@ from resonator_daemon.measurement.matching import Matcher
 from resonator_daemon.measurement.plate_drift import PlateDrift
 from resonator_daemon.measurement.single_tone_chain import SingleToneChain
 from resonator_daemon.measurement.site_errors import SiteErrors
-from resonator_daemon.measurement.sliding_window import SlidingWindow
 from resonator_daemon.measurement.spread import SpreadFit
+from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows
 from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
@@ -35,8 +35,8 @@ WHOLE = "whole"
 STAGES: dict[str, Sequence[tuple[object, str]]] = {
     WHOLE: ((SingleToneChain, "push"), (CombChain, "push")),
     "counting": (
-        (SlidingWindow, "push"),
-        (SlidingWindow, "sums"),
+        (ToneWindows, "push"),
+        (GateBlock, "windows"),
         (single_tone_chain, "count_tone"),
         (comb_chain, "merge_tones"),
         (ForceTones, "shifts"),

@@ -91,8 +91,8 @@ class PlateBench:
         self._pushed_frames += 1
         ticks = self._pushed_frames * self._gate_ticks
         if isinstance(chain, SingleToneChain):
-            records = [SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(channel)) for channel in frame.channels]
-            return chain.push(sequence, ticks, records)
+            readings = chain.push(sequence, [ticks], b"".join(frame.channels))
+            return readings[0] if readings else None
         tones = np.array([np.frombuffer(channel, _TONE) for channel in frame.channels])
         known = tones["flags"] == 0
         return chain.push(sequence, ticks, tones["phase_turn32"], tones["offset_hz16"], tones["sigma_code"], known)

@@ -1,5 +1,6 @@
 """What the acquisition hands on: frames with their time, gaps, and news of board and link."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -153,3 +154,21 @@ Arrival = (
     | Steering
     | ReaderFailed
 )
+
+
+def in_blocks(arrivals: Iterable[Arrival], most: int) -> Iterator[Arrival | list[SingleToneFrame]]:
+    """Give arrivals in their order, adjacent frames of a single-tone counter together, up to `most` of them."""
+    block: list[SingleToneFrame] = []
+    for arrival in arrivals:
+        if isinstance(arrival, SingleToneFrame):
+            if block and (arrival.index != block[-1].index + 1 or len(block) == most):
+                yield block
+                block = []
+            block.append(arrival)
+        else:
+            if block:
+                yield block
+                block = []
+            yield arrival
+    if block:
+        yield block

@@ -1,18 +1,17 @@
 """What each corner of a single-tone plate hears in a tenth of a second: the pilot, one site, or neither."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.layouts import CHANNEL_COUNT, SingleToneRecord
+from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.measurement.counting import counter_std, frequency_hz, oscillator_std
 from resonator_daemon.measurement.single_tone_chain import BAND_MARGIN, PILOT_TOLERANCE
-from resonator_daemon.measurement.sliding_window import SlidingWindow
+from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows
 from resonator_daemon.plate import Plate
 
 Floats = NDArray[np.float64]
@@ -63,28 +62,27 @@ class Ear:
         self._reference_hz = plate.counter.reference_hz
         tones_hz = [plate.pilot_hz, float(self._f0_hz.min()), float(self._f0_hz.max())]
         band_hz = (1 - BAND_MARGIN) * min(tones_hz), (1 + BAND_MARGIN) * max(tones_hz)
-        self._windows = [SlidingWindow(self._frames, self._reference_hz, band_hz) for _ in range(CHANNEL_COUNT)]
+        self._windows = ToneWindows(CHANNEL_COUNT, self._frames, self._reference_hz, band_hz)
         self._first: int | None = None
 
-    def push(self, index: int, records: Sequence[SingleToneRecord]) -> Heard | None:
-        """Take one frame; gives a reading with the last frame of each tenth of a second.
+    def push(self, index: int, payload: bytes) -> Heard | None:
+        """Take one frame, its records as on the wire; gives a reading with the last frame of each tenth of a second.
 
         Where frames are missing, stamps do not run on, and the reading hears nothing.
         """
         self._first = index if self._first is None else self._first
-        for window, record in zip(self._windows, records, strict=True):
-            window.push(record)
+        block = self._windows.push(payload)
         if (index - self._first + 1) % self._frames:
             return None
-        return self._read((index - self._first + 1) * self._gate_s - 0.5 * self._frames * self._gate_s)
+        return self._read(block, (index - self._first + 1) * self._gate_s - 0.5 * self._frames * self._gate_s)
 
-    def _read(self, time_s: float) -> Heard:
+    def _read(self, block: GateBlock, time_s: float) -> Heard:
         tone = [NOTHING] * CHANNEL_COUNT
         pilot_shift, shift, std = np.full((3, CHANNEL_COUNT), math.nan)
         faults = []
-        for channel, window in enumerate(self._windows):
-            sums = window.sums()
-            faults.append("" if sums is not None else window.fault or "no steady tone")
+        window = block.windows([0], [self._frames]).sums(0)
+        for channel, (sums, fault) in enumerate(zip(window, block.fault_names(0), strict=True)):
+            faults.append("" if sums is not None else fault or "no steady tone")
             if sums is None:
                 continue
             heard_hz = frequency_hz(sums, self._reference_hz)

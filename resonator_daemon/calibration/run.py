@@ -151,7 +151,7 @@ class _Calibration:
                 self._ear = Ear(plate) if single else CombEar(plate, oscillator_hz(arrival.description))
             return None
         if isinstance(arrival, SingleToneFrame):
-            return self._ear.push(arrival.index, arrival.records) if isinstance(self._ear, Ear) else None
+            return self._ear.push(arrival.index, arrival.payload) if isinstance(self._ear, Ear) else None
         if not isinstance(self._ear, CombEar):
             return None
         return self._ear.push(

@@ -14,8 +14,8 @@ from resonator_daemon.acquisition.frames import ChannelisedFrame, SingleToneFram
 from resonator_daemon.measurement.counting import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
 from resonator_daemon.measurement.force_tones import SIGMA_HZ
 from resonator_daemon.measurement.single_tone_chain import BAND_MARGIN, PILOT_TOLERANCE
-from resonator_daemon.measurement.sliding_window import SlidingWindow
 from resonator_daemon.measurement.tone_merging import merge_tones
+from resonator_daemon.measurement.tone_windows import ToneWindows
 from resonator_daemon.plate import FORCE_SIGNAL, SKIN_SIGNALS, Plate
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ class PilotHearing:
         self._highest_hz = np.maximum(f0_hz, pressed_hz) * (1.0 + PILOT_TOLERANCE)
         tones_hz = (self._pilot_hz, float(f0_hz.min()), float(f0_hz.max()))
         band_hz = (1 - BAND_MARGIN) * min(tones_hz), (1 + BAND_MARGIN) * max(tones_hz)
-        self._windows = [SlidingWindow(self._frames, self._reference_hz, band_hz) for _ in range(CHANNEL_COUNT)]
+        self._windows = ToneWindows(CHANNEL_COUNT, self._frames, self._reference_hz, band_hz)
         self._first: int | None = None
         self._gates: list[tuple[Floats, Floats]] = []  # frequency and its relative noise, (4,)
         self.tones: tuple[str, ...] = ("the pilot",)
@@ -90,20 +90,21 @@ class PilotHearing:
             return None
         self._first = frame.index if self._first is None else self._first
         heard_hz, std = np.full((2, CHANNEL_COUNT), math.nan)
-        for channel, (window, record) in enumerate(zip(self._windows, frame.records, strict=True)):
-            if window.push(record) is None:
+        block = self._windows.push(frame.payload)
+        for channel, (fault, record) in enumerate(zip(block.fault_names(0), frame.records, strict=True)):
+            if fault is None:
                 sums = Sums.of(record)
                 heard_hz[channel], std[channel] = frequency_hz(sums, self._reference_hz), counter_std(sums)
         self._gates.append((heard_hz, std))
         if (frame.index - self._first + 1) % self._frames:
             return None
-        return self._read((frame.index - self._first + 1 - 0.5 * self._frames) * self._gate_s)
+        window = block.windows([0], [self._frames])
+        return self._read(window.sums(0), (frame.index - self._first + 1 - 0.5 * self._frames) * self._gate_s)
 
-    def _read(self, time_s: float) -> Reading:
+    def _read(self, window: list[Sums | None], time_s: float) -> Reading:
         shift, std, strange_hz, scatter_radian = np.full((4, CHANNEL_COUNT), math.nan)
         sites = 0
-        for channel, window in enumerate(self._windows):
-            sums = window.sums()
+        for channel, sums in enumerate(window):
             if sums is None:
                 continue
             heard_hz = frequency_hz(sums, self._reference_hz)

@@ -12,12 +12,16 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from resonator_daemon.measurement.force import FloatArray
+
 RESIDUAL_LIMIT: Final = 8.0  # times what noise and pilot explain: beyond all of 22 000 windows of single touches
 GATES_MIN: Final = 4  # for a third difference
 WHITE_GAIN: Final = 20.0  # of variance by third differences of white noise: 1 + 9 + 9 + 1
 
 
-def end_residual_ticks2(stamps: int, span_ticks: int, s1_ticks: int, slope_ticks: float) -> float:
+def end_residual_ticks2(
+    stamps: FloatArray, span_ticks: FloatArray, s1_ticks: FloatArray, slope_ticks: FloatArray
+) -> FloatArray:
     """Mean square of what the regression line, of `slope_ticks` per stamp, leaves of the first and the last stamp."""
     middle, half = s1_ticks / stamps, slope_ticks * (stamps - 1) / 2
     return ((middle - half) ** 2 + (span_ticks - middle - half) ** 2) / 2

@@ -7,18 +7,18 @@ from typing import Final, Literal
 
 import numpy as np
 
-from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.measurement.baseline import CommonMode
 from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch, touch_of
-from resonator_daemon.measurement.counting import Sums, frequency_hz, oscillator_std
-from resonator_daemon.measurement.force import cell_std_m, hidden_fraction
+from resonator_daemon.measurement.counting import Sums, oscillator_std
+from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fraction
 from resonator_daemon.measurement.force_sites import ForceSites
 from resonator_daemon.measurement.matching import Match, Matcher, SiteForce
 from resonator_daemon.measurement.overload_latch import OverloadLatch
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.measurement.record_checks import CAPTURE_SWITCH
 from resonator_daemon.measurement.site_errors import SiteErrors
-from resonator_daemon.measurement.sliding_window import SlidingWindow
 from resonator_daemon.measurement.tone_count import UNHEARD, ToneCount, count_tone
+from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows, WindowSums
 
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
 BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
@@ -57,7 +57,7 @@ class SingleToneChain:
         self._pilot_hz = pilot_hz
         self._reference_hz = reference_hz
         self._gate_s = gate_s
-        self._windows = [SlidingWindow(window_frames, reference_hz, band_hz) for _ in range(channels)]
+        self._windows = ToneWindows(channels, window_frames, reference_hz, band_hz)
         reading_std = oscillator_std(window_frames * gate_s)
         self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
         self._matcher = Matcher(
@@ -76,10 +76,10 @@ class SingleToneChain:
         self._errors = SiteErrors(sites)
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
-        self._records: Sequence[SingleToneRecord] = ()  # of the last frame
         self._pilot_attenuation_db = [math.nan] * channels
         self._told_sites: set[int] = set()  # by the last reading
-        self._crowded = [0] * channels  # frames in a row in which no tone was the strongest
+        self._quiet = [0] * channels
+        self._crowded = self._quiet  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
         self._pilot: tuple[float, ...] = (math.nan,) * channels  # g by the pilot in the last reading
@@ -93,14 +93,13 @@ class SingleToneChain:
     def restart(self) -> tuple[ContactEvent, ...]:
         """Forget the baseline and every contact: the board has booted or is configured anew."""
         events = self.end_contacts("the board started anew")
-        for window in self._windows:
-            window.restart()
+        self._windows.restart()
         self._common_mode.reset()
         self._errors.reset()
         self._latch.release()
-        self._crowded = [0] * len(self._windows)
+        self._crowded = self._quiet
         self._last = self._evaluated_ticks = None
-        self._pilot = (math.nan,) * len(self._windows)
+        self._pilot = (math.nan,) * self._windows.channels
         return events
 
     def tare(self) -> str:
@@ -120,8 +119,7 @@ class SingleToneChain:
         """
         if not 1 <= step_frames <= window_frames:
             raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
-        for window in self._windows:
-            window.resize(window_frames)
+        self._windows.resize(window_frames)
         self._common_mode.expect(oscillator_std(window_frames * self._gate_s))
         self._measure_over(window_frames, step_frames)
 
@@ -137,83 +135,99 @@ class SingleToneChain:
         """What is taken out now."""
         return self._compensation(untouched=not any(map(math.isnan, self._pilot)))
 
-    def push(self, sequence: int, board_ticks: int, records: Sequence[SingleToneRecord]) -> ForceReading | None:
-        """Take one frame, a record per channel.
+    def push(self, first_sequence: int, board_ticks: Sequence[int], payload: bytes) -> list[ForceReading]:
+        """Take adjacent frames: their records as on the wire, one of each channel, frame after frame.
 
         Gives a reading at every `step_frames`-th sequence number, and between them where something has happened to a
-        contact. `sequence` and `board_ticks` are unwrapped; frames that are missing between two calls restart the
-        windows.
+        contact; how the frames are cut into blocks changes none. `first_sequence` is that of the first frame and
+        `board_ticks` are those at the end of each; both are unwrapped. Frames that are missing between two calls
+        restart the windows.
         """
-        if len(records) != len(self._windows):
-            raise ValueError(f"{len(records)} records for {len(self._windows)} channels")
-        if self._last is not None and sequence != self._last[0] + 1:
-            for window in self._windows:
-                window.restart()
-        self._last = sequence, board_ticks
-        self._records = records
-        faults = [window.push(record) for window, record in zip(self._windows, records, strict=True)]
-        if any(faults) or any(self._crowded):
-            self._note(faults)
-        at_step = (sequence + 1) % self._step_frames == 0
-        reading = None
-        if at_step or (self._tone_has_changed() if self._tracker.any_open else self._something_new()):
-            reading = self._read(sequence, board_ticks, at_step=at_step)
-        return reading if reading is not None and (at_step or reading.events) else None
-
-    def _note(self, faults: Sequence[str | None]) -> None:
-        self.unusable.update([fault for fault in faults if fault is not None])
-        self._crowded = [
-            frames + 1 if fault == "capture_switch" else 0 for frames, fault in zip(self._crowded, faults, strict=True)
-        ]
-
-    def _tone_has_changed(self) -> bool:
-        """Tell whether a channel has heard another tone, or its own anew, for just as long as tells of a touch."""
-        held = [window.held for window in self._windows]
-        return self._onset_frames in held or self._onset_frames + 1 in held
-
-    def _something_new(self) -> bool:
-        """Tell whether two channels at least hear another tone than the pilot, for long enough for an onset."""
-        if not self._common_mode.known:
-            return False
-        others = 0
-        for window in self._windows:
-            if window.held >= self._onset_frames:
-                others += abs(window.last_hz / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
-        return others >= 2
-
-    def _read(self, sequence: int, board_ticks: int, *, at_step: bool) -> ForceReading:
+        if self._last is not None and first_sequence != self._last[0] + 1:
+            self._windows.restart()
+        block = self._windows.push(payload)
+        crowded = self._note(block)
+        at_step = [(first_sequence + 1 + gate) % self._step_frames == 0 for gate in range(len(block))]
+        changed, others = self._tone_has_changed(block), self._other_tone_heard(block)
+        gates = [gate for gate, asked in enumerate(zip(at_step, changed, others, strict=True)) if any(asked)]
+        self._last = first_sequence + len(block) - 1, board_ticks[-1]
+        if not gates:
+            return []
         # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
-        held = [window.held for window in self._windows]
-        frames = min((count for count in held if count >= self._onset_frames), default=self._window_frames)
-        sums = [
-            window.sums(frames) if count >= frames else None for window, count in zip(self._windows, held, strict=True)
+        frames = [
+            min((count for count in block.held[gate] if count >= self._onset_frames), default=self._window_frames)
+            for gate in gates
         ]
-        heard_hz = [math.nan if s is None else frequency_hz(s, self._reference_hz) for s in sums]
+        sums = block.windows(gates, frames)
+        readings = []
+        for index, gate in enumerate(gates):
+            something_new = changed[gate] if self._tracker.any_open else self._common_mode.known and others[gate]
+            if at_step[gate] or something_new:
+                window = _Window(block, gate, frames[index], sums, index, crowded[gate])
+                reading = self._read(first_sequence + gate, board_ticks[gate], window, at_step=at_step[gate])
+                if at_step[gate] or reading.events:
+                    readings.append(reading)
+        return readings
+
+    def _note(self, block: GateBlock) -> list[list[int]]:
+        """Count unusable records; return for how many frames in a row each channel has heard no strongest tone."""
+        if not block.fault.any():
+            self._crowded = self._quiet
+            return [self._quiet] * len(block)
+        self.unusable.update(block.count_faults())
+        rows = []
+        for faults in block.fault.tolist():
+            self._crowded = [
+                count + 1 if fault == CAPTURE_SWITCH else 0 for count, fault in zip(self._crowded, faults, strict=True)
+            ]
+            rows.append(self._crowded)
+        return rows
+
+    def _tone_has_changed(self, block: GateBlock) -> list[bool]:
+        """Tell, by gate, whether a channel hears a new tone, or its own anew, for just as long as a touch needs."""
+        first, second = self._onset_frames, self._onset_frames + 1
+        return [first in held or second in held for held in block.held]
+
+    def _other_tone_heard(self, block: GateBlock) -> list[bool]:
+        """Tell, by gate, whether two channels at least hear another tone than the pilot, long enough for an onset."""
+        other = np.abs(block.frequency_hz / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
+        if not other.any():
+            return [False] * len(block)
+        onset = self._onset_frames
+        return [
+            sum([off and count >= onset for off, count in zip(row, held, strict=True)]) >= 2
+            for row, held in zip(other.tolist(), block.held, strict=True)
+        ]
+
+    def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
+        frames, heard_hz = window.frames, window.frequency_hz
         off = [f / self._pilot_hz - 1 for f in heard_hz]
         pilot = tuple([g if abs(g) < PILOT_TOLERANCE else math.nan for g in off])
         silent, others = sum(map(math.isnan, heard_hz)), sum(map(math.isnan, pilot))
         pilots, tones = len(pilot) - others, others - silent
         untouched = tones == 0 and pilots >= 2
-        self._follow(board_ticks, pilot, untouched=untouched and frames == self._window_frames)
+        self._follow(board_ticks, pilot, window, untouched=untouched and frames == self._window_frames)
 
         status: SensorStatus
         forces: tuple[SiteForce, ...] = ()
         beats: tuple[int, ...] = ()
         if untouched:
-            status, reason = ("ok", self._missing()) if self._common_mode.known else self._learning(pilots)
+            status, reason = (
+                ("ok", self._missing(window)) if self._common_mode.known else self._learning(pilots, window)
+            )
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            counts = self._counted(sums, heard_hz, pilot, frames)
+            counts = self._counted(window, pilot)
             beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
             if status == "ok" and any(count.others for count in counts):
                 status, reason = "possibly_more", "more than the counted tone is heard"
-            elif status == "ok" and max(self._crowded) >= CROWDED_FRAMES:
-                status, reason = "possibly_more", f"two tones are alike: {self._missing()}"
+            elif status == "ok" and max(window.crowded) >= CROWDED_FRAMES:
+                status, reason = "possibly_more", f"two tones are alike: {self._missing(window)}"
         else:
-            status, reason = self._silent(tones, pilots)
+            status, reason = self._silent(tones, pilots, window)
 
         time_s = board_ticks / self._reference_hz
         forces = tuple([self._complete(force, time_s, status) for force in forces])
@@ -236,7 +250,7 @@ class SingleToneChain:
             beats,
         )
 
-    def _follow(self, board_ticks: int, pilot: tuple[float, ...], *, untouched: bool) -> None:
+    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: "_Window", *, untouched: bool) -> None:
         """Let the baseline follow the pilot while nothing is touched, and become less certain meanwhile."""
         before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
@@ -249,27 +263,24 @@ class SingleToneChain:
             self._errors.silence(board_ticks / self._reference_hz)
             for channel, g in enumerate(pilot):
                 if not math.isnan(g):
-                    self._pilot_attenuation_db[channel] = self._attenuation_db(channel)
+                    self._pilot_attenuation_db[channel] = window.attenuation_db[channel]
 
-    def _attenuation_db(self, channel: int) -> float:
-        """Of the last frame."""
-        return self._records[channel].attenuation_db256 / 256.0
-
-    def _counted(
-        self, sums: Sequence[Sums | None], heard_hz: Sequence[float], pilot: Sequence[float], frames: int
-    ) -> list[ToneCount]:
+    def _counted(self, window: "_Window", pilot: Sequence[float]) -> list[ToneCount]:
         """Tell what the channels that hear another tone than the pilot count, and how well."""
-        counts = [UNHEARD] * len(sums)
-        for channel, (channel_sums, g) in enumerate(zip(sums, pilot, strict=True)):
-            if channel_sums is not None and math.isnan(g):
+        counts = [UNHEARD] * len(pilot)
+        gate_hz, residual_ticks2 = (rows.T.tolist() for rows in window.gates)
+        attenuation_db = window.attenuation_db
+        for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
+            if sums is not None and math.isnan(g):
                 counts[channel] = count_tone(
-                    channel_sums,
-                    heard_hz[channel],
-                    self._windows[channel].gates[-frames:],
+                    sums,
+                    window.frequency_hz[channel],
+                    gate_hz[channel],
+                    residual_ticks2[channel],
                     reference_hz=self._reference_hz,
-                    over_pilot_db=self._attenuation_db(channel) - self._pilot_attenuation_db[channel],
+                    over_pilot_db=attenuation_db[channel] - self._pilot_attenuation_db[channel],
                     distance_hz=self._distance_hz[channel],
-                    window_s=frames * self._gate_s,
+                    window_s=window.frames * self._gate_s,
                 )
         return counts
 
@@ -319,30 +330,63 @@ class SingleToneChain:
             "off" if self._sites.response is None else "on",
         )
 
-    def _learning(self, pilots: int) -> tuple[SensorStatus, str]:
-        if pilots == len(self._windows) or self._settling:
+    def _learning(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+        if pilots == self._windows.channels or self._settling(window):
             return "settling", "the common mode is being learnt"
-        return "pilot_lost", self._missing()
+        return "pilot_lost", self._missing(window)
 
-    def _silent(self, tones: int, pilots: int) -> tuple[SensorStatus, str]:
+    def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
         """Status where too few channels are heard to tell a touch from none."""
-        if self._settling:
-            return "settling", self._missing()
+        if self._settling(window):
+            return "settling", self._missing(window)
         if tones:
             return "rejected", "heard on 1 channel, at least 2 needed"
-        if any(window.fault == "capture_switch" for window in self._windows):
-            return "rejected", f"no tone is the strongest for long: {self._missing()}"
-        return ("pilot_lost" if pilots else "no_signal"), self._missing()
+        if "capture_switch" in window.faults:
+            return "rejected", f"no tone is the strongest for long: {self._missing(window)}"
+        return ("pilot_lost" if pilots else "no_signal"), self._missing(window)
 
-    @property
-    def _settling(self) -> bool:
-        return any(window.fault is None and not window.full for window in self._windows)
+    def _settling(self, window: "_Window") -> bool:
+        return any(
+            fault is None and held < self._window_frames for fault, held in zip(window.faults, window.held, strict=True)
+        )
 
-    def _missing(self) -> str:
+    def _missing(self, window: "_Window") -> str:
         """Name the channels that give no frequency, each with its cause."""
+        if min(window.held) == self._window_frames:
+            return ""
         causes = [
-            f"channel {channel}: {window.fault or 'window not full yet'}"
-            for channel, window in enumerate(self._windows)
-            if not window.full
+            f"channel {channel}: {fault or 'window not full yet'}"
+            for channel, (fault, held) in enumerate(zip(window.faults, window.held, strict=True))
+            if held < self._window_frames
         ]
         return ", ".join(causes)
+
+
+class _Window:
+    """What the channels have counted in the last gates of a block, up to one of them."""
+
+    def __init__(
+        self, block: GateBlock, gate: int, frames: int, sums: WindowSums, index: int, crowded: list[int]
+    ) -> None:
+        self.frames = frames
+        self.held = block.held[gate]
+        self.frequency_hz = sums.frequency_hz[index]
+        self.crowded = crowded
+        self._block, self._gate = block, gate
+        self._sums, self._index = sums, index
+
+    @property
+    def sums(self) -> list[Sums | None]:
+        return self._sums.sums(self._index)
+
+    @property
+    def gates(self) -> tuple[FloatArray, FloatArray]:
+        return self._block.last(self._gate, self.frames)
+
+    @property
+    def faults(self) -> list[str | None]:
+        return self._block.fault_names(self._gate)
+
+    @property
+    def attenuation_db(self) -> list[float]:
+        return self._block.attenuation_db(self._gate)

@@ -16,7 +16,6 @@ from resonator_daemon.measurement.other_tones import (
     pilot_residual_ticks2,
 )
 from resonator_daemon.measurement.quantisation import EXCESS_LIMIT, excess_bound_of_one, stamp_jitter_ticks
-from resonator_daemon.measurement.record_faults import Gate
 
 EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth nothing
 
@@ -36,7 +35,8 @@ UNHEARD: Final = ToneCount(math.nan, math.nan, others=False, beats=False)
 def count_tone(
     sums: Sums,
     frequency_hz: float,
-    gates: Sequence[Gate],
+    gate_hz: Sequence[float],
+    gate_residual_ticks2: Sequence[float],
     *,
     reference_hz: float,
     over_pilot_db: float,
@@ -49,17 +49,15 @@ def count_tone(
     ----------
     sums, frequency_hz
         Of the window.
-    gates
-        It consists of.
+    gate_hz, gate_residual_ticks2
+        Of the gates that it consists of.
     over_pilot_db
         By how much more the tone was attenuated, or less, than the pilot when that was counted last: so strong may the
         pilot still be beside it. NaN where it never was.
     distance_hz
         The least that another tone may be away.
     """
-    gate_hz = [gate.frequency_hz for gate in gates]
-    gate_residual_ticks2 = [gate.residual_ticks2 for gate in gates]
-    frames = len(gates)
+    frames = len(gate_hz)
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
     interval_ticks = sums.stride_edges * reference_hz / frequency_hz

@@ -1,12 +1,13 @@
 """A recording from its bytes to its messages, one event after the other, without a clock or a second thread."""
 
+from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.frames import BoardRefused
+from resonator_daemon.acquisition.frames import BoardRefused, SingleToneFrame, in_blocks
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_course import LinkCourse
 from resonator_daemon.acquisition.recording_file import Mark, Recording
@@ -20,6 +21,8 @@ from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.reporting.board_course import BoardCourse
 
 _RING_BYTES: Final = 1 << 30  # what one event brings is taken at once
+_BLOCK_EVENTS: Final = 128  # whose frames are measured together
+_BLOCK_FRAMES: Final = 1024
 
 
 class Published(NamedTuple):
@@ -65,6 +68,8 @@ class Playback:
         self._link = LinkCourse(config.plate, self._ring, lambda _: None)
         self._replay = Replay(recording, self._link)
         self._board = BoardCourse(config, daemon_boot_id, self._publish, make_stage=DecodingInOrder)
+        self._waiting: list[tuple[HostTime, list[SingleToneFrame]]] = []  # events of which nothing but frames came
+        self._waiting_frames: list[SingleToneFrame] = []  # of all of these: they are adjacent
         self.refused: tuple[str, ...] = ()
 
     @property
@@ -92,24 +97,50 @@ class Playback:
         with threadpool_limits(1, user_api="blas"):  # so that sums are made in the same order everywhere
             for entry in self._recording.entries():
                 if isinstance(entry, Mark):
+                    yield from self._measured()
                     yield Moment(entry.now, mark=entry.text)
                 else:
                     self._replay.apply(entry)
-                    if moment := self._after(entry):
-                        yield moment
-            if moment := self._after(self._replay.end()):
-                yield moment
+                    yield from self._after(entry)
+            yield from self._after(self._replay.end())
+            yield from self._measured()
 
-    def _after(self, event: WireEvent) -> Moment | None:
-        for arrival in self._ring.take():
-            if isinstance(arrival, BoardRefused):
-                self.refused = arrival.problems
-            self._board.take(arrival)
-        self._board.pass_time(event.now.utc_ns)
-        if not self._messages:
-            return None
-        messages, self._messages = self._messages, []
-        return Moment(event.now, messages)
+    def _after(self, event: WireEvent) -> Iterator[Moment]:
+        """Give what follows from the event, or keep its frames to be measured with those of later events."""
+        arrivals = self._ring.take()
+        frames = [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame)]
+        adjoins = not frames or not self._waiting_frames or frames[0].index == self._waiting_frames[-1].index + 1
+        if len(frames) < len(arrivals) or not adjoins:
+            yield from self._measured()
+            for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
+                if isinstance(arrival, BoardRefused):
+                    self.refused = arrival.problems
+                self._board.take(arrival)
+            yield from self._at(event.now)
+        else:
+            self._waiting.append((event.now, frames))
+            self._waiting_frames += frames
+            if len(self._waiting) >= _BLOCK_EVENTS:
+                yield from self._measured()
+
+    def _measured(self) -> Iterator[Moment]:
+        """Measure the frames that wait, together; give what follows from each of their events."""
+        waiting, self._waiting = self._waiting, []
+        frames, self._waiting_frames = self._waiting_frames, []
+        readings = deque(self._board.measure(frames) if frames else ())
+        for now, arrived in waiting:
+            if arrived:
+                told = []
+                while readings and readings[0].sequence <= arrived[-1].index:
+                    told.append(readings.popleft())
+                self._board.report(arrived, told)
+            yield from self._at(now)
+
+    def _at(self, now: HostTime) -> Iterator[Moment]:
+        self._board.pass_time(now.utc_ns)
+        if self._messages:
+            messages, self._messages = self._messages, []
+            yield Moment(now, messages)
 
     def _publish(self, topic: Topic[Any], message: Any) -> None:
         self._messages.append(Published(topic, message))

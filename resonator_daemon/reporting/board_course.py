@@ -1,7 +1,7 @@
 """What follows from each arrival of a board: states, readings, messages; live and from a recording alike."""
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from resonator_daemon.acquisition.account import FrameLoss
@@ -18,6 +18,7 @@ from resonator_daemon.acquisition.frames import (
 )
 from resonator_daemon.config import Config, Measurement
 from resonator_daemon.decoding.stage import DecodingStage
+from resonator_daemon.measurement.readings import ForceReading
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR, Topic
@@ -95,10 +96,15 @@ class BoardCourse:
         self._day = -1
         self._limits_hz: Mapping[str, float] = {}  # of topics whose rate a command has lowered
 
-    def take(self, arrival: Arrival) -> None:
-        """Do what follows from an arrival; those that concern the daemon alone are none of its business."""
+    def take(self, arrival: Arrival | list[SingleToneFrame]) -> None:
+        """Do what follows from an arrival, or from adjacent frames; arrivals for the daemon alone are ignored."""
         match arrival:
-            case SingleToneFrame() | ChannelisedFrame():
+            case list():
+                self._arrive(arrival[0].gate_middle.utc_ns)
+                self.report(arrival, self.measure(arrival))
+            case SingleToneFrame():
+                self.take([arrival])
+            case ChannelisedFrame():
                 self._arrive(arrival.gate_middle.utc_ns)
                 self.measuring.measure(arrival)
                 self.frames += 1
@@ -125,6 +131,21 @@ class BoardCourse:
             case BoardSays():
                 log.log(min(arrival.level, logging.ERROR), "board: %s", arrival.text)
 
+    def measure(self, frames: Sequence[SingleToneFrame]) -> list[ForceReading]:
+        """Measure adjacent frames; `report` is to follow for all of them."""
+        return self.measuring.read(frames)
+
+    def report(self, frames: Sequence[SingleToneFrame], readings: Sequence[ForceReading]) -> None:
+        """Publish readings that end with one of these adjacent frames, and let the time of the frames pass."""
+        first, start = frames[0].index, 0
+        for reading in readings:
+            end = reading.sequence - first + 1
+            self._arrive_all(frames[start:end])
+            self.measuring.publish(reading, frames[end - 1].gate_middle)
+            start = end
+        self._arrive_all(frames[start:])
+        self.frames += len(frames)
+
     def pass_time(self, utc_ns: int) -> None:
         """Take note of what time it is on the host that reads, or read, the board."""
         self._now_utc_ns = utc_ns
@@ -133,6 +154,15 @@ class BoardCourse:
         if day != self._day:
             self._day = day
             self._sensor.calibration(self._plate.calibration.expiry_note(utc_day(utc_ns)), utc_ns)
+
+    def _arrive_all(self, frames: Sequence[SingleToneFrame]) -> None:
+        if not frames:
+            return
+        last_ns = frames[-1].gate_middle.utc_ns
+        if last_ns // _DAY_NS != self._day:
+            for frame in frames[:-1]:
+                self._arrive(frame.gate_middle.utc_ns)
+        self._arrive(last_ns)
 
     def _arrive(self, utc_ns: int) -> None:
         self._arrived_utc_ns = utc_ns

@@ -142,36 +142,15 @@ class Measuring:
         else:
             self._tell_of_last_forces(self._chain.restart())
 
-    def measure(self, frame: SingleToneFrame | ChannelisedFrame) -> None:
-        if isinstance(frame, SingleToneFrame):
-            self._measure_single_tone(frame)
-        else:
-            self._measure_channelised(frame)
+    def read(self, frames: Sequence[SingleToneFrame]) -> list[ForceReading]:
+        """Measure adjacent frames, one or more; the readings are to be published, in their order."""
+        if not isinstance(self._chain, SingleToneChain):
+            return []
+        ticks = [frame.board_ticks for frame in frames]
+        return self._chain.push(frames[0].index, ticks, b"".join([frame.payload for frame in frames]))
 
-    def end_contacts(self, reason: str) -> None:
-        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
-        if self.force_chain is not None:
-            self._tell_of_last_forces(self.force_chain.end_contacts(reason))
-        elif self._stage is not None:
-            self._stage.interrupt(reason)
-
-    def _measure_single_tone(self, frame: SingleToneFrame) -> None:
-        if isinstance(self._chain, SingleToneChain):
-            reading = self._chain.push(frame.index, frame.board_ticks, frame.records)
-            if reading is not None:
-                self._publish_forces(reading, frame.gate_middle)
-
-    def _measure_channelised(self, frame: ChannelisedFrame) -> None:
-        if isinstance(self._chain, SkinChain):
-            self._measure_signals(self._chain, frame)
-        elif isinstance(self._chain, CombChain):
-            reading = self._chain.push(
-                frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
-            )
-            if reading is not None:
-                self._publish_forces(reading, frame.gate_middle)
-
-    def _publish_forces(self, reading: ForceReading, gate_middle: Instant) -> None:
+    def publish(self, reading: ForceReading, gate_middle: Instant) -> None:
+        """Publish a reading; `gate_middle` is that of the last gate in its window."""
         self._last_forces = (reading, gate_middle)
         self._tell(reading.events, reading, gate_middle)
         if reading.at_step:
@@ -186,6 +165,24 @@ class Measuring:
             self._count_latency(FORCES, gate_middle)
             self._publish(FORCES, self._reporter.forces(reading, gate_middle))
             self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
+
+    def end_contacts(self, reason: str) -> None:
+        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
+        if self.force_chain is not None:
+            self._tell_of_last_forces(self.force_chain.end_contacts(reason))
+        elif self._stage is not None:
+            self._stage.interrupt(reason)
+
+    def measure(self, frame: ChannelisedFrame) -> None:
+        """Measure a frame and publish what follows from it."""
+        if isinstance(self._chain, SkinChain):
+            self._measure_signals(self._chain, frame)
+        elif isinstance(self._chain, CombChain):
+            reading = self._chain.push(
+                frame.index, frame.board_ticks, frame.phase_turn32, frame.offset_hz16, frame.sigma_code, frame.known
+            )
+            if reading is not None:
+                self.publish(reading, frame.gate_middle)
 
     def _tell(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
         for event in events:

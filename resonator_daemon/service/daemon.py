@@ -21,7 +21,9 @@ from resonator_daemon.acquisition.frames import (
     BoardOnline,
     BoardRefused,
     ReaderFailed,
+    SingleToneFrame,
     Steering,
+    in_blocks,
 )
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.config import Config, plate_name
@@ -89,7 +91,7 @@ class Service:
         loop = asyncio.get_running_loop()
         self._loop = loop
         self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
-        self._arrivals: deque[Arrival] = deque()
+        self._arrivals: deque[Arrival | list[SingleToneFrame]] = deque()
         self._recording = RecordingSwitch()
         steps = useful_together(config.plate, config.measurement)
         self._reader = BoardReader(
@@ -262,23 +264,26 @@ class Service:
     def _consume(self) -> None:
         """Do what follows from what has arrived; where it is much, messages and signals have their turn in between."""
         scheduled = bool(self._arrivals)
-        self._arrivals += self._reader.take()
+        self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
         if not scheduled:
             self._go_on()
 
     def _go_on(self) -> None:
         try:
-            for _ in range(min(_TOGETHER, len(self._arrivals))):
+            handled = 0
+            while self._arrivals and handled < _TOGETHER:
                 if self._over.done():
                     return
-                self._handle(self._arrivals.popleft())
+                arrival = self._arrivals.popleft()
+                self._handle(arrival)
+                handled += len(arrival) if isinstance(arrival, list) else 1
         except Exception as error:  # noqa: BLE001 - `run` raises it
             self._over.set_exception(error)
         else:
             if self._arrivals:
                 self._loop.call_soon(self._go_on)
 
-    def _handle(self, arrival: Arrival) -> None:
+    def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
         match arrival:
             case BoardOnline() if not self._outlet.open and not self._take_name_of(arrival):
                 return

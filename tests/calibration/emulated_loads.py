@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
+from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS
 from resonator_daemon.calibration.comb_hearing import CombEar
 from resonator_daemon.calibration.guide import Guide, News
 from resonator_daemon.calibration.hearing import Ear
@@ -93,7 +93,7 @@ COMB_NOMINAL = Plate.model_validate(tomllib.loads(comb_text()))
 COMB_TRUE = Plate.model_validate(tomllib.loads(true_text(comb_text())))
 
 
-def frames(plate: Plate, touches: Touches, folder: Path, seed: int = 1) -> Iterator[tuple[int, list[SingleToneRecord]]]:
+def frames(plate: Plate, touches: Touches, folder: Path, seed: int = 1) -> Iterator[tuple[int, bytes]]:
     """Count the plate, frame after frame."""
     scenario = load_scenario(touches.write(folder), plate)
     emulated = QuartzPlate(plate, scenario, seed)
@@ -102,7 +102,7 @@ def frames(plate: Plate, touches: Touches, folder: Path, seed: int = 1) -> Itera
     index = 0
     while index * gate_ticks < touches.seconds * plate.counter.reference_hz:
         for frame in emulated.count(index * gate_ticks, index * gate_ticks, gate_ticks, emulated.block_frames):
-            yield index, [SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(record)) for record in frame.channels]
+            yield index, b"".join(frame.channels)
             index += 1
 
 

@@ -1,6 +1,5 @@
 """The guide on an emulated plate: it tells by itself what lies where, and waits where that is wrong."""
 
-import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, TRUE, Touches, frames, lead
 
-from firmware_protocol.layouts import RecordFlag
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, single_tone_records
 from resonator_daemon.calibration.guide import Guide, News
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import Wanted, plan_steps
@@ -96,11 +95,17 @@ def test_a_step_that_is_never_done_ends_the_calibration_with_the_reason(tmp_path
     assert "the last load was not taken away" in said
 
 
+def changed(payload: bytes, channel: int, **fields: int) -> bytes:
+    """Return a frame's records, that of one channel with other fields."""
+    records = list(single_tone_records(payload))
+    records[channel] = records[channel]._replace(**fields)
+    return b"".join(SINGLE_TONE_STRUCT.pack(*record) for record in records)
+
+
 def test_a_channel_without_signal_is_named(tmp_path: Path) -> None:
     def deaf() -> object:
-        for index, records in frames(TRUE, Touches(seconds=10.0), tmp_path):
-            records[2] = records[2]._replace(flags=int(RecordFlag.NO_SIGNAL))
-            yield index, records
+        for index, payload in frames(TRUE, Touches(seconds=10.0), tmp_path):
+            yield index, changed(payload, 2, flags=int(RecordFlag.NO_SIGNAL))
 
     guide = Guide(NOMINAL, plan_steps(WANTED, NOMINAL), 3.0)
     with pytest.raises(CalibrationRefusedError) as refusal:
@@ -150,10 +155,8 @@ def test_a_damaged_record_is_not_heard(tmp_path: Path) -> None:
     touches.load(7, 0.1, 2.5)
 
     def damaged() -> object:
-        for index, records in frames(TRUE, touches, tmp_path):
-            if index == 400:
-                records[1] = records[1]._replace(s1_ticks=struct.unpack("<Q", b"\xff" * 8)[0])
-            yield index, records
+        for index, payload in frames(TRUE, touches, tmp_path):
+            yield index, changed(payload, 1, s1_ticks=2**64 - 1) if index == 400 else payload
 
     guide = Guide(NOMINAL, steps, 20.0)
     list(lead(guide, NOMINAL, damaged()))

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from firmware_protocol.layouts import SingleToneRecord
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, SingleToneRecord
 
 REFERENCE_HZ = 1e9
 GATE_TICKS = 1_000_000
@@ -28,6 +28,11 @@ def record_of(ticks: Sequence[int], first_edge: int, stride_edges: int, flags: i
         attenuation_db256=0,
         flags=flags,
     )
+
+
+def payload_of(records: Sequence[SingleToneRecord]) -> bytes:
+    """Return records as they are on the wire."""
+    return b"".join(SINGLE_TONE_STRUCT.pack(*record) for record in records)
 
 
 class Channel:

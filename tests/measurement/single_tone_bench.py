@@ -1,7 +1,7 @@
 """A single-tone chain fed by a board of brute force, with the readings that it gave."""
 
 import numpy as np
-from brute_force_board import GATE_TICKS, PILOT_HZ, REFERENCE_HZ, Board, Ladder
+from brute_force_board import GATE_TICKS, PILOT_HZ, REFERENCE_HZ, Board, Ladder, payload_of
 
 from firmware_protocol.layouts import RecordFlag
 from resonator_daemon.measurement.force_sites import ForceSites, Warmth
@@ -61,10 +61,12 @@ class Bench:
     def play(self, frequencies, flags=(0, 0, 0, 0)):
         before = len(self.readings)
         for frequency in frequencies:
-            reading = self.chain.push(*self.board.frame(np.asarray(frequency) * (1 + self.error), flags))
-            if reading:
-                self.readings.append(reading)
+            self.readings += self.push(*self.board.frame(np.asarray(frequency) * (1 + self.error), flags))
         return self.readings[before:]
+
+    def push(self, sequence, ticks, records):
+        """Give the chain one frame; returns its reading in a list, or none."""
+        return self.chain.push(sequence, [ticks], payload_of(records))
 
     def lose(self, frequency_hz, frames):
         for _ in range(frames):

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from brute_force_board import GATE_TICKS, Ladder
+from brute_force_board import GATE_TICKS, Ladder, payload_of
 from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench, events
 
 from firmware_protocol.layouts import SingleToneRecord
@@ -13,7 +13,7 @@ from firmware_protocol.layouts import SingleToneRecord
 
 def test_readings_come_at_step_boundaries_with_the_windows_end():
     bench = Bench(step_frames=4)
-    given = [bench.chain.push(*bench.board.frame(UNTOUCHED)) is not None for _ in range(12)]
+    given = [bool(bench.push(*bench.board.frame(UNTOUCHED))) for _ in range(12)]
     assert given == [False, False, False, True] * 3
     reading = bench.hold(UNTOUCHED, 4)[0]
     assert (reading.sequence, reading.board_ticks) == (15, bench.board.board_ticks)
@@ -172,11 +172,13 @@ def test_frames_missing_by_number_restart_the_windows_even_where_the_stamps_run_
     bench = Bench().untouched()
     for _ in range(10):
         sequence, ticks, records = bench.board.frame(PLATE.loaded_hz(6, 1.5))
-        reading = bench.chain.push(sequence, ticks, records)
+        readings = bench.push(sequence, ticks, records)
+    (reading,) = readings
     assert reading.status == "ok"
     for _ in range(5):
         sequence, ticks, records = bench.board.frame(PLATE.loaded_hz(6, 1.5))
-        reading = bench.chain.push(sequence + 10, ticks, records)
+        readings = bench.push(sequence + 10, ticks, records)
+    (reading,) = readings
     assert reading.window_s == pytest.approx(0.005)
 
 
@@ -277,8 +279,7 @@ def test_impossible_records_are_counted_and_never_a_force(record):
     bench.chain.unusable.clear()
     for _ in range(100):
         sequence, ticks, _ = bench.board.frame(PLATE.loaded_hz(2, 1.0))
-        reading = bench.chain.push(sequence, ticks, [record] * 4)
-        if reading:
+        for reading in bench.push(sequence, ticks, [record] * 4):
             assert reading.sites == ()
             assert reading.status != "ok"
     assert bench.chain.unusable.total() == 400
@@ -288,7 +289,40 @@ def test_impossible_records_are_counted_and_never_a_force(record):
 
 def test_a_wrong_number_of_records_is_refused():
     with pytest.raises(ValueError, match="3 records"):
-        Bench().chain.push(0, 0, [SingleToneRecord(*[0] * 10)] * 3)
+        Bench().push(0, 0, [SingleToneRecord(*[0] * 10)] * 3)
+
+
+def eventful_frames():
+    """Frames of touches, two at once, gaps, lost signals, capture switches, stride breaks and nonsense."""
+    rng, board, frames = np.random.default_rng(4), Bench().board, []
+    nonsense = SingleToneRecord(0, 0, 65_535, 65_535, 2**32 - 1, 2**64 - 1, 2**64 - 1, 2**64 - 1, 65_535, 0)
+    split = np.where([True, True, False, False], PLATE.loaded_hz(2, 1.0), PLATE.loaded_hz(9, 2.0))
+    for hertz in (UNTOUCHED, PLATE.loaded_hz(3, 1.0), PLATE.loaded_hz(8, 20.0), UNTOUCHED, split, UNTOUCHED) * 3:
+        for number in range(int(rng.integers(100, 250))):
+            flags = rng.choice([0, NO_SIGNAL, 8, 32], 4, p=[0.9985, 0.0005, 0.0005, 0.0005])
+            frame = board.frame(hertz, flags.tolist())
+            if rng.random() < 0.003:
+                frame = (*frame[:2], [*frame[2][:3], nonsense])
+            if number < 50 or rng.random() > 0.005:
+                frames.append(frame)
+    return frames
+
+
+@pytest.mark.parametrize("window_frames", [10, 30])
+def test_how_frames_are_cut_into_blocks_changes_no_reading(window_frames):
+    frames, rng = eventful_frames(), np.random.default_rng(5)
+    one_by_one, in_blocks = (Bench(window_frames=window_frames) for _ in range(2))
+    expected = [reading for frame in frames for reading in one_by_one.push(*frame)]
+    seen = []
+    while frames:
+        most = int(rng.choice([1, 5, 64, 700]))
+        adjacent = [frame for at, frame in enumerate(frames[:most]) if frame[0] == frames[0][0] + at]
+        payload = b"".join(payload_of(records) for _, _, records in adjacent)
+        seen += in_blocks.chain.push(frames[0][0], [ticks for _, ticks, _ in adjacent], payload)
+        del frames[: len(adjacent)]
+    assert repr(seen) == repr(expected)
+    assert {"ok", "overload", "settling"} <= {reading.status for reading in seen}
+    assert in_blocks.chain.unusable == one_by_one.chain.unusable
 
 
 def test_a_step_of_no_frames_is_refused():

@@ -1,32 +1,43 @@
+import math
+
+import numpy as np
 import pytest
-from brute_force_board import REFERENCE_HZ, record_of
+from brute_force_board import REFERENCE_HZ, payload_of, record_of
 
 from firmware_protocol.layouts import RecordFlag, SingleToneRecord
 from resonator_daemon.measurement.counting import Sums, frequency_hz
-from resonator_daemon.measurement.record_faults import Gate, read_gate
+from resonator_daemon.measurement.record_checks import FAULTS, RECORD, read_gates
 
 GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
 
 
+def gate_of(record, band_hz=(1e3, 1e9)):
+    """What one record tells: its fault, frequency and slope."""
+    gates = read_gates(np.frombuffer(payload_of([record]), RECORD), REFERENCE_HZ, band_hz)
+    return FAULTS[gates.fault[0]], gates.frequency_hz[0], gates.slope_ticks[0]
+
+
 def fault(record):
-    gate = read_gate(record, REFERENCE_HZ)
-    return None if isinstance(gate, Gate) else gate
+    cause, hertz, _ = gate_of(record)
+    assert math.isnan(hertz) == (cause is not None)
+    return cause
 
 
 def test_a_gate_has_the_record_s_sums_and_their_frequency():
+    records = []
     for step in range(900, 1000):
         stamps = [step * k + (k % 3 == 0) for k in range(77)]
-        record = record_of(stamps, 4_294_967_000, 10)
-        gate = read_gate(record, REFERENCE_HZ)
-        assert gate.sums == Sums.of(record)
-        assert gate.frequency_hz == frequency_hz(Sums.of(record), REFERENCE_HZ)
+        records.append(record_of(stamps, 4_294_967_000, 10))
+    gates = read_gates(np.frombuffer(payload_of(records), RECORD), REFERENCE_HZ, (1e3, 1e9))
+    assert gates.sums.T.tolist() == [list(record[:8]) for record in records]
+    assert gates.frequency_hz.tolist() == [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in records]
+    assert gates.slope_ticks == pytest.approx(np.arange(900, 1000), rel=1e-4)
 
 
-def test_a_gate_has_what_the_line_leaves_of_its_ends():
-    # The line through 0, 1000, 2000, 3004 at 0, 1, 2, 3 is -0.8 + 1001.2 k.
-    residual_ticks2 = read_gate(record_of([0, 1000, 2000, 3004], 0, 10), REFERENCE_HZ).residual_ticks2
-    assert residual_ticks2 == pytest.approx((0.8**2 + 1.2**2) / 2)
-    assert read_gate(GOOD, REFERENCE_HZ).residual_ticks2 == pytest.approx(0.0, abs=1e-12)
+def test_a_frequency_that_the_plate_cannot_send_is_a_fault():
+    assert gate_of(GOOD, (9e6, 11e6))[0] is None
+    assert gate_of(GOOD, (10.1e6, 11e6))[0] == "impossible_frequency"
+    assert gate_of(GOOD, (9e6, 9.9e6))[0] == "impossible_frequency"
 
 
 def test_a_steady_tone_has_no_fault():
@@ -85,5 +96,5 @@ def test_stamps_that_scatter_by_more_than_their_distance_are_refused():
     # sqrt(2) s reaches the distance u of two stamps where Q2, 6 (N - 2) s^2, reaches 3 (N - 2) u^2.
     interval = GOOD.span_ticks / (GOOD.stamps - 1)
     limit_ticks2 = 3 * (GOOD.stamps - 2) * interval**2
-    assert read_gate(GOOD._replace(q2_ticks2=int(1.01 * limit_ticks2)), REFERENCE_HZ) == "impossible_counts"
-    assert read_gate(GOOD._replace(q2_ticks2=int(0.99 * limit_ticks2)), REFERENCE_HZ) != "impossible_counts"
+    assert fault(GOOD._replace(q2_ticks2=int(1.01 * limit_ticks2))) == "impossible_counts"
+    assert fault(GOOD._replace(q2_ticks2=int(0.99 * limit_ticks2))) is None
