@@ -19,6 +19,7 @@ INTERFERERS = 3
 _ORDER = 3  # of the series in all interferers: on an even ladder of tones such products of beats can be slow
 _STRONGEST_ORDER = 10  # in the strongest one alone: the roughness of tones that are nearly alike needs so many
 _NUDGE = 1e-12  # radians from stamp to stamp: a beat that stamps see stand still stays off the division by 0
+_NEGLIGIBLE = 1e-15  # of a turn: what a term of the series displaces by less than that no sum of integers shows
 
 _POWERS = np.array(
     [powers for powers in product(range(_ORDER + 1), repeat=INTERFERERS) if 0 < sum(powers) <= _ORDER]
@@ -81,12 +82,15 @@ def beat_sums(strides: Strides, beats: Beats) -> BeatSums:
     others = (beats.ratio * np.exp(1j * angles)).sum(axis=-1)
     first, last = scale * np.arctan2(others.imag, 1.0 + others.real)
 
+    strongest = np.minimum(beats.ratio.reshape(-1, INTERFERERS).max(axis=0), 1.0)
+    felt = np.abs(_WEIGHTS) * (strongest**_POWERS).prod(axis=1) > _NEGLIGIBLE
+    powers, weights = _POWERS[felt], _WEIGHTS[felt]
     # From stamp to stamp, whole turns left out: close to them a quotient of sines would lose its digits.
-    step_turns = (beats.turns_per_tick * strides.period_ticks[..., np.newaxis]) @ _POWERS.T
+    step_turns = (beats.turns_per_tick * strides.period_ticks[..., np.newaxis]) @ powers.T
     half_step = np.pi * (step_turns - np.rint(step_turns)) + _NUDGE
     count = n[..., np.newaxis]
-    centre = angles[0] @ _POWERS.T + half_step * (count - 1.0)
-    size = _WEIGHTS * np.exp(np.log(np.maximum(beats.ratio, 1e-30)) @ _POWERS.T) * scale[..., np.newaxis]
+    centre = angles[0] @ powers.T + half_step * (count - 1.0)
+    size = weights * np.exp(np.log(np.maximum(beats.ratio, 1e-30)) @ powers.T) * scale[..., np.newaxis]
 
     sine = np.sin(half_step)
     # Sums over m of cos(2 m h) and of m sin(2 m h), h half a step.

@@ -14,6 +14,7 @@ from firmware_protocol.states import BoardState
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.plate import Contact, CountedFrame, EmulatedPlate
 
+_FRAMES_PACKED_AT_ONCE = 10  # a wait for so many delays the next frame by less than 0.1 ms
 _LENGTH_AT = 20  # in a packet
 
 
@@ -37,6 +38,10 @@ class Outgoing(NamedTuple):
     def is_frame(self) -> bool:
         return self.sequence is not None
 
+    @property
+    def size_bytes(self) -> int:
+        return sum(map(len, self.packets))
+
 
 @dataclass(slots=True)
 class _Run:
@@ -44,10 +49,11 @@ class _Run:
 
     gate_ticks: int
     gate_start_ticks: int  # of the gate that is open, as `now_ticks`
-    sequence: int = 0
     frames_taken: int = 0  # from the queue, to be sent
     frames_dropped_reported: int = 0
-    ahead: deque[CountedFrame] = field(default_factory=deque)  # counted before their time, a block at once
+    frames_packed: int = 0
+    counted: deque[CountedFrame] = field(default_factory=deque)  # a block, of gates that have not closed
+    packed: deque[tuple[MadeFrame, Outgoing]] = field(default_factory=deque)  # of the gates before those
 
 
 class Board:
@@ -85,6 +91,7 @@ class Board:
         misbehaviour: Misbehaviour | None = None,
     ) -> None:
         self._plate = plate
+        self._single_tone = plate.description.counter_kind == CounterKind.SINGLE_TONE
         self._lies = misbehaviour or Misbehaviour()
         description = replace(plate.description, queue_bytes=queue_limit_bytes, capabilities=int(Capability.LOCATE))
         self._description = self._lies.description(description)
@@ -155,26 +162,36 @@ class Board:
     def advance(self, now_ticks: int) -> list[MadeFrame]:
         """Let time pass; return the frames of all gates that have closed, which now wait for `next_output`."""
         self._now_ticks = now_ticks
-        made = []
-        while self._run is not None and (end_ticks := self.next_frame_ticks) is not None and end_ticks <= now_ticks:
-            made.append(self._make_frame(self._run, end_ticks))
+        made: list[MadeFrame] = []
+        run = self._run
+        if run is not None and self.running:
+            while run.gate_start_ticks + run.gate_ticks <= now_ticks:
+                made.append(self._close_gate(run))
         return made
 
     @property
     def next_frame_ticks(self) -> int | None:
         """When the gate that is open closes; None while the board does not count."""
-        if self._run is None or not self.running:
+        run = self._run
+        if run is None or not self.running:
             return None
-        return self._run.gate_start_ticks + self._run.gate_ticks
+        return run.gate_start_ticks + run.gate_ticks
 
     def count_ahead(self) -> None:
-        """Count the next frames now, where there is time, so that they are ready when their gates close."""
+        """Count and pack the next frames now, where there is time, so that they are ready when their gates close."""
         run = self._run
-        if run is not None and self.next_frame_ticks is not None and not run.ahead:
+        if run is None or run.packed or not self.running:
+            return
+        if not run.counted:
             self._step()
             board_ticks = run.gate_start_ticks - self._boot_ticks
             scenario_ticks = run.gate_start_ticks - (self.first_start_ticks or 0)
-            run.ahead.extend(self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames))
+            run.counted.extend(self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames))
+        end_ticks = run.gate_start_ticks
+        for _ in range(min(_FRAMES_PACKED_AT_ONCE, len(run.counted))):
+            end_ticks += run.gate_ticks
+            run.packed.append(self._packed(run.counted.popleft(), run.frames_packed, end_ticks))
+            run.frames_packed += 1
 
     @property
     def frames_queued(self) -> int:
@@ -185,7 +202,7 @@ class Board:
         if not self._queue:
             return None
         outgoing = self._queue.popleft()
-        self._queued_bytes -= _size_bytes(outgoing)
+        self._queued_bytes -= outgoing.size_bytes
         run, sequence = self._run, outgoing.sequence
         if sequence is None or run is None:
             return outgoing
@@ -217,27 +234,31 @@ class Board:
         self._run = _Run(gate_ticks, self._now_ticks)
         self._plate.start()
 
-    def _make_frame(self, run: _Run, end_ticks: int) -> MadeFrame:
-        self.count_ahead()
-        counted = run.ahead.popleft()
-        sequence, board_ticks = run.sequence, end_ticks - self._boot_ticks
-        if self._plate.description.counter_kind == CounterKind.SINGLE_TONE:
+    def _packed(self, counted: CountedFrame, sequence: int, end_ticks: int) -> tuple[MadeFrame, Outgoing]:
+        board_ticks = end_ticks - self._boot_ticks
+        if self._single_tone:
             packets = [self._session.frame(sequence, board_ticks, b"".join(counted.channels))]
         else:
             packets = self._session.frame_parts(sequence, board_ticks, counted.channels)
-        run.sequence += 1
-        run.gate_start_ticks = end_ticks
+        made = MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
+        return made, Outgoing(tuple(packets), sequence)
+
+    def _close_gate(self, run: _Run) -> MadeFrame:
+        if not run.packed:
+            self.count_ahead()
+        made, outgoing = run.packed.popleft()
+        run.gate_start_ticks = made.end_ticks
         self.frames_made += 1
         if self._drop_rate > 0.0 and self._random.random() < self._drop_rate:
             self.frames_lost += 1
         elif self.silent:
             self.frames_silenced += 1
         else:
-            self._enqueue(Outgoing(tuple(packets), sequence))
-        return MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
+            self._enqueue(outgoing)
+        return made
 
     def _enqueue(self, outgoing: Outgoing) -> None:
-        size_bytes = _size_bytes(outgoing)
+        size_bytes = outgoing.size_bytes
         while self._queued_bytes + size_bytes > self._queue_limit_bytes:
             oldest = next((index for index, waiting in enumerate(self._queue) if waiting.is_frame), None)
             if oldest is None:
@@ -245,14 +266,10 @@ class Board:
                 return
             dropped = self._queue[oldest]
             del self._queue[oldest]
-            self._queued_bytes -= _size_bytes(dropped)
+            self._queued_bytes -= dropped.size_bytes
             self.frames_crowded_out += 1
         self._queue.append(outgoing)
         self._queued_bytes += size_bytes
-
-
-def _size_bytes(outgoing: Outgoing) -> int:
-    return sum(map(len, outgoing.packets))
 
 
 def _single_packets(answers: bytes) -> list[bytes]:

@@ -129,7 +129,8 @@ class Emulator:
             self._origin_ns = time.monotonic_ns()
             readable = False
             while not self._stopping:
-                self._follow_script(self._now_ticks())
+                if self._script.next_s is not None:
+                    self._follow_script(self._now_ticks())
                 data = self.link.read() if readable else b""
                 now_ticks = self._now_ticks()  # when the request came, whatever is to be done before it is answered
                 self._advance(now_ticks)
@@ -193,7 +194,7 @@ class Emulator:
 
     @property
     def _next_step_ticks(self) -> int | None:
-        start_ticks, next_s = self._board.first_start_ticks, self._script.next_s
+        next_s, start_ticks = self._script.next_s, self._board.first_start_ticks
         if next_s is None or start_ticks is None:
             return None
         return start_ticks + math.ceil(next_s * self._tick_rate_hz)
@@ -266,8 +267,8 @@ class Emulator:
         write_fd = self.link.write_fd
         writers = [write_fd] if write_fd is not None and self._output.waits_for_room else []
         readers = [] if self._output.held else self.link.read_fds
-        due_ticks = [due for due in (self._board.next_frame_ticks, self._next_step_ticks) if due is not None]
-        due_ns = [due / self._ticks_per_ns for due in due_ticks]
+        due_ticks = (self._board.next_frame_ticks, self._next_step_ticks)
+        due_ns = [ticks / self._ticks_per_ns for ticks in due_ticks if ticks is not None]
         if write_fd is not None and (output_ns := self._output.next_ns) is not None:
             due_ns.append(output_ns)
         wait_s = None

@@ -23,6 +23,7 @@ class Output:
         self._faults = ByteFaults(plan, seed)
         self._line = Line(plan, seed)
         self._splitter = Splitter(plan, seed)
+        self._faultless = self._faults.harmless and self._line.straight
         self._lot: Lot | None = None  # is being written
         self._unsent = memoryview(b"")  # of it
         self._after_cut: Callable[[], None] | None = None
@@ -58,9 +59,7 @@ class Output:
                 self._board.discard_output()
                 return
             if self._lot is None:
-                if not self.held:
-                    self._fill_line(now_ns, elapsed_s)
-                self._lot = self._line.take(now_ns)
+                self._lot = self._next_lot(now_ns, elapsed_s)
                 if self._lot is None:
                     return
                 self._unsent = memoryview(self._lot.data)
@@ -79,6 +78,16 @@ class Output:
         """Forget what has left the board's queue and not the link."""
         self._lot, self._unsent = None, memoryview(b"")
         self._line.clear()
+
+    def _next_lot(self, now_ns: int, elapsed_s: float) -> Lot | None:
+        """Return what is written next, None where nothing is due."""
+        if self.held:
+            return self._line.take(now_ns)
+        if self._faultless and self._after_cut is None:
+            outgoing = self._board.next_output()
+            return None if outgoing is None else Lot(b"".join(outgoing.packets), int(outgoing.is_frame))
+        self._fill_line(now_ns, elapsed_s)
+        return self._line.take(now_ns)
 
     def _fill_line(self, now_ns: int, elapsed_s: float) -> None:
         """Take from the board until something is due."""
@@ -100,19 +109,21 @@ class Output:
 
     def _write(self, now_ns: int) -> bool:
         """Write a piece; tell whether more may be tried at once."""
-        size_bytes = len(self._unsent)
+        piece = self._unsent
         if not self._splitter.unlimited:
-            size_bytes = self._splitter.piece_bytes(size_bytes, now_ns)
-        written = self._link.write(self._unsent[:size_bytes]) if size_bytes else 0
-        self._splitter.wrote(written)
+            piece = piece[: self._splitter.piece_bytes(len(piece), now_ns)]
+        written = self._link.write(piece) if piece else 0
+        if not self._splitter.unlimited:
+            self._splitter.wrote(written)
         self.bytes_sent += written
-        self._unsent = self._unsent[written:]
-        if not self._unsent and self._lot is not None:
+        if written < len(self._unsent):
+            self._unsent = self._unsent[written:]
+        elif self._lot is not None:
             self.frames_sent += self._lot.frames
             if self._lot.harm is not None:
                 self.counts.add(self._lot.harm)
-            self._lot = None
-        return 0 < written == size_bytes
+            self._lot, self._unsent = None, memoryview(b"")
+        return 0 < written == len(piece)
 
 
 def _single_tone_sequence(outgoing: Outgoing) -> int | None:

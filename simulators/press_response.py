@@ -34,6 +34,15 @@ class PressResponse:
 
     def advance(self, dt_s: float, force_newton: FloatArray) -> FloatArray:
         """Return F_e (n, sites) in the next n gates of dt_s each, for the forces F (n, sites) in them."""
+        felt = force_newton
+        if self._half_width_newton:
+            felt = 0.5 * (force_newton + self._play(force_newton))
+        if self._creep_fraction:
+            crept = self._creep.advance(dt_s, force_newton)
+            felt = (1.0 - self._creep_fraction) * felt + self._creep_fraction * crept
+        return felt
+
+    def _play(self, force_newton: FloatArray) -> FloatArray:
         lowest = force_newton - self._half_width_newton
         highest = force_newton + self._half_width_newton
         play = np.empty_like(force_newton)
@@ -42,6 +51,4 @@ class PressResponse:
             np.minimum(np.maximum(before, low, out=now), high, out=now)
             before = now
         self._play_newton = before.copy()
-        crept = self._creep.advance(dt_s, force_newton)
-        felt: FloatArray = (1.0 - self._creep_fraction) * 0.5 * (force_newton + play) + self._creep_fraction * crept
-        return felt
+        return play

@@ -49,5 +49,4 @@ class PressedSites:
         sites = self._physics.advance(gate_ticks / self._tick_rate_hz, *loads, kelvin)
         shift = self._sensitivity * sites.sensitivity_factor * sites.felt_newton[..., np.newaxis]
         frequency_hz = self._f0_hz * (1.0 + sites.relative_shift[:, :-1, np.newaxis]) / (1.0 - shift)
-        contacts = [self._scenario.contacts(pressing, moment) for moment in range(frames)]
-        return PressedGates(loads.force_newton, frequency_hz, sites, contacts)
+        return PressedGates(loads.force_newton, frequency_hz, sites, self._scenario.contacts(pressing))

@@ -18,6 +18,7 @@ FRICTION_COEFFICIENT = 0.5  # of every touch
 
 _EMPTY = ScenarioFile()  # its defaults
 _ON_SITE_M = 1e-9
+_ROUNDING = 1e-6  # relative: until a touch is surely over, whatever rounding does
 _SHORTEST_RAMP_S = 1e-9  # stands for an instant
 
 
@@ -76,6 +77,7 @@ class Scenario:
         self._rise_s = np.array([max(touch.rise_s, _SHORTEST_RAMP_S) for touch in touches])
         self._hold_s = np.array([max(touch.hold_s, _SHORTEST_RAMP_S) for touch in touches])
         self._fall_s = np.array([max(touch.fall_s, _SHORTEST_RAMP_S) for touch in touches])
+        self._duration_s = (self._rise_s + self._hold_s + self._fall_s) * (1.0 + _ROUNDING)
         self._shear_peak = np.array([touch.shear.peak_ratio if touch.shear else 0.0 for touch in touches])
         directions = np.radians([touch.shear.direction_deg if touch.shear else 0.0 for touch in touches])
         self._shear_direction = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
@@ -87,39 +89,52 @@ class Scenario:
         if self._period_s is not None:
             round_number = np.maximum(np.floor(since_s / self._period_s), 0.0)
             since_s = since_s - round_number * self._period_s
-        held_s = since_s - self._rise_s
-        normal = (
-            self.peak_newton * _ramp(since_s / self._rise_s) * (1.0 - _ramp((held_s - self._hold_s) / self._fall_s))
-        )
-        held = np.clip(held_s / self._hold_s, 0.0, 1.0)
-        # A ramp up and down again over the hold is the square of a sine.
-        ratio = self._shear_peak * np.sin(np.pi * held) ** 2
-        tangential = ratio * FRICTION_COEFFICIENT * normal
+        force_newton = np.zeros((*since_s.shape, 3))
+        pressing = np.flatnonzero(((since_s > 0.0) & (since_s < self._duration_s)).any(axis=0))
+        if len(pressing):
+            force_newton[:, pressing] = self._force_newton(since_s[:, pressing], pressing)
+        held = np.minimum(np.maximum((since_s - self._rise_s) / self._hold_s, 0.0), 1.0)
         return Pressing(
             self._first_ids + round_number.astype(np.int64) * self._ids_per_round,
-            np.concatenate([tangential[..., np.newaxis] * self._shear_direction, normal[..., np.newaxis]], axis=-1),
+            force_newton,
             self.positions_m + held[..., np.newaxis] * self._path_m,
-            np.where(normal > 0.0, self._kelvin, np.nan),
+            np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan),
         )
 
-    def contacts(self, pressing: Pressing, moment: int) -> list[Contact]:
-        """Return what touches at one of the moments of `pressing`.
+    def _force_newton(self, since_s: FloatArray, touch: npt.NDArray[np.intp]) -> FloatArray:
+        """Return the force (n, k, 3) of touches (k,) at times (n, k) since their start."""
+        held_s = since_s - self._rise_s[touch]
+        rise = _ramp(since_s / self._rise_s[touch])
+        fall = _ramp((held_s - self._hold_s[touch]) / self._fall_s[touch])
+        normal = self.peak_newton[touch] * rise * (1.0 - fall)
+        held = np.minimum(np.maximum(held_s / self._hold_s[touch], 0.0), 1.0)
+        # A ramp up and down again over the hold is the square of a sine.
+        ratio = self._shear_peak[touch] * np.sin(np.pi * held) ** 2
+        tangential = ratio * FRICTION_COEFFICIENT * normal
+        return np.concatenate(
+            [tangential[..., np.newaxis] * self._shear_direction[touch], normal[..., np.newaxis]], axis=-1
+        )
+
+    def contacts(self, pressing: Pressing) -> list[list[Contact]]:
+        """Return what touches at each of the moments of `pressing`.
 
         A touch of the whole plate is a contact per site. One that slides is on a site at the ends of its way alone.
         """
-        contacts = []
-        ids, forces = pressing.ids[moment].tolist(), pressing.force_newton[moment].tolist()
-        for touch in [index for index, force in enumerate(forces) if force[2]]:
-            force = tuple(forces[touch])
+        contacts: list[list[Contact]] = [[] for _ in pressing.ids]
+        pressed = pressing.force_newton[..., 2] != 0.0
+        moments, touches = (index.tolist() for index in np.nonzero(pressed))
+        ids, forces = pressing.ids[pressed].tolist(), pressing.force_newton[pressed].tolist()
+        positions = pressing.position_m[pressed].tolist()
+        for moment, touch, contact_id, force, position in zip(moments, touches, ids, forces, positions, strict=True):
+            force_newton, position_m = tuple(force), tuple(position)
             if self.whole_plate[touch]:
-                contacts += [
-                    Contact(ids[touch] + site, site_id, position_m, force)
-                    for site, (site_id, position_m) in enumerate(self._sites)
+                contacts[moment] += [
+                    Contact(contact_id + site, site_id, site_m, force_newton)
+                    for site, (site_id, site_m) in enumerate(self._sites)
                 ]
                 continue
-            position_m = tuple(pressing.position_m[moment, touch].tolist())
             site_id = self._site_by_place[touch].get(position_m)
-            contacts.append(Contact(ids[touch], site_id, position_m, force))
+            contacts[moment].append(Contact(contact_id, site_id, position_m, force_newton))
         return contacts
 
     def environment_kelvin(self, times_s: FloatArray) -> FloatArray:
@@ -160,5 +175,5 @@ def _start_m(touch: Touch, plate: Plate) -> FloatArray:
 
 def _ramp(progress: FloatArray) -> FloatArray:
     """Rise from 0 to 1 as a raised cosine while progress goes from 0 to 1."""
-    ramp: FloatArray = 0.5 - 0.5 * np.cos(np.pi * np.clip(progress, 0.0, 1.0))
+    ramp: FloatArray = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.maximum(progress, 0.0), 1.0))
     return ramp

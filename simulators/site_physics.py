@@ -114,6 +114,8 @@ class _TouchScatter:
 
     def factors(self, touch_id: IntegerArray) -> FloatArray:
         """Return (n, sites, channels) for touches (n, sites); 1 where the touch is 0."""
+        if not self._std:
+            return np.broadcast_to(1.0, (len(touch_id), *self._shape))
         touches = set(touch_id.ravel().tolist()) - {0}
         if touches != self._by_touch.keys():
             self._by_touch = {touch: self._drawn(touch) for touch in touches}

@@ -31,6 +31,8 @@ class ByteFaults:
         self._next_loss_s = self._gap_s(plan.lost_chunk_rate_hz)
         self._still_to_lose_bytes = 0
         self._draws_for_each = plan.duplicate_rate > 0.0 or plan.reorder_rate > 0.0
+        nearest_s = min(self._next_garbage_s, self._next_burst_s, self._next_loss_s)
+        self.harmless = math.isinf(self._clean_bits) and math.isinf(nearest_s) and not self._draws_for_each
 
     def damage(self, outgoing: Outgoing, elapsed_s: float) -> tuple[bytes, FaultCounts | None]:
         """Return the bytes that go out instead, `elapsed_s` after the first START, and what was done to them."""

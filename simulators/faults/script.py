@@ -61,12 +61,7 @@ class Script:
         self._heap = [(step.at_s, number, step) for number, step in enumerate(steps)]  # those at once in their order
         heapq.heapify(self._heap)
         self._random_steps = self._random_unplug(0.0)
-
-    @property
-    def next_s(self) -> float | None:
-        """When the next step is due; None where nothing comes any more."""
-        step = self._next
-        return None if step is None else step.at_s
+        self.next_s = self._due_s()  # when the next step is due; None where nothing comes any more
 
     def take(self) -> Step:
         """Remove and return the next step; there must be one."""
@@ -79,7 +74,12 @@ class Script:
                 self._random_steps = self._random_unplug(step.at_s)
         else:
             heapq.heappop(self._heap)
+        self.next_s = self._due_s()
         return step
+
+    def _due_s(self) -> float | None:
+        step = self._next
+        return None if step is None else step.at_s
 
     @property
     def _next(self) -> Step | None:

@@ -35,14 +35,15 @@ class Line:
             False: (plan.answer_delay_rate, round(plan.answer_delay_ms * 1e6)),
             True: (plan.frame_delay_rate, round(plan.frame_delay_ms * 1e6)),
         }
-        self._straight = not (self._delay_ns or self._clump_ns or any(rate for rate, _ in self._late.values()))
+        # Whether lots are due at once, in the order in which they come.
+        self.straight = not (self._delay_ns or self._clump_ns or any(rate for rate, _ in self._late.values()))
         self._due: deque[Lot] = deque()
         self._held: list[tuple[int, int, Lot]] = []  # a heap by time and number
         self._number = 0
 
     def put(self, lot: Lot, now_ns: int, frame_sequence: int | None = None) -> None:
         """Take a lot; `frame_sequence` of one single-tone frame, for the account."""
-        if self._straight:
+        if self.straight:
             self._due.append(lot)
             return
         due_ns = now_ns + self._delay_ns

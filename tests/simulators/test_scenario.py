@@ -82,7 +82,8 @@ def test_a_sliding_touch_goes_straight_to_its_end_while_it_is_held() -> None:
     assert np.allclose(pressing.position_m[:, 0], expected, atol=1e-12)
     assert (pressing.position_m[:, 1] == scenario.positions_m[1]).all()
     assert np.allclose(scenario.positions_m[0], start)
-    sites = [[contact.site for contact in scenario.contacts(pressing, moment)] for moment in (1, 3, 5)]
+    contacts = scenario.contacts(pressing)
+    sites = [[contact.site for contact in contacts[moment]] for moment in (1, 3, 5)]
     assert sites == [[7, 8], [None, 8], [9, 8]]
 
 
@@ -99,7 +100,7 @@ def test_a_touch_of_the_whole_plate_is_a_contact_on_every_site() -> None:
     pressing = scenario.at(np.array([0.5, 2.5]))
     assert pressing.ids.tolist() == [[1, 2, 18], [19, 20, 36]]
     assert pressing.position_m[0, 1].tolist() == [0.0, 0.0]
-    contacts = scenario.contacts(pressing, 1)
+    contacts = scenario.contacts(pressing)[1]
     assert [contact.id for contact in contacts] == list(range(19, 37))
     assert [contact.site for contact in contacts] == [7, *QUARTZ.site_ids.tolist(), 8]
     assert np.array_equal([contact.position_m for contact in contacts[1:-1]], QUARTZ.site_positions_m)
