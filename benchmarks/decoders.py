@@ -215,7 +215,7 @@ async def until(predicate: Any) -> None:
 async def run(count: int, rate_hz: float, seconds: float, plate: Plate, frames: list[NDArray[np.float32]]) -> Result:
     with tempfile.TemporaryDirectory() as folder:
         async with AsyncExitStack() as stack:
-            _, url = await stack.enter_async_context(local_broker(Path(folder)))
+            url = (await stack.enter_async_context(local_broker(Path(folder)))).url
             config = Path(folder) / "decoder.toml"
             config.write_text(f'[mqtt]\nurl = "{url}"\n[decoding]\nplates = ["+"]\ngroup = "touch"\n')
             host, port = urlsplit(url).hostname or "", urlsplit(url).port or 1883

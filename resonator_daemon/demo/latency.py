@@ -8,7 +8,6 @@ import signal
 import sys
 import tempfile
 import time
-from asyncio.subprocess import DEVNULL
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from resonator_daemon.config import Measurement, Mqtt
 from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.demo.processes import Child, start_emulator
+from resonator_daemon.demo.processes import Child, cpu_s, start_emulator, start_verb
 from resonator_daemon.errors import ExitCode, InterruptedVerbError, OperatorError, failure_told
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
@@ -129,9 +128,10 @@ class _Bench:
         async with AsyncExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-bench-")))
             if self._options.broker is None:
-                broker, url = await stack.enter_async_context(local_broker(folder))
+                local = await stack.enter_async_context(local_broker(folder))
+                broker, url, brokers = local.name, local.url, [local.child]
             else:
-                broker = url = self._options.broker
+                broker, url, brokers = self._options.broker, self._options.broker, []
             settings = Mqtt(url=url)
             subscriber = _Subscriber(settings.prefix, self._topic.path)
             await stack.enter_async_context(_listening(settings, subscriber))
@@ -140,7 +140,7 @@ class _Bench:
             stack.push_async_callback(_stop, children)
             truth = await self._start(children, folder, url)
             await self._wait_for_messages(subscriber, children)
-            seconds, usage = await self._measure(subscriber, children)
+            seconds, usage = await self._measure(subscriber, [*brokers, *children])
             await _stop(children)  # upon which the truth is written in full
             _tell("reading the truth")
             with truth.open() as lines:
@@ -171,7 +171,7 @@ class _Bench:
         config = folder / "bench.toml"
         config.write_text(f'name = "{_NAME}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n{decoding}')
         for verb in ("run", "decode") if self._options.apart else ("run",):
-            children.append(await _start_command(verb, folder, ("--config", str(config))))
+            children.append(await start_verb(f"resonatord {verb}", folder, verb, "--config", str(config)))
         return truth
 
     async def _wait_for_messages(self, subscriber: _Subscriber, children: list[Child]) -> None:
@@ -197,7 +197,7 @@ class _Bench:
         gc.disable()  # a look through all that has arrived would delay what comes meanwhile
         await asyncio.sleep(_LOOK_S)  # what came during that look is over
         own = psutil.Process()
-        own_mark_s = _cpu_s(own)
+        own_mark_s = cpu_s(own)
         for child in children:
             child.mark()
         started = time.monotonic()
@@ -210,7 +210,7 @@ class _Bench:
         subscriber.counting = False
         seconds = time.monotonic() - started
         gc.enable()
-        used_s = {child.part: child.cpu_s() for child in children} | {_SUBSCRIBER: _cpu_s(own) - own_mark_s}
+        used_s = {child.part: child.cpu_s() for child in children} | {_SUBSCRIBER: cpu_s(own) - own_mark_s}
         return seconds, {part: round(100 * part_s / seconds, 1) for part, part_s in used_s.items()}
 
 
@@ -235,20 +235,6 @@ async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[Non
         await connection
 
 
-async def _start_command(verb: str, folder: Path, arguments: tuple[str, ...]) -> Child:
-    log = folder / f"{verb}.log"
-    with log.open("w") as stderr:
-        # A session of its own: Ctrl-C at the terminal ends the measurement, which then ends its children in order.
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "resonator_daemon.cli", verb, *arguments),
-            stdin=DEVNULL,
-            stdout=DEVNULL,
-            stderr=stderr,
-            start_new_session=True,
-        )
-    return Child(f"resonatord {verb}", process, log)
-
-
 def _complain_of_dead(children: list[Child]) -> None:
     for child in children:
         if complaint := child.complaint():
@@ -259,11 +245,6 @@ async def _stop(children: list[Child]) -> None:
     for child in reversed(children):  # the board last: its daemon is not to say that it went away
         await child.stop()
     children.clear()
-
-
-def _cpu_s(process: psutil.Process) -> float:
-    times = process.cpu_times()
-    return float(times.user + times.system)
 
 
 def _tell(text: str) -> None:

@@ -1,70 +1,78 @@
-"""A broker for a measurement: Mosquitto as a child process where it is installed, else the embedded one."""
+"""A broker as a child process: Mosquitto where it is installed, else amqtt."""
 
 import asyncio
 import os
 import shutil
 import socket
-from asyncio.subprocess import DEVNULL
+from asyncio.subprocess import PIPE
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
+from resonator_daemon.demo.processes import PYTHON, Child, start_child
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.publishing.embedded_broker import embedded_broker
 
-_START_S = 5.0
-_LOOK_S = 0.05
-_STOP_S = 2.0
+BROKER_PART: Final = "broker"
+_START_S: Final = 5.0
+_LOOK_S: Final = 0.05
+# A user's PATH on Debian lacks the place of mosquitto.
+MORE_PLACES = f"{os.pathsep}/usr/local/sbin{os.pathsep}/usr/sbin"
+
+
+@dataclass(frozen=True, slots=True)
+class LocalBroker:
+    """A broker on the loopback interface; its name is `mosquitto` or `amqtt`."""
+
+    name: str
+    url: str
+    child: Child
 
 
 @asynccontextmanager
-async def local_broker(folder: Path) -> AsyncIterator[tuple[str, str]]:
-    """Serve on the loopback interface as long as the context lasts; yield the broker's name and URL.
+async def local_broker(folder: Path) -> AsyncIterator[LocalBroker]:
+    """Serve on the loopback interface as long as the context lasts; configuration and log go to the folder.
 
     Raises
     ------
     OperatorError
-        There is no Mosquitto and no amqtt either, or Mosquitto does not start.
+        There is no Mosquitto and no amqtt either, or the broker does not start.
     """
-    # A user's PATH on Debian lacks the place of mosquitto.
-    program = shutil.which("mosquitto", path=os.environ.get("PATH", "") + ":/usr/local/sbin:/usr/sbin")
-    if program is None:
-        async with embedded_broker() as url:
-            yield "amqtt, as there is no Mosquitto", url
-        return
+    program = shutil.which("mosquitto", path=os.environ.get("PATH", "") + MORE_PLACES)
+    broker = await (_start_amqtt(folder) if program is None else _start_mosquitto(program, folder))
+    try:
+        yield broker
+    finally:
+        await broker.child.stop()
+
+
+async def _start_amqtt(folder: Path) -> LocalBroker:
+    command = (*PYTHON, "resonator_daemon.publishing.embedded_broker")
+    child = await start_child(BROKER_PART, folder, command, stdout=PIPE)
+    return LocalBroker("amqtt", (await child.first_line()).decode().strip(), child)
+
+
+async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     settings = folder / "mosquitto.conf"
     # Without nodelay, messages wait for the acknowledgement of those before them.
-    settings.write_text(f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\npersistence false\n")
-    process = await asyncio.create_subprocess_exec(
-        program, "-c", str(settings), stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL, start_new_session=True
+    settings.write_text(
+        f"listener {port} 127.0.0.1\nallow_anonymous true\nset_tcp_nodelay true\npersistence false\nlog_type error\n"
     )
-    try:
-        await _answering(port, process)
-        yield "Mosquitto", f"mqtt://127.0.0.1:{port}"
-    finally:
-        if process.returncode is None:
-            process.terminate()
-        try:
-            async with asyncio.timeout(_STOP_S):
-                await process.wait()
-        except TimeoutError:
-            process.kill()
-            await process.wait()
-
-
-async def _answering(port: int, process: asyncio.subprocess.Process) -> None:
+    child = await start_child(BROKER_PART, folder, (program, "-c", str(settings)))
     try:
         async with asyncio.timeout(_START_S):
-            while process.returncode is None:
+            while (complaint := child.complaint()) is None:
                 try:
                     _, writer = await asyncio.open_connection("127.0.0.1", port)
                 except OSError:
                     await asyncio.sleep(_LOOK_S)
                 else:
                     writer.close()
-                    return
+                    return LocalBroker("mosquitto", f"mqtt://127.0.0.1:{port}", child)
     except TimeoutError:
+        await child.stop()
         raise OperatorError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
-    raise OperatorError(f"Mosquitto ended at once with exit code {process.returncode}; is port {port} taken?")
+    raise OperatorError(f"{complaint}; is port {port} taken?")

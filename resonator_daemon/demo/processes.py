@@ -1,22 +1,25 @@
-"""Emulated boards and daemons as child processes: exactly the commands that a user would type."""
+"""Emulated boards, daemons and brokers as child processes: exactly the commands that a user would type."""
 
 import asyncio
 import json
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import psutil
 
 from resonator_daemon.errors import OperatorError
 
-_COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+PYTHON = (sys.executable, "-m")
+_RESONATORD = (*PYTHON, "resonator_daemon.cli")
 _STOP_S = 5.0
 
 
 class Child:
-    """A running command of ours, what it costs, and its orderly end."""
+    """A running command: processor time and memory of it and of all processes below it, and its orderly end."""
 
     def __init__(self, part: str, process: Process, log: Path) -> None:
         self.part = part
@@ -34,19 +37,37 @@ class Child:
         return self._cpu_s() - self._cpu_mark_s
 
     def rss_mb(self) -> float:
-        return float(self._usage.memory_info().rss) * 1e-6
+        return 1e-6 * sum(process.memory_info().rss for process in self._family())
+
+    def pids(self) -> set[int]:
+        return {process.pid for process in self._family()}
 
     def complaint(self) -> str | None:
-        """Return the last words of a child that ended by itself; None while it runs."""
+        """Return the last line that a child wrote which ended by itself; None while it runs."""
         if self._process.returncode is None:
             return None
-        lines = self._log.read_text().splitlines() or ["it said nothing"]
+        lines = self._log.read_text().splitlines() or ["it printed nothing"]
         return f"{self.part} ended with exit code {self._process.returncode}: {lines[-1]}"
+
+    async def first_line(self) -> bytes:
+        """Return the first line that it prints.
+
+        Raises
+        ------
+        OperatorError
+            It ended without one.
+        """
+        line = await self._process.stdout.readline() if self._process.stdout else b""
+        if not line:
+            await self._process.wait()
+            raise OperatorError(self.complaint() or f"{self.part} did not start")
+        return line
 
     async def stop(self) -> None:
         """End it as Ctrl-C would; kill it when that takes too long."""
         if self._process.returncode is None:
-            self._process.send_signal(signal.SIGINT)
+            with suppress(ProcessLookupError):
+                self._process.send_signal(signal.SIGINT)
         try:
             async with asyncio.timeout(_STOP_S):
                 await self._process.wait()
@@ -55,8 +76,22 @@ class Child:
             await self._process.wait()
 
     def _cpu_s(self) -> float:
-        times = self._usage.cpu_times()
-        return float(times.user + times.system)
+        return sum(cpu_s(process) for process in self._family())
+
+    def _family(self) -> list[psutil.Process]:
+        try:
+            return [self._usage, *self._usage.children(recursive=True)]
+        except psutil.NoSuchProcess:
+            return []
+
+
+def cpu_s(process: psutil.Process) -> float:
+    """Return the processor time of a process and of those below it that have ended; 0 where it has ended itself."""
+    try:
+        times = process.cpu_times()
+    except psutil.NoSuchProcess:
+        return 0.0
+    return float(times.user + times.system + times.children_user + times.children_system)
 
 
 async def start_emulator(plate: str, folder: Path, kind: str) -> tuple[Child, str, Path]:
@@ -64,27 +99,28 @@ async def start_emulator(plate: str, folder: Path, kind: str) -> tuple[Child, st
     truth = folder / f"{plate}.truth.jsonl"
     link = ("--pty", str(folder / f"{plate}.port")) if kind == "single-tone" else ("--tcp", "127.0.0.1:0")
     arguments = ("emulate", "--plate", plate, *link, "--truth", str(truth), "--json")
-    child, process = await _start(f"emulator {plate}", folder, arguments, stdout=PIPE)
-    line = await process.stdout.readline() if process.stdout else b""
-    if not line:
-        await process.wait()
-        raise OperatorError(child.complaint() or f"emulator {plate} did not start")
-    return child, json.loads(line)["link"], truth
+    child = await start_child(f"emulator {plate}", folder, (*_RESONATORD, *arguments), stdout=PIPE)
+    return child, json.loads(await child.first_line())["link"], truth
 
 
 async def start_daemon(plate: str, link: str, broker_url: str, folder: Path) -> Child:
     """Start a daemon on that link, publishing below `resonator/<plate>/`."""
     config = folder / f"{plate}.toml"
     config.write_text(f'name = "{plate}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n')
-    child, _ = await _start(f"daemon {plate}", folder, ("run", "--config", str(config)))
-    return child
+    return await start_verb(f"daemon {plate}", folder, "run", "--config", str(config))
 
 
-async def _start(part: str, folder: Path, arguments: tuple[str, ...], stdout: int = DEVNULL) -> tuple[Child, Process]:
+async def start_verb(part: str, folder: Path, *arguments: str) -> Child:
+    """Start `resonatord` with these arguments."""
+    return await start_child(part, folder, (*_RESONATORD, *arguments))
+
+
+async def start_child(part: str, folder: Path, command: Sequence[str], stdout: int = DEVNULL) -> Child:
+    """Start a command; what it writes on stderr goes to a file in the folder."""
     log = folder / f"{part}.log"
     with log.open("w") as stderr:
-        # A session of its own: Ctrl-C at the terminal reaches the demo, which then ends its children in order.
+        # A session of its own: Ctrl-C at the terminal reaches this process, which then ends its children in order.
         process = await asyncio.create_subprocess_exec(
-            *_COMMAND, *arguments, stdin=DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True
+            *command, stdin=DEVNULL, stdout=stdout, stderr=stderr, start_new_session=True
         )
-    return Child(part, process, log), process
+    return Child(part, process, log)

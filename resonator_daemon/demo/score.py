@@ -1,27 +1,34 @@
 """How well a plate's messages agree with the emulator's truth, by the definitions in the contract of `demo --json`."""
 
+import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.demo.truth import TruthLine, TruthTable, site_traction, surface_traction
-from resonator_daemon.publishing.payloads import (
-    ContactEvent,
-    Decoded,
-    DecodedSummary,
-    Forces,
-    Header,
-    Health,
-    Lost,
-    Message,
+from resonator_daemon.publishing.codec import read_arrays
+from resonator_daemon.publishing.payloads import Lost
+from resonator_daemon.publishing.topics import (
+    CONTACT_EVENT,
+    DECODED,
+    DECODED_SUMMARY,
+    FORCES,
+    HEALTH,
+    STATE_DAEMON,
+    TOPICS,
 )
 
 ONSET_NEWTON = 0.020  # a touch counts from here
 FOUND_WITHIN_NS = 50_000_000
 COUNTED_SHARE = 0.05  # errors count where a force exceeds this share of its peak
+
+SCORED: Final = tuple(
+    TOPICS[topic.path] for topic in (FORCES, DECODED, DECODED_SUMMARY, CONTACT_EVENT, HEALTH, STATE_DAEMON)
+)
 
 
 @dataclass(slots=True)
@@ -33,6 +40,22 @@ class TrueTouch:
     peak_newton: float = 0.0
 
 
+class Onset(NamedTuple):
+    """An onset that was received; times in UTC."""
+
+    t_ns: int
+    site: int
+    arrived_ns: int
+
+
+class _Waiting(NamedTuple):
+    """A message whose truth has not been written yet."""
+
+    path: str
+    fields: Mapping[str, Any]
+    arrived_ns: int
+
+
 @dataclass(slots=True)
 class Accuracy:
     """What one plate's run amounts to; None where the plate has no such thing."""
@@ -40,7 +63,7 @@ class Accuracy:
     latency_ms: list[float] = field(default_factory=list)
     touches: int = 0
     found: int = 0
-    sites_right: int = 0
+    late_ms: list[float] = field(default_factory=list)  # of touches found late: from the crossing to the arrival
     force_error_newton_rms: float | None = None
     position_error_m_rms: float | None = None
     traction_error: float | None = None
@@ -48,6 +71,8 @@ class Accuracy:
 
 class PlateScore:
     """Joins messages and truth of one plate as both come in.
+
+    Messages are read as far as they are scored and no further: nothing checks them, as their daemon is under test.
 
     Parameters
     ----------
@@ -57,25 +82,41 @@ class PlateScore:
         Of the board: a window of the `forces` topic is so many gates long.
     site_positions_m
         (n, 2): where the traction of scattered sites is compared with the truth, point by point.
+    touched_anywhere
+        The plate has a skin: the site of an onset is only the nearest one, and says nothing about the touch.
+
+    Attributes
+    ----------
+    started, ended
+        A first result was received; the daemon has published that it is offline, its last message.
     """
 
-    def __init__(self, truth: TruthTable, frame_rate_hz: float, site_positions_m: NDArray[np.float64]) -> None:
+    def __init__(
+        self,
+        truth: TruthTable,
+        frame_rate_hz: float,
+        site_positions_m: NDArray[np.float64],
+        *,
+        touched_anywhere: bool = False,
+    ) -> None:
         self._truth = truth
         self._frame_rate_hz = frame_rate_hz
         self._site_positions_m = site_positions_m
-        self._waiting: list[tuple[Forces | Decoded | DecodedSummary, int]] = []
-        self._onsets: list[tuple[int, int]] = []  # arrival, site
+        self._touched_anywhere = touched_anywhere
+        self._waiting: list[_Waiting] = []
+        self._onsets: list[Onset] = []
         self._touches: dict[int, TrueTouch] = {}
         self._force_errors: list[tuple[int, float, float]] = []  # touch, true force, error
         self._position_errors: list[tuple[int, float, float]] = []  # touch, true force, distance
         self._traction_errors: list[tuple[float, float, float]] = []  # net force, squared error, squared truth
-        self._lines_seen = 0
         self._begin_ns = 0
-        self._newest_sequence = self._sequence_before = -1  # of the last frame that a message told of
-        self._lost = self._lost_before = Lost()
+        self._newest_sequence = self._sequence_before = -1  # of the last frame that a message was about
+        self._losses = dict.fromkeys((*Lost.model_fields, "parts", "not_decoded"), 0)
+        self._losses_before = self._losses.copy()
         self.latency_ms: list[float] = []
         self.decoded_frames = 0
-        self.health: list[Health] = []
+        self.health: list[Mapping[str, Any]] = []
+        self.started = self.ended = False
 
     def begin(self, now_ns: int) -> None:
         """Count from here: what came before belongs to the set-up."""
@@ -86,72 +127,103 @@ class PlateScore:
         self._position_errors.clear()
         self._traction_errors.clear()
         self.decoded_frames = 0
-        self._lost_before = self._lost
+        self._losses_before = self._losses.copy()
         self._sequence_before = self._newest_sequence
 
     @property
     def frames(self) -> int:
-        """Frames that the daemon took in since `begin`, by its last word on it."""
-        return self.health[-1].frames - (self._sequence_before + 1) if self.health else 0
+        """Frames that the daemon received since `begin`, by its last `health`."""
+        return self.health[-1]["frames"] - (self._sequence_before + 1) if self.health else 0
 
     @property
     def lost(self) -> dict[str, int]:
         """Losses since `begin`, by cause."""
-        before = self._lost_before.model_dump()
-        return {cause: count - before[cause] for cause, count in self._lost.model_dump().items()}
+        losses = self.losses
+        return {cause: losses[cause] for cause in Lost.model_fields}
 
-    def take(self, message: Message, arrived_ns: int) -> None:
-        """Take a message at the moment the subscriber got it."""
-        if isinstance(message, Header):
-            # A state may come after messages that were made later: losses never become fewer.
-            told, known = message.lost.model_dump(), self._lost.model_dump()
-            self._lost = Lost(**{cause: max(count, known[cause]) for cause, count in told.items()})
-        match message:
-            case Forces() | DecodedSummary():
-                self._waiting.append((message, arrived_ns))
-            case Decoded():
-                self.decoded_frames += 1
-                self._waiting.append((message, arrived_ns))
-            case ContactEvent(event="onset"):
-                self._onsets.append((arrived_ns, message.contact.site))
-            case Health():
-                self.health.append(message)
+    @property
+    def losses(self) -> dict[str, int]:
+        """Losses since `begin`, by cause, with parts of frames and frames that were not decoded."""
+        return {cause: count - self._losses_before[cause] for cause, count in self._losses.items()}
+
+    def take(self, path: str, payload: bytes, arrived_ns: int) -> None:
+        """Take a message of the topic with this path; it arrived at that time, UTC."""
+        if path == DECODED.path:
+            self.decoded_frames += 1
+            self._waiting.append(_Waiting(path, read_arrays(payload), arrived_ns))
+            return
+        message = json.loads(payload)
+        self._count(message["lost"])
+        if path in (FORCES.path, DECODED_SUMMARY.path):
+            self.started = True
+            self._waiting.append(_Waiting(path, message, arrived_ns))
+        elif path == CONTACT_EVENT.path:
+            if message["event"] == "onset":
+                self._onsets.append(Onset(int(message["t_ns"]), message["contact"]["site"], arrived_ns))
+        elif path == HEALTH.path:
+            self._count({"parts": message["parts_lost"], "not_decoded": message["frames_not_decoded"]})
+            self.health.append(message)
+        elif path == STATE_DAEMON.path:
+            self.ended = message["state"] == "offline"
+
+    def _count(self, losses: Mapping[str, int]) -> None:
+        for cause, count in losses.items():
+            if count > self._losses[cause]:  # a state may come after messages that were made later
+                self._losses[cause] = count
 
     def join(self) -> None:
         """Compare the messages whose truth has been written by now."""
-        self._truth.read_on()
-        for line in self._truth.lines[self._lines_seen :]:
-            self._follow_touches(line)
-        self._lines_seen = len(self._truth.lines)
+        for line in self._truth.read_on():
+            if line.contacts:
+                self._follow_touches(line)
+        newest_ns = self._truth.lines[-1].t_ns if self._truth.lines else 0
         still_waiting = []
-        for message, arrived_ns in self._waiting:
-            frames = round(message.window_s * self._frame_rate_hz) if isinstance(message, Forces) else 1
-            window = self._truth.window(message.board_ticks or 0, frames)
+        for waiting in self._waiting:
+            path, message, arrived_ns = waiting
+            frames = round(message["window_s"] * self._frame_rate_hz) if path == FORCES.path else 1
+            window = self._truth.window(int(message["board_ticks"] or 0), frames)
             if window is None:
-                still_waiting.append((message, arrived_ns))
+                if arrived_ns > newest_ns:  # else the truth does not have it
+                    still_waiting.append(waiting)
                 continue
-            self._newest_sequence = window[-1].sequence
-            if isinstance(message, DecodedSummary):
-                self._compare_patches(message, window[0])
-                continue
-            self.latency_ms.append((arrived_ns - window[-1].t_ns) / 1e6)
-            if isinstance(message, Forces):
-                self._compare_forces(message, window)
-            else:
-                self._compare_tractions(message, window[0])
+            last = window[-1]
+            self._newest_sequence = last.sequence
+            if path != DECODED_SUMMARY.path:
+                self.latency_ms.append((arrived_ns - last.t_ns) / 1e6)
+            if path == FORCES.path:
+                self._compare_forces(message, [line for line in window if line.contacts], frames)
+            elif last.contacts and path == DECODED.path:
+                self._compare_tractions(message, last)
+            elif last.contacts:
+                self._compare_patches(message, last)
         self._waiting = still_waiting
 
     def accuracy(self, until_ns: int) -> Accuracy:
-        """Return the score of everything that was true from `begin` to `until_ns`, UTC."""
+        """Return the score of everything that was true from `begin` to `until_ns`, UTC.
+
+        Each touch is matched with the onset nearest in time at its site, and each onset finds one touch.
+        """
         result = Accuracy(latency_ms=self.latency_ms)
-        for touch in self._touches.values():
-            crossed_ns = touch.crossed_ns
-            if crossed_ns is None or not self._begin_ns <= crossed_ns <= until_ns - FOUND_WITHIN_NS:
-                continue
+        crossed = [
+            (touch.crossed_ns, touch.site)
+            for touch in self._touches.values()
+            if touch.crossed_ns is not None and self._begin_ns <= touch.crossed_ns <= until_ns - FOUND_WITHIN_NS
+        ]
+        onsets = self._onsets.copy()
+        for crossed_ns, site in sorted(crossed, key=lambda touch: touch[0]):
             result.touches += 1
-            sites = [site for at, site in self._onsets if abs(at - crossed_ns) <= FOUND_WITHIN_NS]
-            result.found += bool(sites)
-            result.sites_right += touch.site in sites
+            its = [
+                onset
+                for onset in onsets
+                if abs(onset.t_ns - crossed_ns) <= FOUND_WITHIN_NS and (self._touched_anywhere or onset.site == site)
+            ]
+            if not its:
+                continue
+            onset = min(its, key=lambda onset: abs(onset.t_ns - crossed_ns))
+            onsets.remove(onset)
+            result.found += 1
+            if onset.arrived_ns - crossed_ns > FOUND_WITHIN_NS:
+                result.late_ms.append((onset.arrived_ns - crossed_ns) / 1e6)
         result.force_error_newton_rms = self._rms(self._force_errors)
         result.position_error_m_rms = self._rms(self._position_errors)
         if self._traction_errors:
@@ -173,38 +245,41 @@ class PlateScore:
             if touch.crossed_ns is None and normal_newton >= ONSET_NEWTON:
                 touch.crossed_ns = line.t_ns
 
-    def _compare_forces(self, message: Forces, window: list[TruthLine]) -> None:
+    def _compare_forces(self, message: Mapping[str, Any], touched: list[TruthLine], frames: int) -> None:
+        """Compare forces with the mean truth of a window, of whose gates `touched` are those with a contact."""
         true_newton: dict[int, float] = {}
         site_of: dict[int, Any] = {}
-        for line in window:
+        for line in touched:
             for contact in line.contacts:
-                share = contact["force_newton"][2] / len(window)
+                share = contact["force_newton"][2] / frames
                 true_newton[contact["id"]] = true_newton.get(contact["id"], 0.0) + share
                 site_of[contact["id"]] = contact["site"]
-        measured = {site.site: site.force_newton for site in message.sites}
+        measured = {site["site"]: site["force_newton"] for site in message["sites"]}
         for touch, true in true_newton.items():
-            error = measured.get(site_of[touch], math.nan) - true
-            if not math.isnan(error):  # what is not known is said so by its status, and is no error of the force
-                self._force_errors.append((touch, true, error))
+            force_newton = measured.get(site_of[touch])
+            if force_newton is not None:  # where it is not known, the status says so: that is no error of the force
+                self._force_errors.append((touch, true, force_newton - true))
 
-    def _compare_patches(self, message: DecodedSummary, line: TruthLine) -> None:
+    def _compare_patches(self, message: Mapping[str, Any], line: TruthLine) -> None:
         """Compare each true contact with the patch nearest to it."""
-        for contact in line.contacts if message.patches else ():
-            away_m = [math.dist(patch.centroid_m, contact["position_m"]) for patch in message.patches]
+        patches = [patch for patch in message["patches"] if None not in (*patch["centroid_m"], *patch["force_newton"])]
+        for contact in line.contacts if patches else ():
+            away_m = [math.dist(patch["centroid_m"], contact["position_m"]) for patch in patches]
             nearest = int(np.argmin(away_m))
             true_newton = contact["force_newton"][2]
-            error_newton = message.patches[nearest].force_newton[2] - true_newton
+            error_newton = patches[nearest]["force_newton"][2] - true_newton
             self._force_errors.append((contact["id"], true_newton, error_newton))
             self._position_errors.append((contact["id"], true_newton, away_m[nearest]))
 
-    def _compare_tractions(self, message: Decoded, line: TruthLine) -> None:
-        if np.isnan(message.traction_pascal).any():  # not known, as its status says
+    def _compare_tractions(self, message: Mapping[str, Any], line: TruthLine) -> None:
+        measured = message["traction_pascal"].astype(np.float64)
+        if np.isnan(measured).any():  # not known, as its status says
             return
-        if message.grid is None:
+        if message["grid"] is None:
             truth = site_traction(line, self._site_positions_m)
         else:
-            ny, nx = message.traction_pascal.shape[-2:]
-            truth = surface_traction(line, (ny, nx), message.grid.pitch_m)
-        error = np.asarray(message.traction_pascal, np.float64) - truth
+            ny, nx = measured.shape[-2:]
+            truth = surface_traction(line, (ny, nx), message["grid"]["pitch_m"])
+        error = measured - truth
         force = float(np.linalg.norm(line.net_force_newton))
-        self._traction_errors.append((force, float(np.sum(error**2)), float(np.sum(truth**2))))
+        self._traction_errors.append((force, float(np.vdot(error, error)), float(np.vdot(truth, truth))))

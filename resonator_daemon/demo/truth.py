@@ -1,26 +1,27 @@
 """The emulator's truth file, followed while it grows, and looked up by the board's clock."""
 
 import json
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from itertools import count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.contact import pixel_tractions, point_tractions
+from simulators.contact import contact_radius_m, pixel_tractions, point_tractions
 from simulators.scenario import FRICTION_COEFFICIENT
 from simulators.skin_plate import RADIUS_M_AT_1_NEWTON
 
 
-@dataclass(frozen=True, slots=True)
-class TruthLine:
+class TruthLine(NamedTuple):
     """What was true during one gate that ended at `t_ns`, UTC."""
 
     sequence: int
     board_ticks: int
     t_ns: int
-    contacts: tuple[dict[str, Any], ...]
+    contacts: Sequence[dict[str, Any]]
 
     @property
     def net_force_newton(self) -> NDArray[np.float64]:
@@ -39,18 +40,20 @@ class TruthTable:
         self.lines: list[TruthLine] = []
         self._index: dict[int, int] = {}
 
-    def read_on(self) -> None:
-        """Take what the emulator has written since the last call."""
+    def read_on(self) -> list[TruthLine]:
+        """Return what the emulator has written since the last call."""
         if self._file is None:
             if not self._path.exists():
-                return
+                return []
             self._file = self._path.open()
-        *whole, self._rest = (self._rest + self._file.read()).split("\n")
-        for text in whole:
-            line = json.loads(text)
-            truth = TruthLine(line["sequence"], line["board_ticks"], int(line["t_ns"]), tuple(line["contacts"]))
-            self._index[truth.board_ticks] = len(self.lines)
-            self.lines.append(truth)
+        whole, _, self._rest = (self._rest + self._file.read()).rpartition("\n")
+        new = [
+            TruthLine(line["sequence"], line["board_ticks"], int(line["t_ns"]), line["contacts"])
+            for line in json.loads("[" + whole.replace("\n", ",") + "]")
+        ]
+        self._index.update(zip((line.board_ticks for line in new), count(len(self.lines)), strict=False))
+        self.lines += new
+        return new
 
     def close(self) -> None:
         if self._file is not None:
@@ -68,15 +71,32 @@ def surface_traction(line: TruthLine, shape: tuple[int, int], pitch_m: float) ->
     """Return the traction (3, ny, nx) that the line's contacts exert, averaged over each pixel."""
     traction = np.zeros((3, *shape))
     for contact in line.contacts:
-        traction += pixel_tractions(
+        rows, columns, centre_m = _pixels_around(contact, shape, pitch_m)
+        traction[:, rows, columns] += pixel_tractions(
             contact["force_newton"],
-            contact["position_m"],
+            centre_m,
             RADIUS_M_AT_1_NEWTON,
             FRICTION_COEFFICIENT,
-            shape,
+            (rows.stop - rows.start, columns.stop - columns.start),
             pitch_m,
         )
     return traction
+
+
+def _pixels_around(
+    contact: dict[str, Any], shape: tuple[int, int], pitch_m: float
+) -> tuple[slice, slice, tuple[float, float]]:
+    """Return the rows and columns that a contact reaches, and its centre as seen from the centre of these pixels."""
+    radius = float(contact_radius_m(contact["force_newton"][2], RADIUS_M_AT_1_NEWTON)) / pitch_m
+    slices, centre_m = [], []
+    for place_m, size in zip(contact["position_m"], reversed(shape), strict=True):
+        place = place_m / pitch_m + size / 2  # in pixels from the edge
+        start = min(max(math.floor(place - radius), 0), size)
+        stop = min(max(math.ceil(place + radius), start), size)
+        slices.append(slice(start, stop))
+        centre_m.append((place - (start + stop) / 2) * pitch_m)
+    columns, rows = slices
+    return rows, columns, (centre_m[0], centre_m[1])
 
 
 def site_traction(line: TruthLine, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:

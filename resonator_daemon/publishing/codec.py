@@ -43,6 +43,17 @@ def decode(kind: type[MessageT], payload: bytes) -> MessageT:
     """
     if not issubclass(kind, WITH_ARRAYS):
         return kind.model_validate_json(payload)
+    return kind.model_validate(read_arrays(payload))
+
+
+def read_arrays(payload: bytes) -> Any:
+    """Read a CBOR payload as it is, without a check against a kind of message; arrays are read-only.
+
+    Raises
+    ------
+    ValueError
+        The payload is not CBOR, or not one object.
+    """
     stream = io.BytesIO(payload)
     try:
         fields = cbor2.CBORDecoder(stream, tag_hook=_read_tag).decode()
@@ -50,7 +61,7 @@ def decode(kind: type[MessageT], payload: bytes) -> MessageT:
         raise ValueError(f"not CBOR: {error.__cause__ or error}") from error
     if trailing := len(stream.read()):
         raise ValueError(f"{trailing} bytes after the CBOR message")
-    return kind.model_validate(fields)
+    return fields
 
 
 def _write_array(encoder: cbor2.CBOREncoder, array: NDArray[np.float32]) -> None:

@@ -1,7 +1,9 @@
-"""A small MQTT 3.1.1 broker in this process, on the loopback interface, for the demo."""
+"""A small MQTT 3.1.1 broker on the loopback interface, for the demo: in this process, or run as a module."""
 
 import asyncio
 import logging
+import signal
+import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Final
@@ -59,3 +61,17 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         if serving:
             await asyncio.wait(serving, timeout=SHUTDOWN_TIMEOUT_S)
         await broker.shutdown()
+
+
+async def _serve_until_stopped() -> None:
+    stop = asyncio.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    async with embedded_broker() as url:
+        sys.stdout.write(url + "\n")
+        sys.stdout.flush()
+        await stop.wait()
+
+
+if __name__ == "__main__":
+    asyncio.run(_serve_until_stopped())

@@ -63,7 +63,7 @@ async def subscribe(
             await arrived.wait()
             arrived.clear()
             while (arrival := waiting.pop()) is not None:
-                message = _read(broker.prefix, arrival)
+                message = read_message(broker.prefix, arrival)
                 if message is not None:
                     yield message
     finally:
@@ -111,7 +111,8 @@ class _Waiting:
         return self._others.popleft() if self._others else None
 
 
-def _read(prefix: str, arrival: Arrival) -> Received | None:
+def read_message(prefix: str, arrival: Arrival) -> Received | None:
+    """Read a message of a plate below the prefix; log it and return None where it cannot be read."""
     plate, path = split_topic(prefix, arrival.topic)
     kind = _BY_PATH[path]
     try:

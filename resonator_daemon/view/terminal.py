@@ -25,7 +25,7 @@ from resonator_daemon.view.maps import side_by_side
 from resonator_daemon.view.plate_view import PlateView, Truth
 from resonator_daemon.view.surface import SurfacePanel
 from resonator_daemon.view.touches import TouchesPanel
-from resonator_daemon.view.words import duration, quantity
+from resonator_daemon.view.words import duration, losses_in_words, quantity
 
 _GAP: Final = 2
 _TEXT_COLUMNS_MIN: Final = 30
@@ -149,9 +149,11 @@ class _Plate:
     def _losses(self) -> str:
         if self.view.lost is None:
             return "losses unknown"
-        counts = self.view.lost.model_dump()
-        if (health := self.view.current(HEALTH, self.now_utc_ns)) is not None:
-            counts |= {"parts": health.parts_lost, "not_decoded": health.frames_not_decoded}
+        if self.truth is not None:
+            counts = dict(self.truth.losses)
+        else:
+            counts = self.view.lost.model_dump()
+            if (health := self.view.current(HEALTH, self.now_utc_ns)) is not None:
+                counts |= {"parts": health.parts_lost, "not_decoded": health.frames_not_decoded}
         counts["missed_by_this_view"] = sum(self.view.missed.values())
-        lost = [f"{cause.replace('_', ' ')} {count}" for cause, count in counts.items() if count]
-        return f"lost: {', '.join(lost)}" if lost else "nothing lost"
+        return losses_in_words(counts)

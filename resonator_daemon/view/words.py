@@ -1,6 +1,7 @@
 """How quantities are written for people: units at hand, and "-" for what is not known."""
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 UNKNOWN: Final = "-"
@@ -38,3 +39,9 @@ def duration(seconds: float) -> str:
         return f"{max(seconds, 0.0):.1f} s"
     minutes, left_s = divmod(int(seconds), 60)
     return f"{minutes} min {left_s} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+
+
+def losses_in_words(counts: Mapping[str, int]) -> str:
+    """Return the causes that lost something with their counts."""
+    lost = [f"{cause.replace('_', ' ')} {count}" for cause, count in counts.items() if count]
+    return f"lost: {', '.join(lost)}" if lost else "nothing lost"

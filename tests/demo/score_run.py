@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.demo.score import Accuracy, PlateScore
 from resonator_daemon.demo.truth import TruthTable
+from resonator_daemon.publishing import topics
+from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import (
     Compensation,
     ContactEvent,
@@ -17,11 +19,12 @@ from resonator_daemon.publishing.payloads import (
     EventContact,
     Forces,
     Grid,
-    Health,
     Lost,
+    Message,
     Patch,
     SiteForce,
 )
+from resonator_daemon.publishing.topics import Topic
 
 T0_NS = 1_789_000_000_000_000_000
 MS = 1_000_000
@@ -60,10 +63,10 @@ SITES_M = np.array([[0.0, 0.0], [1.5e-3, 0.0], [0.0, -2.0e-3], [4e-3, 4e-3]])
 class Run:
     """A plate's truth file and score."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, touched_anywhere: bool = False) -> None:
         self._path = path
         self._truth = TruthTable(path)
-        self.score = PlateScore(self._truth, 1000.0, SITES_M)
+        self.score = PlateScore(self._truth, 1000.0, SITES_M, touched_anywhere=touched_anywhere)
         self.frames = 0
 
     def truth(self, *contacts: dict[str, Any]) -> int:
@@ -91,11 +94,15 @@ class Run:
         for newton in f_z:
             self.truth(touch(newton, **touched))
 
-    def health(self, frames: int, **lost: int) -> None:
-        counted: dict[str, Any] = {"frames": frames, "lost": Lost(**lost)}  # of the rest nothing is looked at
-        self.score.take(Health.model_construct(**counted), FAR_NS)
+    def take(self, topic: Topic[Any], message: Message, arrived_ns: int = FAR_NS) -> None:
+        self.score.take(topic.path, encode(message), arrived_ns)
 
-    def onset(self, arrived_ns: int, site: int = 7, event: Any = "onset") -> None:
+    def health(self, frames: int, **lost: int) -> None:
+        counted = {"frames": frames, "lost": Lost(**lost).model_dump(), "parts_lost": 0, "frames_not_decoded": 0}
+        self.score.take("health", json.dumps(counted).encode(), FAR_NS)  # of the rest nothing is read
+
+    def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
+        """Take an event of that time, which arrives at once unless another time is given."""
         contact = EventContact(
             id=1,
             site=site,
@@ -110,7 +117,9 @@ class Run:
             status="ok",
             peak_newton=0.02,
         )
-        self.score.take(ContactEvent(**HEADER, board_ticks=1, event=event, contact=contact), arrived_ns)
+        header = HEADER | {"t_ns": t_ns}
+        message = ContactEvent(**header, board_ticks=1, event=event, contact=contact)
+        self.take(topics.CONTACT_EVENT, message, t_ns if arrived_ns is None else arrived_ns)
 
     def forces(self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS) -> None:
         """Take the message of the window of so many frames whose last gate was frame `number`."""
@@ -135,7 +144,7 @@ class Run:
                 response="off",
             ),
         )
-        self.score.take(message, arrived_ns)
+        self.take(topics.FORCES, message, arrived_ns)
 
     def decoded(
         self, number: int, traction_pascal: NDArray[np.float64], *, grid: bool = True, arrived_ns: int = FAR_NS
@@ -148,7 +157,7 @@ class Run:
             displacement_m=None,
             grid=Grid(origin_m=(0.0, 0.0), pitch_m=PITCH_M) if grid else None,
         )
-        self.score.take(message, arrived_ns)
+        self.take(topics.DECODED, message, arrived_ns)
 
     def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
         """Take the summary of frame `number`: centroids and normal forces."""
@@ -166,16 +175,16 @@ class Run:
             reason="",
             patches=told,
         )
-        self.score.take(message, FAR_NS)
+        self.take(topics.DECODED_SUMMARY, message)
 
     def result(self, until_ns: int = FAR_NS) -> Accuracy:
         self.score.join()
         return self.score.accuracy(until_ns)
 
     def found(self, until_ns: int = FAR_NS) -> tuple[int, int, int]:
-        """Touches, those found, those at the right site."""
+        """Touches, those found, those of them that were late."""
         result = self.result(until_ns)
-        return result.touches, result.found, result.sites_right
+        return result.touches, result.found, len(result.late_ms)
 
     def close(self) -> None:
         self._truth.close()

@@ -15,6 +15,7 @@ PLATE_KEYS = {
     "latency_ms",
     "contacts_true",
     "contacts_found",
+    "contacts_late",
     "sites_right",
     "force_error_newton_rms",
     "position_error_mm_rms",
@@ -32,7 +33,8 @@ def test_both_plates_against_the_truth() -> None:
     assert "Traceback" not in run.stderr
     (line,) = run.stdout.splitlines()
     result = json.loads(line)
-    assert result["broker"] == "amqtt"
+    assert result["broker"] == "mosquitto"
+    assert {"broker", "view and score", "daemon quartz16", "emulator skin32"} < result["cpu_percent_by_part"].keys()
     assert result["seconds"] >= 6.0
     quartz, skin = result["plates"]["quartz16"], result["plates"]["skin32"]
     assert quartz.keys() >= PLATE_KEYS
@@ -45,7 +47,8 @@ def test_both_plates_against_the_truth() -> None:
         assert plate["latency_ms"]["p50"] <= plate["latency_ms"]["p99"]
         assert plate["frames"] > 0
     assert quartz["contacts_true"] >= 2
-    assert 0 <= quartz["sites_right"] <= quartz["contacts_found"] <= quartz["contacts_true"]
+    assert 0 <= quartz["contacts_late"] <= quartz["contacts_found"] <= quartz["contacts_true"]
+    assert quartz["sites_right"] == quartz["contacts_found"]
     assert quartz["force_error_newton_rms"] <= 0.005
     assert quartz["decoded_frames"] is quartz["traction_error"] is None
     assert 0 < skin["decoded_frames"] <= skin["frames"] + 1
@@ -54,13 +57,31 @@ def test_both_plates_against_the_truth() -> None:
     assert 0 <= skin["contacts_found"] <= skin["contacts_true"]
     assert skin["force_error_newton_rms"] <= 0.05
     assert skin["position_error_mm_rms"] <= 0.1
-    # Whether every touch was told in time is the machine's business here; that the exit code says so is ours.
-    complete = (
-        quartz["sites_right"] == quartz["contacts_true"]
-        and skin["contacts_found"] == skin["contacts_true"]
-        and not any(count for plate in (quartz, skin) for count in plate["lost"].values())
+    # Whether a busy computer finds every touch is not decided here; that the exit code follows from it is.
+    complete = all(
+        plate["contacts_found"] == plate["contacts_true"] and not any(plate["lost"].values())
+        for plate in (quartz, skin)
     )
     assert run.returncode == (0 if complete else 1)
+    assert ("processor cores" in run.stderr) == ("late" in run.stderr)
+
+
+def test_without_mosquitto_amqtt_is_the_broker() -> None:
+    """Mosquitto is hidden; the rest of the command line stays."""
+    program = (
+        "import os, sys; from resonator_daemon import cli; from resonator_daemon.demo import local_broker\n"
+        "local_broker.MORE_PLACES, os.environ['PATH'] = '', ''; sys.exit(cli.main())"
+    )
+    options = ("demo", "--plate", "quartz16", "--headless", "--seconds", "3", "--json")
+    run = subprocess.run([sys.executable, "-c", program, *options], capture_output=True, text=True, timeout=120)
+    assert "Traceback" not in run.stderr
+    result = json.loads(run.stdout)
+    assert result["broker"] == "amqtt"
+    assert result["cpu_percent_by_part"]["broker"] > 0
+    plate = result["plates"]["quartz16"]
+    assert plate["frames"] > 0
+    assert plate["latency_ms"]["p50"] > 0
+    assert plate["force_error_newton_rms"] <= 0.005
 
 
 def test_scattered_sites_against_the_truth() -> None:

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from score_run import HEADER, MS, T0_NS, Run, frame_end_ns, touch
+from score_run import MS, T0_NS, Run, frame_end_ns, touch
 
 from resonator_daemon.demo.score import Accuracy
-from resonator_daemon.publishing.payloads import Contacts
 
 
 @pytest.fixture
@@ -52,7 +51,8 @@ def test_nothing_measured_is_no_score(run: Run) -> None:
     assert run.result() == Accuracy()
 
 
-# A contact is found when its onset arrives within 50 ms of the moment when the true force crosses 20 mN.
+# A contact is found when an onset at its site arrives whose time is within 50 ms of the moment when the true force
+# crosses 20 mN. It is late as well where the onset arrives more than 50 ms after that moment.
 
 
 @pytest.mark.parametrize(
@@ -61,8 +61,16 @@ def test_nothing_measured_is_no_score(run: Run) -> None:
 )
 def test_an_onset_within_50_ms_of_the_crossing_finds_a_touch(run: Run, after_ns: int, found: int) -> None:
     run.ramp(0.005, 0.012, 0.0199, 0.0201, 0.5, 1.0)
-    run.onset(frame_end_ns(3) + after_ns)
-    assert run.found() == (1, found, found)
+    run.onset(frame_end_ns(3) + after_ns, arrived_ns=frame_end_ns(3) + 20 * MS)
+    assert run.found() == (1, found, 0)
+
+
+@pytest.mark.parametrize(("after_ns", "late"), [(13 * MS, 0), (50 * MS, 0), (50 * MS + 1, 1), (7 * 10**9, 1)])
+def test_an_onset_that_arrives_after_more_than_50_ms_is_late(run: Run, after_ns: int, late: int) -> None:
+    run.ramp(0.0, 1.0)
+    run.onset(frame_end_ns(1) + 10 * MS, arrived_ns=frame_end_ns(1) + after_ns)
+    assert run.found() == (1, 1, late)
+    assert run.result().late_ms == pytest.approx([after_ns / MS] * late)
 
 
 def test_the_crossing_is_the_first_one(run: Run) -> None:
@@ -82,16 +90,23 @@ def test_shear_does_not_make_a_touch(run: Run) -> None:
     assert run.found() == (0, 0, 0)
 
 
-def test_an_onset_at_another_site_finds_the_touch_but_not_its_site(run: Run) -> None:
+def test_an_onset_at_another_site_does_not_find_the_touch(run: Run) -> None:
     run.ramp(0.0, 1.0)
     run.onset(frame_end_ns(1) + 10 * MS, site=8)
-    assert run.found() == (1, 1, 0)
+    assert run.found() == (1, 0, 0)
+
+
+def test_a_skin_is_touched_anywhere(tmp_path: Path) -> None:
+    skin = Run(tmp_path / "skin.jsonl", touched_anywhere=True)
+    skin.ramp(0.0, 1.0, site=None)
+    skin.onset(frame_end_ns(1) + 10 * MS, site=8)
+    assert skin.found() == (1, 1, 0)
+    skin.close()
 
 
 def test_only_an_onset_finds(run: Run) -> None:
     run.ramp(0.0, 1.0)
     run.onset(frame_end_ns(1) + 10 * MS, event="release")
-    run.score.take(Contacts(**HEADER, board_ticks=1, status="ok", contacts=()), frame_end_ns(1))
     assert run.found() == (1, 0, 0)
 
 
@@ -101,8 +116,8 @@ def test_each_touch_needs_an_onset_of_its_own_time(run: Run) -> None:
         for _ in range(198):
             run.truth()
     run.onset(frame_end_ns(1) + 10 * MS, site=5)
-    run.onset(frame_end_ns(401) + 60 * MS, site=7)  # the third, too late
-    assert run.found() == (3, 1, 1)
+    run.onset(frame_end_ns(401) + 60 * MS, site=7)  # of another time than the third touch
+    assert run.found() == (3, 1, 0)
 
 
 def test_two_touches_at_once_are_two(run: Run) -> None:
@@ -110,14 +125,21 @@ def test_two_touches_at_once_are_two(run: Run) -> None:
     run.truth(touch(1.0, id=1, site=5), touch(0.5, id=2, site=6))
     run.onset(frame_end_ns(1) + 10 * MS, site=6)
     run.onset(frame_end_ns(1) + 12 * MS, site=5)
-    assert run.found() == (2, 2, 2)
+    assert run.found() == (2, 2, 0)
+
+
+def test_an_onset_finds_one_touch_only(run: Run) -> None:
+    run.ramp(0.0, 1.0, id=1)
+    run.ramp(0.0, 1.0, id=2)  # of the same site, 2 ms later
+    run.onset(frame_end_ns(1) + 10 * MS)
+    assert run.found() == (2, 1, 0)
 
 
 @pytest.mark.parametrize(("until_after_ns", "counts"), [(50 * MS, 1), (50 * MS - 1, 0), (0, 0), (-1, 0)])
 def test_a_touch_that_had_no_time_to_be_found_does_not_count(run: Run, until_after_ns: int, counts: int) -> None:
     run.ramp(0.0, 1.0)
     run.onset(frame_end_ns(1) + 10 * MS)
-    assert run.found(frame_end_ns(1) + until_after_ns) == (counts, counts, counts)
+    assert run.found(frame_end_ns(1) + until_after_ns) == (counts, counts, 0)
 
 
 # Force error: against the truth averaged over the same window, contacts above 5 % of their peak.
@@ -205,7 +227,7 @@ def test_a_touch_before_the_beginning_does_not_count(run: Run, begin_after_ns: i
     run.ramp(0.0, 1.0, 1.0)
     run.score.begin(frame_end_ns(1) + begin_after_ns)
     run.onset(frame_end_ns(1) + 10 * MS)
-    assert run.found() == (counts, counts, counts)
+    assert run.found() == (counts, counts, 0)
 
 
 def test_a_force_is_weighed_by_the_peak_of_its_whole_touch(run: Run) -> None:

@@ -69,7 +69,7 @@ def test_lines_keep_ticks_and_time_exactly(path: Path, table: TruthTable) -> Non
     (line,) = table.lines
     assert (line.sequence, line.board_ticks) == (41, 6000)
     assert line.t_ns == T0_NS + 1_000_000  # more digits than a double has
-    assert line.contacts == (touch((0.1, 0.0, 1.2)),)
+    assert list(line.contacts) == [touch((0.1, 0.0, 1.2))]
 
 
 @pytest.mark.parametrize("piece", [1, 7, 100, 10_000])

@@ -1,0 +1,104 @@
+"""The result of a demo: as one JSON object, as words, and which of it makes the run a failure."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from resonator_daemon.demo.score import FOUND_WITHIN_NS, PlateScore
+from resonator_daemon.view.words import losses_in_words
+
+_LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
+
+
+def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[str, Any]:
+    """Return the result of one plate but for processor time and memory."""
+    accuracy = score.accuracy(until_ns)
+    losses = score.losses
+    return {
+        "frames": score.frames,
+        "lost": score.lost,
+        "frame_rate_hz": _frame_rate_hz(score.health),
+        "latency_ms": percentiles(accuracy.latency_ms),
+        "contacts_true": accuracy.touches,
+        "contacts_found": accuracy.found,
+        "contacts_late": len(accuracy.late_ms),
+        "latest_contact_ms": _rounded(max(accuracy.late_ms, default=None)),
+        "sites_right": None if has_skin else accuracy.found,  # a skin is touched anywhere
+        "force_error_newton_rms": _rounded(accuracy.force_error_newton_rms),
+        "position_error_mm_rms": _rounded(accuracy.position_error_m_rms, 1e3),  # None: the position is the site's
+        "decoded_frames": score.decoded_frames if has_skin else None,
+        "frames_not_decoded": losses["not_decoded"] if has_skin else None,
+        "traction_error": _rounded(accuracy.traction_error),
+        "parts_lost": losses["parts"],
+    }
+
+
+def percentiles(latency_ms: list[float]) -> dict[str, float] | None:
+    if not latency_ms:
+        return None
+    p50, p99 = np.percentile(latency_ms, [50, 99])
+    return {"p50": round(float(p50), 2), "p99": round(float(p99), 2)}
+
+
+def failures(plate: Mapping[str, Any]) -> list[str]:
+    """Return why a plate's run is a failure, a clause each: contacts that were missed, frames that were lost."""
+    clauses = [f"{count} lost: {cause}" for cause, count in plate["lost"].items() if count]
+    if not plate["frames"]:
+        clauses.append("no frame arrived")
+    if plate["decoded_frames"] == 0:
+        clauses.append("no frame was decoded")
+    if missed := plate["contacts_true"] - plate["contacts_found"]:
+        at_site = "" if plate["sites_right"] is None else " at the right site"
+        clauses.append(
+            f"{missed} of {plate['contacts_true']} touches missed: no onset{at_site} with a time within {_LATE_MS:g} ms"
+        )
+    return clauses
+
+
+def delays(plate: Mapping[str, Any]) -> list[str]:
+    """Return what came late, a clause each; it came nevertheless, and makes no failure."""
+    clauses = []
+    if late := plate["contacts_late"]:
+        clauses.append(
+            f"{late} of {plate['contacts_true']} touches late: the onset arrived more than {_LATE_MS:g} ms "
+            f"after the touch, {plate['latest_contact_ms']:.0f} ms at most"
+        )
+    if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
+        clauses.append(f"messages late: {plate['latency_ms']['p99']:.0f} ms (99 %)")
+    return clauses
+
+
+def in_words(result: Mapping[str, Any]) -> str:
+    """Return the result as lines of text."""
+    lines = [f"{result['seconds']:.0f} s, broker {result['broker']}, {result['cores']:.2f} processor cores in all"]
+    lines += [f"  {percent:5.1f} %  {part}" for part, percent in result["cpu_percent_by_part"].items()]
+    for name, plate in result["plates"].items():
+        losses = plate["lost"] | {"parts": plate["parts_lost"], "not_decoded": plate["frames_not_decoded"] or 0}
+        lines.append(f"{name}: {plate['frames']} frames, {plate['frame_rate_hz']} frames/s, {losses_in_words(losses)}")
+        if latency := plate["latency_ms"]:
+            lines.append(f"  touch to subscriber: {latency['p50']} ms (median), {latency['p99']} ms (99 %)")
+        at_site = "" if plate["sites_right"] is None else " at the right site"
+        found, late = plate["contacts_found"], plate["contacts_late"]
+        lines.append(
+            f"  touches: {found} of {plate['contacts_true']} found{at_site}" + f", {late} of them late" * bool(late)
+        )
+        if (error := plate["force_error_newton_rms"]) is not None:
+            lines.append(f"  force error: {1e3 * error:.2f} mN rms")
+        if (error := plate["position_error_mm_rms"]) is not None:
+            lines.append(f"  position error: {error:.3f} mm rms")
+        if plate["decoded_frames"] is not None:
+            lines.append(f"  decoded: {plate['decoded_frames']} frames, traction error {plate['traction_error']}")
+    return "\n".join(lines) + "\n"
+
+
+def _frame_rate_hz(health: list[Mapping[str, Any]]) -> float | None:
+    if len(health) < 2:
+        return None
+    first, last = health[0], health[-1]
+    frames, seconds = last["frames"] - first["frames"], last["uptime_s"] - first["uptime_s"]
+    return round(float(frames / seconds), 1)
+
+
+def _rounded(value: float | None, scale: float = 1.0) -> float | None:
+    return None if value is None else round(scale * value, 5)
