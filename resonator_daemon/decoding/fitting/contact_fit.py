@@ -1,5 +1,6 @@
 """Least-squares fit of few bounded parameters to the signals of one frame, with covariance and evidence."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -55,10 +56,10 @@ class Fit:
 
         Infinite for all parameters where the signals leave one undetermined.
         """
-        scale = np.sqrt(np.diag(self.precision))
+        scale = np.sqrt(self.precision.diagonal())
         if not scale.all():
             return np.full_like(self.precision, np.inf)
-        scales = np.outer(scale, scale)
+        scales = scale * scale[:, None]
         try:
             inverse = np.linalg.inv(self.precision / scales)
         except np.linalg.LinAlgError:
@@ -75,8 +76,8 @@ class Fit:
         Schwarz's criterion (Kass and Wasserman, J. Am. Stat. Assoc. 90, 1995, 928), the noise as in `covariance`.
         """
         excess = max(self.chi2, 1.0)
-        penalty = self.parameters.size * np.log(self.count)
-        return -0.5 * float(self.chi_square / excess + self.count * np.log(excess) + penalty)
+        penalty = self.parameters.size * math.log(self.count)
+        return -0.5 * (self.chi_square / excess + self.count * math.log(excess) + penalty)
 
 
 class Quadratic(Protocol):
@@ -154,7 +155,7 @@ def minimise(
     for _ in range(_STEPS):
         if damping > _DAMPING_LIMIT:
             break
-        step = bounded_step(parameters, lower, upper, best.gradient, best.precision, damping)
+        step = _step(parameters, lower, upper, best.gradient, best.precision, damping)
         if 0.5 * float(best.gradient @ step) < _SETTLED * max(best.chi_square / count, 1.0):
             break
         tried = np.clip(parameters + step, lower, upper)
@@ -167,7 +168,7 @@ def minimise(
     return parameters, best
 
 
-def bounded_step(
+def _step(
     parameters: Floats, lower: Floats, upper: Floats, gradient: Floats, precision: Floats, damping: float
 ) -> Floats:
     """Damped Gauss-Newton step among the parameters that do not lie at a bound they press against."""

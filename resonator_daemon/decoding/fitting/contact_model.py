@@ -92,6 +92,7 @@ class DiscModel:
             raise ValueError(f"sites span {span}; is a depth of {depths.min():g} m meant?")
         self.margin_m = _BEYOND * diagonal_m  # beyond the sites, where a centre may lie
         self.depth_m = np.broadcast_to(depths, len(sites))
+        self.shallowest_m = float(depths.min())
         self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(depths)]
         shallow = float(depths.min())
         self._table = _table(half_space, 2.0 * diagonal_m / shallow, radius_max_m / shallow, profile)

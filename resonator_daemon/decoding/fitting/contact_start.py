@@ -52,20 +52,19 @@ def clipped(model: DiscModel, start: ContactStart) -> Floats:
     return np.asarray(np.clip(pose, lower[:3], upper[:3]), np.float64)
 
 
-def bounds(model: DiscModel, force_newton: float) -> tuple[Floats, Floats]:
-    """Lower and upper bounds of x, y, a, F_x, F_y, F_z (6,) each, of contacts whose largest force is about as given.
+def bounds(model: DiscModel, force_newton: float) -> tuple[list[float], list[float]]:
+    """Lower and upper bounds of x, y, a, F_x, F_y, F_z, of contacts whose largest force is about as given.
 
     Centres may lie as far beyond the sites as half the model's margin, so that what is spread about them stays within
     it.
     """
-    smallest_m = _SMALLEST_RADIUS * float(model.depth_m.min())
-    lowest_m, highest_m = model.lowest_m - model.margin_m / 2.0, model.highest_m + model.margin_m / 2.0
-    largest = max(force_newton, float(np.finfo(np.float64).tiny))
+    beyond_m = model.margin_m / 2.0
+    (lowest_x, lowest_y), (highest_x, highest_y) = model.lowest_m.tolist(), model.highest_m.tolist()
+    largest = max(float(force_newton), 1e-300)
     limit = _FORCE_LIMIT * largest
-    return (
-        np.array([*lowest_m, smallest_m, -limit, -limit, _LEAST_FORCE * largest]),
-        np.array([*highest_m, model.radius_max_m, limit, limit, limit]),
-    )
+    lower = [lowest_x - beyond_m, lowest_y - beyond_m, _SMALLEST_RADIUS * model.shallowest_m]
+    upper = [highest_x + beyond_m, highest_y + beyond_m, model.radius_max_m]
+    return [*lower, -limit, -limit, _LEAST_FORCE * largest], [*upper, limit, limit, limit]
 
 
 def disc_starts(
@@ -85,5 +84,5 @@ def disc_starts(
     whiten = 1.0 / noise_std[known]
     solution, *_ = np.linalg.lstsq((columns[:, known] * whiten).T, signals[known] * whiten)
     forces = np.asarray(solution, np.float64).reshape(-1, 3)
-    lower, upper = bounds(model, float(np.abs(forces).max()))
+    lower, upper = (np.array(bound) for bound in bounds(model, float(np.abs(forces).max())))
     return np.column_stack([poses, np.clip(forces, lower[3:], upper[3:])]), lower, upper

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.fitting.contact_fit import Fit
-from resonator_daemon.decoding.fitting.slip_problem import FORCE_X, FORCE_Z, MARGIN, RADIUS
+from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
 
 Floats = NDArray[np.float64]
 

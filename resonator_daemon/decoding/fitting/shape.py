@@ -12,7 +12,7 @@ from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_s
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.shape_models import FlatFace, StraightEdge
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
-from resonator_daemon.decoding.fitting.slip_problem import FORCE_Z, RADIUS
+from resonator_daemon.decoding.fitting.slip_signals import FORCE_Z, RADIUS
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 

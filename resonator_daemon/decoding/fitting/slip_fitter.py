@@ -1,5 +1,6 @@
 """Fits of contacts in partial slip: of a single frame, and of frames that follow each other."""
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -9,16 +10,9 @@ from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.partial_slip import MARGIN_STD_LIMIT, PartialSlip, describe, nothing_known
-from resonator_daemon.decoding.fitting.slip_problem import (
-    FULL_STICK,
-    MARGIN,
-    Frame,
-    Linearisation,
-    Settled,
-    SlipProblem,
-    Whitening,
-)
-from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS
+from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation, Whitening
+from resonator_daemon.decoding.fitting.slip_problem import FULL_STICK, Settled, SlipProblem
+from resonator_daemon.decoding.fitting.slip_signals import MARGIN, PARAMETERS
 from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
 
 Floats = NDArray[np.float64]
@@ -100,7 +94,7 @@ class SlipFitter:
             self._forget()
             found, _ = self._described(problem, problem.from_starts(list(starts.values())), {})
         self._contacts = list(starts)
-        if any(np.isnan(slip.radius_m) for slip in found):
+        if any(math.isnan(slip.radius_m) for slip in found):
             self._forget()
         return dict(zip(starts, found, strict=True))
 
@@ -147,7 +141,7 @@ class SlipFitter:
         found = []
         for index, place in enumerate(margins.tolist()):
             rows = slice(place - MARGIN, place + 1)
-            margin, margin_std = float(parameters[place]), float(np.sqrt(covariance[place, place]))
+            margin, margin_std = float(parameters[place]), math.sqrt(covariance[place, place])
             if index not in problem.lawful:
                 if margin_std > (_RELEASE_STD if index in held else MARGIN_STD_LIMIT):
                     self._held[index] = margin

@@ -6,11 +6,12 @@ In units of the depth z, with d = (site - centre) / z, r = |d| and s = d . F, a 
 
 where A, C, D, P, E depend on r and on the radius alone. A contact in partial slip has the shear parts
 (1 + e) h_a - e h_c of two discs, e = m / (1 - m), so that the two are combined over distance first and then taken to
-the sites. Values are extrapolated from the nearest knot by their slope, with errors of 3e-5; slopes are those of the
+the sites. Values are extrapolated from the nearest knot by their slope, with errors of about 1e-5; slopes are those of the
 nearest knot, with errors below 1 % that alternate from site to site.
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +20,13 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-PARAMETERS = 7  # of a contact: x, y, a, F_x, F_y, F_z, m
-_KNOTS = 501  # even in r / (r + 2.5)
-_HALF_WAY = 2.5  # depths, at half of the knots
+PARAMETERS = 7  # of a contact
+X, Y, RADIUS, FORCE_X, FORCE_Y, FORCE_Z, MARGIN = range(PARAMETERS)
+_KNOTS = 501  # even in r^2 / (r^2 + 7)
+_HALF_WAY = 7.0  # squared depths, at half of the knots
 _NEARLY_STUCK = 0.97  # margin from which both discs are interpolated between the same radii: else m has no digits
-# Rows of the slopes as computed: x, y, F_x, F_y, F_z, m, a. Those of the parameters in their usual order:
-_ROWS = np.array([0, 1, 6, 2, 3, 4, 5])
+# Rows of the slopes as computed: F_x, F_y, F_z, x, y, m, a. Those of the parameters in their usual order:
+_ROWS = np.array([3, 4, 6, 0, 1, 2, 5])
 
 
 class _Depth(NamedTuple):
@@ -69,19 +71,20 @@ class SlipSignals:
             sites = np.ascontiguousarray(sites_m[members].T / depth, np.float32)
             self._groups.append(_Depth(float(depth), sites, members if len(members) < self._count else slice(None)))
         self._radius_step = radius_step
-        share = np.linspace(0.0, reach / (reach + _HALF_WAY), _KNOTS)
-        self._per_share = np.float32((_KNOTS - 1) / share[-1])
-        knots = _HALF_WAY * share / (1.0 - share)
-        self._half_squares = (0.5 * knots**2).astype(np.float32)
+        share = np.linspace(0.0, reach**2 / (reach**2 + _HALF_WAY), _KNOTS)
+        self._knots_per_share = (_KNOTS - 1) / float(share[-1])
+        squares = _HALF_WAY * share / (1.0 - share)
+        self._half_squares = (0.5 * squares).astype(np.float32)
+        knots = np.sqrt(squares)
         value, slope = radial(knots)  # (radii; value, slope by radius; 5; knots)
         # (1/r) d/dr; at r = 0 the one beside it
         slope[..., 1:] /= knots[1:]
         slope[..., 0] = slope[..., 1]
         pressed, along_p, along_eps, sheared, turned = np.moveaxis(value, 2, 0)
         of_pressed, of_along_p, of_along_eps, of_sheared, of_turned = np.moveaxis(slope, 2, 0)
-        straight = sheared - knots**2 * turned
-        of_straight = of_sheared - 2.0 * turned - knots**2 * of_turned
-        rows = [along_p, turned, straight, of_along_p, of_turned, of_straight]
+        straight = sheared - squares * turned
+        of_straight = of_sheared - 2.0 * turned - squares * of_turned
+        rows = [along_p, 2.0 * turned, straight, of_along_p, 2.0 * of_turned, of_straight]
         rows += [pressed, along_eps, of_pressed, of_along_eps]
         self._table = np.stack(rows, axis=2).astype(np.float32).reshape(2 * len(value), 10 * _KNOTS)
 
@@ -111,29 +114,42 @@ class SlipSignals:
                 continue
             part = np.empty((8, 3, group.sites.shape[1]), np.float32)
             self._at_depth(group.sites - centre, profiles, force, part)
-            part[[0, 1, 6]] *= self._reference_m / group.depth_m
+            part[[3, 4, 6]] *= self._reference_m / group.depth_m
             whole[:, :, group.members] = part
         rows = whole.reshape(8, -1)
         np.multiply(rows[:PARAMETERS], whiten, out=slopes)
         per_m = 1.0 / self._reference_m
-        return rows[7] * whiten, np.array([-per_m, -per_m, per_m, 1.0, 1.0, 1.0 / force_z, 1.0])
+        return rows[7] * whiten, np.array([1.0, 1.0, 1.0 / force_z, -per_m, -per_m, 1.0, per_m])[_ROWS]
 
     def _profiles(self, radius: float, margin: float, force_z: float) -> Singles:
-        """Functions of distance at a radius in depths, (18, knots).
+        """Functions of distance at a radius in depths, (5, 4, knots).
 
-        A, C, D, each by m, by a, itself and (1/r) d/dr; then F_z P and F_z E, each by a, itself and (1/r) d/dr.
+        A, 2 C, D, F_z P, F_z E, each by m, by a, itself and (1/r) d/dr.
         """
         ratio = margin ** (1.0 / 3.0)
-        excess, rest = margin / (1.0 - margin), 1.0 / (1.0 - margin)
+        rest = 1.0 / (1.0 - margin)
+        excess, change = margin * rest, rest * rest  # e, and its slope by m
         last = len(self._table) // 2 - 2
         knot = min(int(radius / self._radius_step), last)
         stuck_knot = knot if margin > _NEARLY_STUCK else min(int(ratio * radius / self._radius_step), last)
         whole, by_whole = self._hermite(radius, knot)
         stuck, by_stuck = self._hermite(ratio * radius, stuck_knot)
-        shear = np.array([(1.0 + excess) * whole, (1.0 + excess) * by_whole, rest**2 * whole])
-        held = np.array(
-            [excess * stuck, (excess * ratio) * by_stuck, rest**2 * stuck + (radius * ratio * rest / 3.0) * by_stuck]
+        # Of values and slopes at two radii: the functions, by the radius, by the margin
+        shear = np.array(
+            [
+                [(1.0 + excess) * w for w in whole],
+                [(1.0 + excess) * w for w in by_whole],
+                [change * w for w in whole],
+            ]
         )
+        held = np.array(
+            [
+                [excess * w for w in stuck],
+                [excess * ratio * w for w in by_stuck],
+                [change * w + radius * ratio * rest / 3.0 * s for w, s in zip(stuck, by_stuck, strict=True)],
+            ]
+        )
+        press = np.array([[force_z * w for w in whole], [force_z * w for w in by_whole]], np.float32)
         rows = self._table[2 * knot : 2 * knot + 4]
         split = 6 * _KNOTS
         if stuck_knot == knot:
@@ -141,72 +157,66 @@ class SlipSignals:
         else:
             sheared = shear.astype(np.float32) @ rows[:, :split]
             sheared -= held.astype(np.float32) @ self._table[2 * stuck_knot : 2 * stuck_knot + 4, :split]
-        pressed = (force_z * np.array([whole, by_whole])).astype(np.float32) @ rows[:, split:]
+        pressed = press @ rows[:, split:]
         sheared, pressed = sheared.reshape(3, 2, 3, _KNOTS), pressed.reshape(2, 2, 2, _KNOTS)
-        profiles = np.empty((18, _KNOTS), np.float32)
-        of_shear, of_press = profiles[:12].reshape(3, 4, _KNOTS), profiles[12:].reshape(2, 3, _KNOTS)
-        of_shear[:, 0], of_shear[:, 1] = sheared[2, 0], sheared[1, 0]
-        of_shear[:, 2], of_shear[:, 3] = sheared[0, 0], sheared[0, 1]
-        of_press[:, 0], of_press[:, 1], of_press[:, 2] = pressed[1, 0], pressed[0, 0], pressed[0, 1]
+        profiles = np.empty((5, 4, _KNOTS), np.float32)
+        profiles[:3, 0], profiles[3:, 0] = sheared[2, 0], 0.0
+        profiles[:3, 1], profiles[3:, 1] = sheared[1, 0], pressed[1, 0]
+        profiles[:3, 2], profiles[3:, 2] = sheared[0, 0], pressed[0, 0]
+        profiles[:3, 3], profiles[3:, 3] = sheared[0, 1], pressed[0, 1]
         return profiles
 
-    def _hermite(self, radius: float, knot: int) -> tuple[Floats, Floats]:
+    def _hermite(self, radius: float, knot: int) -> tuple[list[float], list[float]]:
         """Weights of value and slope at a knot of the radius and at the next one, and their slopes by the radius."""
-        step = self._radius_step
-        f = radius / step - knot
+        per_step = 1.0 / self._radius_step
+        f = radius * per_step - knot
         g = 1.0 - f
-        weights = np.array([g * g * (1.0 + 2.0 * f), g * g * f, f * f * (3.0 - 2.0 * f), -f * f * g])
-        slopes = np.array([-6.0 * f * g, g * (1.0 - 3.0 * f), 6.0 * f * g, f * (3.0 * f - 2.0)])
-        return weights, slopes / step
+        weights = [g * g * (1.0 + 2.0 * f), g * g * f, f * f * (3.0 - 2.0 * f), -f * f * g]
+        slopes = [-6.0 * f * g, g * (1.0 - 3.0 * f), 6.0 * f * g, f * (3.0 * f - 2.0)]
+        return weights, [slope * per_step for slope in slopes]
 
     def _at_depth(self, offset: Singles, profiles: Singles, force: Singles, rows: Singles) -> None:
-        """Write slopes by x, y, F_x, F_y, F_z, m, a, then values, (8, 3, n), for sites offset by (2, n) depths."""
+        """Write slopes by F_x, F_y, F_z, x, y, m, a, then values, (8, 3, n), for sites offset by (2, n) depths."""
         square = np.einsum("in,in->n", offset, offset)
-        distance = np.sqrt(square)
-        place = distance / (distance + np.float32(_HALF_WAY))
-        place *= self._per_share
-        place += np.float32(0.5)
+        place = square + np.float32(_HALF_WAY)
+        np.divide(np.float32(-_HALF_WAY * self._knots_per_share), place, out=place)
+        place += np.float32(self._knots_per_share + 0.5)
         near = place.astype(np.intp)
-        found = profiles.take(near, axis=1, mode="clip")
-        beyond = np.float32(0.5) * square
-        beyond -= self._half_squares.take(near, mode="clip")
-        of_shear, of_press = found[:12].reshape(3, 4, -1), found[12:].reshape(2, 3, -1)
-        of_shear[:, 2] += of_shear[:, 3] * beyond
-        of_press[:, 1] += of_press[:, 2] * beyond
-        along, turned, straight = of_shear  # by m, by a, value, (1/r) d/dr
-        pressed, pushed = of_press  # by a, value, (1/r) d/dr
+        found = profiles.take(near, axis=2, mode="clip")
+        square *= np.float32(0.5)
+        square -= self._half_squares.take(near, mode="clip")
+        found[:, 2] += found[:, 3] * square
+        along, twice_turned, straight, pressed, pushed = found  # each by m, by a, itself, (1/r) d/dr
 
         projected = force[:, 0] @ offset
         normal = along * projected
-        normal[1:] += pressed
-        twice = turned + turned
-        radial = twice * projected
-        radial[1:] += pushed
+        normal += pressed
+        radial = twice_turned * projected
+        radial += pushed
 
-        # By m, by a, and the values
+        # Strains are offset times `spread`, and force times `shifted`
+        spread, shifted = np.empty((8, square.size), np.float32), np.empty((5, square.size), np.float32)
+        np.multiply(offset, twice_turned[2], out=spread[:2])
+        spread[2] = pushed[2]
+        np.multiply(offset, radial[3], out=spread[3:5])
+        spread[3:5] += force * twice_turned[2]
+        spread[5:] = radial[:3]
+        np.multiply(offset, straight[3], out=shifted[:2])
+        shifted[2:] = straight[:3]
+        np.multiply(spread[:, None], offset, out=rows[:, 1:])
+        rows[3:, 1:] += shifted[:, None] * force
+        diagonals = rows.reshape(24, -1)
+        diagonals[1:6:4] += straight[2]  # by F_x and F_y
+        diagonals[10:15:4] += radial[2]  # by x and y
+
+        np.multiply(offset, along[2], out=rows[:2, 0])
+        rows[2, 0] = pressed[2]
+        np.multiply(offset, normal[3], out=rows[3:5, 0])
+        rows[3:5, 0] += force * along[2]
         rows[5:, 0] = normal[:3]
-        np.multiply(radial[:3, None], offset, out=rows[5:, 1:])
-        rows[5:, 1:] += straight[:3, None] * force
-
-        # By x, y, F_x, F_y
-        rows[:2, 0] = offset * normal[3]
-        rows[:2, 0] += force * along[2]
-        np.multiply(offset, along[2], out=rows[2:4, 0])
-        sideways = np.empty((2, *offset.shape), np.float32)
-        np.multiply(offset, radial[3], out=sideways[0])
-        sideways[0] += force * twice[2]
-        np.multiply(offset, twice[2], out=sideways[1])
-        np.multiply(sideways[:, :, None], offset, out=rows[:4, 1:].reshape(2, 2, 2, -1))
-        rows[:2, 1:] += (offset * straight[3])[:, None] * force
-        diagonal = rows[:4].reshape(2, 6, -1)[:, 1::4]
-        diagonal[0] += radial[2]
-        diagonal[1] += straight[2]
-
-        # By F_z, times F_z
-        rows[4, 0] = pressed[1]
-        np.multiply(offset, pushed[1], out=rows[4, 1:])
 
 
+@lru_cache
 def rows_of(contacts: int) -> NDArray[np.intp]:
     """Rows that `SlipSignals.fill` writes for contacts one after the other, by parameter."""
     return np.asarray(PARAMETERS * np.arange(contacts)[:, None] + _ROWS, np.intp).ravel()

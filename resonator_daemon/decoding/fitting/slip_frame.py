@@ -1,0 +1,107 @@
+"""One frame in units of its noise, and the signals of contacts to first order about some parameters."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.fitting.contact_model import DiscModel
+from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, Singles, rows_of
+from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
+
+Floats = NDArray[np.float64]
+Known = NDArray[np.bool_]
+
+
+class Whitening:
+    """Weights of a frame's signals, which most often are those of the frame before.
+
+    Parameters
+    ----------
+    model
+    known
+        Signals that are not lost, (3, n).
+    noise_std
+        Broadcastable to (3, n). ValueError where it is not above 0.
+
+    Attributes
+    ----------
+    weights
+        1 / noise_std, 0 for lost signals, (3, n).
+    factors
+        (3 n,), as of `SlipSignals.whiten`.
+    """
+
+    def __init__(self, model: DiscModel, known: Known, noise_std: Floats) -> None:
+        if not (noise_std > 0.0).all():
+            raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
+        self._known, self._noise_std = known, noise_std
+        self.weights: Floats = np.where(known, 1.0 / noise_std, 0.0)
+        self.factors = model.slip.whiten(self.weights)
+
+    def serves(self, known: Known, noise_std: Floats) -> bool:
+        """Whether the weights are those of other signals, too."""
+        same_noise = noise_std is self._noise_std or np.array_equal(noise_std, self._noise_std)
+        return same_noise and np.array_equal(known, self._known)
+
+
+class Frame:
+    """Signals of one frame in units of their noise.
+
+    Parameters
+    ----------
+    model
+    signals
+        (3, n); lost ones NaN, infinite or beyond 10.
+    noise_std
+        Broadcastable to (3, n). ValueError where it is not above 0.
+    before
+        Whitening of the frame before.
+
+    Attributes
+    ----------
+    whitening
+    target
+        (3 n,), lost ones 0.
+    count
+        Signals that are known.
+    """
+
+    def __init__(self, model: DiscModel, signals: Floats, noise_std: Floats, before: Whitening | None) -> None:
+        known: Known = np.abs(signals) <= SIGNAL_LIMIT  # False for NaN
+        self.count = int(np.count_nonzero(known))
+        same = before is not None and before.serves(known, noise_std)
+        self.whitening = before if before is not None and same else Whitening(model, known, noise_std)
+        sound = signals if self.count == signals.size else np.where(known, signals, 0.0)
+        self.target: Singles = (sound * self.whitening.weights).astype(np.float32).ravel()
+
+    @property
+    def energy(self) -> float:
+        """Sum of squares in units of the noise."""
+        return float(self.target @ self.target)
+
+
+class Linearisation:
+    """Signals of contacts, in units of the noise, to first order about some parameters (7 k,)."""
+
+    def __init__(self, model: DiscModel, parameters: Floats, whitening: Whitening) -> None:
+        self.parameters = parameters
+        self.whitening = whitening
+        whiten = whitening.factors
+        slopes = np.empty((parameters.size, whiten.size), np.float32)
+        filled = [
+            model.slip.fill(parameters[first : first + PARAMETERS], whiten, slopes[first : first + PARAMETERS])
+            for first in range(0, parameters.size, PARAMETERS)
+        ]
+        self._slopes = slopes
+        self._value, self._scale = filled[0]
+        if len(filled) > 1:
+            self._value = np.sum([value for value, _ in filled], axis=0)
+            self._scale = np.concatenate([scale for _, scale in filled])
+        self._rows = rows_of(len(filled))
+        # A product of a matrix with itself takes another routine, three times as long.
+        product = (slopes @ slopes.copy().T)[self._rows].take(self._rows, axis=1)
+        self.precision: Floats = product * self._scale * self._scale[:, None]
+
+    def left(self, target: Singles) -> tuple[float, Floats]:
+        """Chi-square of signals (3 n,) and its gradient (7 k,) at the parameters, without the law of friction."""
+        residual = target - self._value
+        return float(residual @ residual), (self._slopes @ residual)[self._rows] * self._scale
