@@ -6,8 +6,8 @@ In units of the depth z, with d = (site - centre) / z, r = |d| and s = d . F, a 
 
 where A, C, D, P, E depend on r and on the radius alone. A contact in partial slip has the shear parts
 (1 + e) h_a - e h_c of two discs, e = m / (1 - m), so that the two are combined over distance first and then taken to
-the sites. Values are extrapolated from the nearest knot by their slope, with errors of about 1e-5; slopes are those of the
-nearest knot, with errors below 1 % that alternate from site to site.
+the sites. Values are extrapolated from the nearest knot by their slope, with errors of about 1e-5; slopes are those of
+the nearest knot, with errors below 1 % that alternate from site to site.
 """
 
 from collections.abc import Callable
