@@ -111,10 +111,9 @@ class DeviceSession:
                     channel * len(starts) + index,
                     len(channels) * len(starts),
                 )
-                body = records[first * TONE_STRUCT.size : (first + size) * TONE_STRUCT.size]
-                packets.append(
-                    self._packet(MessageType.FRAME_PART, sequence, board_ticks, BLOCK_STRUCT.pack(*block) + body)
-                )
+                body = memoryview(records)[first * TONE_STRUCT.size : (first + size) * TONE_STRUCT.size]
+                payload = b"".join((BLOCK_STRUCT.pack(*block), body))
+                packets.append(self._packet(MessageType.FRAME_PART, sequence, board_ticks, payload))
         return packets
 
     def status(self, status: BoardStatus, board_ticks: int) -> bytes:

@@ -100,8 +100,8 @@ def encode_packet(
         len(payload),
         0,
     )[:_CHECKED_HEADER_BYTES]
-    body = b"".join((head, crc_hqx(head, 0xFFFF).to_bytes(2, "little"), payload))
-    return body + _CRC.pack(crc32(body))
+    checked_head = head + crc_hqx(head, 0xFFFF).to_bytes(2, "little")
+    return b"".join((checked_head, payload, _CRC.pack(crc32(payload, crc32(checked_head)))))
 
 
 class PacketDecoder:

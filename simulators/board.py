@@ -14,7 +14,6 @@ from firmware_protocol.states import BoardState
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.plate import Contact, CountedFrame, EmulatedPlate
 
-_FRAMES_PACKED_AT_ONCE = 10  # a wait for so many delays the next frame by less than 0.1 ms
 _LENGTH_AT = 20  # in a packet
 
 
@@ -52,8 +51,7 @@ class _Run:
     frames_taken: int = 0  # from the queue, to be sent
     frames_dropped_reported: int = 0
     frames_packed: int = 0
-    counted: deque[CountedFrame] = field(default_factory=deque)  # a block, of gates that have not closed
-    packed: deque[tuple[MadeFrame, Outgoing]] = field(default_factory=deque)  # of the gates before those
+    ahead: deque[tuple[MadeFrame, Outgoing]] = field(default_factory=deque)  # counted and packed, a block at once
 
 
 class Board:
@@ -180,17 +178,15 @@ class Board:
     def count_ahead(self) -> None:
         """Count and pack the next frames now, where there is time, so that they are ready when their gates close."""
         run = self._run
-        if run is None or run.packed or not self.running:
+        if run is None or run.ahead or not self.running:
             return
-        if not run.counted:
-            self._step()
-            board_ticks = run.gate_start_ticks - self._boot_ticks
-            scenario_ticks = run.gate_start_ticks - (self.first_start_ticks or 0)
-            run.counted.extend(self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames))
+        self._step()
         end_ticks = run.gate_start_ticks
-        for _ in range(min(_FRAMES_PACKED_AT_ONCE, len(run.counted))):
+        board_ticks = end_ticks - self._boot_ticks
+        scenario_ticks = end_ticks - (self.first_start_ticks or 0)
+        for frame in self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames):
             end_ticks += run.gate_ticks
-            run.packed.append(self._packed(run.counted.popleft(), run.frames_packed, end_ticks))
+            run.ahead.append(self._packed(frame, run.frames_packed, end_ticks))
             run.frames_packed += 1
 
     @property
@@ -244,9 +240,9 @@ class Board:
         return made, Outgoing(tuple(packets), sequence)
 
     def _close_gate(self, run: _Run) -> MadeFrame:
-        if not run.packed:
+        if not run.ahead:
             self.count_ahead()
-        made, outgoing = run.packed.popleft()
+        made, outgoing = run.ahead.popleft()
         run.gate_start_ticks = made.end_ticks
         self.frames_made += 1
         if self._drop_rate > 0.0 and self._random.random() < self._drop_rate:

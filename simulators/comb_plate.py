@@ -11,7 +11,7 @@ from resonator_daemon.plate import FORCE_SIGNAL, TEMPERATURE_SIGNAL, Plate
 from simulators.plate import CountedFrame, attenuation_db256, corner_levels_db
 from simulators.pressed_sites import PressedGates, PressedSites
 from simulators.scenario import Scenario
-from simulators.tone_records import even_oscillators, tone_records
+from simulators.tone_records import ToneRecords, even_oscillators
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -64,6 +64,8 @@ class CombPlate:
         level_db = corner_levels_db(plate.site_positions_m, plate.transducers_m, level_random)[tones.site_index].T
         self._noise_ratio = 10.0 ** ((level_db.max(axis=0) - level_db) / 20.0)  # (channels, tones), of amplitudes
         self._attenuation = attenuation_db256(level_db)
+        self._gate_ticks = 0  # of which there are records
+        self._records: ToneRecords
         self.start()
 
     def start(self) -> None:
@@ -85,13 +87,14 @@ class CombPlate:
         middle_turns[..., force] += strayed_s[:, np.newaxis] * frequency_hz[..., force]
         # White phase noise: the slope of a gate is off by length^(-3/2), its middle by length/sqrt(12) times that.
         sigma_hz = math.sqrt(6.0 / (4.0 * math.pi**2 * _CARRIER_TO_NOISE_HZ * gate_s**3)) * self._noise_ratio
+        if gate_ticks != self._gate_ticks:
+            self._gate_ticks = gate_ticks
+            self._records = ToneRecords(sigma_hz, self._attenuation, self._half_spacing_hz)
         noise = self._random.standard_normal((frames, 2, *sigma_hz.shape))
         offset_hz += sigma_hz * noise[:, 0]
         middle_turns += sigma_hz * noise[:, 1] * (gate_s / math.sqrt(12.0))
         return [
-            CountedFrame(
-                tone_records(offset, middle, sigma_hz, self._attenuation, self._half_spacing_hz), contacts, kelvin
-            )
+            CountedFrame(self._records.gate(offset, middle), contacts, kelvin)
             for offset, middle, contacts, kelvin in zip(
                 offset_hz, middle_turns, gates.contacts, gates.sites.plate_kelvin.tolist(), strict=True
             )

@@ -18,7 +18,7 @@ from simulators.plate import (
     gate_middles_s,
 )
 from simulators.scenario import FRICTION_COEFFICIENT, Scenario
-from simulators.tone_records import even_oscillators, tone_records
+from simulators.tone_records import ToneRecords, even_oscillators
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -37,7 +37,7 @@ class SkinPlate:
     three equally noisy, at the plate's own frame rate; each corner has its share by its level.
     """
 
-    block_frames = 1
+    block_frames = 4
 
     def __init__(
         self, plate: Plate, scenario: Scenario, seed: int, *, reference_error: float = REFERENCE_ERROR
@@ -67,46 +67,61 @@ class SkinPlate:
         self._oscillator_hz = oscillator_hz
         self._half_spacing_hz = spacing_hz / 2.0
         # Counted against a fast reference, every frequency seems low.
-        self._f0_hz = tones.f0_hz.T / (1.0 + reference_error)
+        self._f0_hz = _alike(tones.f0_hz.T / (1.0 + reference_error))
         gain = 1.0 + self._random.normal(0.0, GAIN_ERROR, count)
-        self._sensitivity = tones.sensitivity.T * gain
+        self._sensitivity = _alike(tones.sensitivity.T * gain)
+        self._still_hz = self._f0_hz - self._oscillator_hz
         self._spots = [
             _spot(plate, skin, (float(x), float(y)), float(peak))
             for (x, y), peak in zip(scenario.positions_m, scenario.peak_newton, strict=True)
         ]
         level_db = corner_levels_db(plate.site_positions_m[tones.site_index], plate.transducers_m, self._random).T
-        self._gate_s = 1.0 / plate.counter.frame_rate_hz
-        self._sigma_hz = self._noise_hz(plate, skin, level_db)
+        self._own_gate_s = 1.0 / plate.counter.frame_rate_hz
+        self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
         self._attenuation = attenuation_db256(level_db)
+        self._gate_s = 0.0  # of the following
+        self._sigma_hz: FloatArray
+        self._records: ToneRecords
         self.start()
 
     def start(self) -> None:
-        self._turns = self._random.random(self._f0_hz.shape)
+        self._turns = self._random.random(self._own_sigma_hz.shape)
 
     def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
-        times_s = gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz)
-        pressing = self._scenario.at(times_s)
-        counted = []
-        for ids, forces in zip(pressing.ids, pressing.force_newton, strict=True):
-            signals = np.zeros((3, int(self._where[1].max()) + 1))
-            contacts = []
-            for touch in np.flatnonzero(forces[:, 2]):
-                signals += self._spots[touch].signals(forces[touch])
-                contacts.append(self._contact(int(touch), int(ids[touch]), forces[touch]))
-            counted.append(CountedFrame(self._records(signals, gate_ticks / self._reference_hz), contacts))
-        return counted
+        if (gate_s := gate_ticks / self._reference_hz) != self._gate_s:
+            self._set_gate(gate_s)
+        pressing = self._scenario.at(gate_middles_s(scenario_ticks, gate_ticks, frames, self._tick_rate_hz))
+        contacts: list[list[Contact]] = [[] for _ in range(frames)]
+        signals = np.zeros((frames, 3, int(self._where[1].max()) + 1))
+        for touch in np.flatnonzero(pressing.force_newton[..., 2].any(axis=0)).tolist():
+            force_newton = pressing.force_newton[:, touch]
+            signals += self._spots[touch].signals(force_newton)
+            for frame in np.flatnonzero(force_newton[:, 2]).tolist():
+                contacts[frame].append(self._contact(touch, int(pressing.ids[frame, touch]), force_newton[frame]))
+        return [
+            CountedFrame(self._count_gate(signals[frame] if contacts[frame] else None), contacts[frame])
+            for frame in range(frames)
+        ]
 
-    def _records(self, signals: FloatArray, gate_s: float) -> list[bytes]:
-        offset_hz = self._f0_hz / (1.0 - self._sensitivity * signals[self._where]) - self._oscillator_hz
-        middle_turns = self._turns + offset_hz * (gate_s / 2.0)
-        self._turns += offset_hz * gate_s
+    def _set_gate(self, gate_s: float) -> None:
+        # White phase noise: the slope of a gate is off by length^(-3/2).
+        self._gate_s = gate_s
+        self._sigma_hz = self._own_sigma_hz * (self._own_gate_s / gate_s) ** 1.5
+        self._records = ToneRecords(self._sigma_hz, self._attenuation, self._half_spacing_hz)
+
+    def _count_gate(self, signals: FloatArray | None) -> list[bytes]:
+        """Return the records of each channel in the next gate, under signals (3, sites)."""
+        true_hz = self._still_hz  # (1 or channels, tones)
+        if signals is not None:
+            true_hz = self._f0_hz / (1.0 - self._sensitivity * signals[self._where]) - self._oscillator_hz
+        noise = self._random.standard_normal((2, *self._turns.shape), dtype=np.float32)
+        offset_hz = true_hz + self._sigma_hz * noise[0]
+        # The middle of a gate is off by length/sqrt(12) times the deviation of its slope.
+        middle_turns = self._turns + true_hz * (self._gate_s / 2.0)
+        middle_turns += self._sigma_hz * noise[1] * (self._gate_s / math.sqrt(12.0))
+        self._turns += true_hz * self._gate_s
         self._turns -= np.floor(self._turns)
-        # White phase noise: the slope of a gate is off by length^(-3/2), its middle by length/sqrt(12) times that.
-        sigma_hz = self._sigma_hz * (self._gate_s / gate_s) ** 1.5
-        noise = self._random.standard_normal((2, *offset_hz.shape), dtype=np.float32)
-        offset_hz += sigma_hz * noise[0]
-        middle_turns += sigma_hz * noise[1] * (gate_s / math.sqrt(12.0))
-        return tone_records(offset_hz, middle_turns, sigma_hz, self._attenuation, self._half_spacing_hz)
+        return self._records.gate(offset_hz, middle_turns)
 
     def _noise_hz(self, plate: Plate, skin: Skin, level_db: FloatArray) -> FloatArray:
         """Return the standard deviation (channels, tones) of a tone's frequency in a gate of the plate's own length."""
@@ -131,6 +146,11 @@ class SkinPlate:
             stick_radius_m,
             FRICTION_COEFFICIENT,
         )
+
+
+def _alike(channels: FloatArray) -> FloatArray:
+    """Return only the first of the channels (channels, tones) where they are all alike."""
+    return channels[:1] if (channels == channels[0]).all() else channels
 
 
 def _spot(plate: Plate, skin: Skin, centre_m: tuple[float, float], force_max_newton: float) -> PressedSpot:

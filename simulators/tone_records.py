@@ -10,6 +10,7 @@ from simulators.plate import record_type
 FloatArray = npt.NDArray[np.float64]
 
 _TONE = record_type(TONE_FIELDS)
+_OUT_OF_BAND = np.uint8(ToneFlag.OUT_OF_BAND)
 
 
 def even_oscillators(plate: Plate) -> tuple[FloatArray, float]:
@@ -26,32 +27,37 @@ def even_oscillators(plate: Plate) -> tuple[FloatArray, float]:
     return oscillator_hz, spacing_hz
 
 
-def tone_records(
-    offset_hz: FloatArray,
-    middle_turns: FloatArray,
-    sigma_hz: FloatArray,
-    attenuation_db256: npt.NDArray[np.uint16],
-    half_spacing_hz: float,
-) -> list[bytes]:
-    """Return the records of each channel of one gate; all arrays are (channels, tones).
+class ToneRecords:
+    """Records of the tones on every channel, of gates of one length.
 
     Parameters
     ----------
-    offset_hz
-        Against the tone's oscillator, noise included.
-    middle_turns
-        Phase against it in the middle of the gate; whole turns do not matter.
     sigma_hz
-        Standard deviation of the offset.
+        Standard deviation (channels, tones) of the offset.
     attenuation_db256
-        Level below full scale in 1/256 dB.
+        Level (channels, tones) below full scale in 1/256 dB.
     half_spacing_hz
         Offset beyond which a tone is out of its band.
     """
-    records = np.empty(offset_hz.shape, dtype=_TONE)
-    records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
-    records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
-    records["attenuation_db256"] = attenuation_db256
-    records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
-    records["flags"] = ToneFlag.OUT_OF_BAND * (np.abs(offset_hz) > half_spacing_hz)
-    return [channel.tobytes() for channel in records]
+
+    def __init__(self, sigma_hz: FloatArray, attenuation_db256: npt.NDArray[np.uint16], half_spacing_hz: float) -> None:
+        self._half_spacing_hz = half_spacing_hz
+        self._records = np.zeros(sigma_hz.shape, dtype=_TONE)
+        self._records["attenuation_db256"] = attenuation_db256
+        self._records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
+
+    def gate(self, offset_hz: FloatArray, middle_turns: FloatArray) -> list[bytes]:
+        """Return the records of each channel in one gate.
+
+        Parameters
+        ----------
+        offset_hz
+            Against the tone's oscillator (channels, tones), noise included.
+        middle_turns
+            Phase (channels, tones) against it in the middle of the gate; whole turns do not matter.
+        """
+        records = self._records
+        records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
+        records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
+        records["flags"] = (np.abs(offset_hz) > self._half_spacing_hz) * _OUT_OF_BAND
+        return [channel.tobytes() for channel in records]
