@@ -95,6 +95,13 @@ def make_parser(verbs: Mapping[str, Verb]) -> argparse.ArgumentParser:
         help="of a single-tone plate: sums in closed form, or of every time stamp, which is slow (default: sums)",
     )
     emulate.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
+    emulate.add_argument(
+        "--frame-rate-hz",
+        type=_positive,
+        metavar="HZ",
+        help="frames a second that the board offers; the daemon's plate file must have the same in [counter] "
+        "(default: the daemon chooses, by its plate file)",
+    )
     emulate.add_argument("--speed", type=_positive, default=1.0, metavar="X", help="times real time (default: 1)")
     emulate.add_argument("--json", action="store_true", help="say link and accounts as JSON lines on stdout")
 

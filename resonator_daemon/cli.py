@@ -155,6 +155,7 @@ def _emulate(options: argparse.Namespace) -> None:
                 counter=options.counter,
                 seed=options.seed,
                 speed=options.speed,
+                frame_rate_hz=options.frame_rate_hz,
                 json=options.json,
             )
         )

@@ -75,6 +75,8 @@ class Board:
         Share of its frames that the board loses, drawn from that seed; it counts and tells them as it does the others.
     misbehaviour
         What it does against its word.
+    gate_ticks
+        The only length of a gate that it offers; None: every one that the plate can be counted with.
     """
 
     def __init__(
@@ -87,11 +89,14 @@ class Board:
         drop_rate: float = 0.0,
         seed: int = 0,
         misbehaviour: Misbehaviour | None = None,
+        gate_ticks: int | None = None,
     ) -> None:
         self._plate = plate
         self._single_tone = plate.description.counter_kind == CounterKind.SINGLE_TONE
         self._lies = misbehaviour or Misbehaviour()
         description = replace(plate.description, queue_bytes=queue_limit_bytes, capabilities=int(Capability.LOCATE))
+        if gate_ticks is not None:
+            description = replace(description, gate_ticks_min=gate_ticks, gate_ticks_max=gate_ticks)
         self._description = self._lies.description(description)
         self._queue_limit_bytes = queue_limit_bytes
         self._drop_rate = drop_rate

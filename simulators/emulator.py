@@ -56,6 +56,7 @@ class EmulatorOptions:
     counter: Literal["sums", "stamps"] = "sums"  # of a single-tone plate: sums by closed form, or of every stamp
     seed: int | None = None  # None: the scenario's
     speed: float = 1.0
+    frame_rate_hz: float | None = None  # the only one that the board offers; None: all that the plate allows
     json: bool = False
 
 
@@ -98,7 +99,7 @@ class Emulator:
             raise ValueError("an emulated board has one link: give one of pty, tcp and usb")
         if not 0.0 < options.speed <= _SPEED_MAX:
             raise ValueError(f"speed must be above 0 and at most {_SPEED_MAX:g}, got {options.speed:g}")
-        plate = load_plate(options.plate)
+        plate = _at_rate(load_plate(options.plate), options.frame_rate_hz)
         scenario = load_scenario(options.scenario or default_scenario(plate), plate)
         faults = scenario.faults.with_more(options.faults)
         if options.pty is None and any(event.what == "rename" for event in faults.events):
@@ -106,7 +107,14 @@ class Emulator:
         scenario.physics = _skewed(scenario.physics, faults.skew_ppm)
         self.plate_name = plate.name
         seed = scenario.seed if options.seed is None else options.seed
-        self._board = _emulated_board(plate, scenario, seed, options.counter, Misbehaviour(faults.misbehave))
+        self._board = _emulated_board(
+            plate,
+            scenario,
+            seed,
+            options.counter,
+            Misbehaviour(faults.misbehave),
+            one_gate=options.frame_rate_hz is not None,
+        )
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
         self._script = Script(faults, seed)
@@ -283,9 +291,24 @@ def _draw_boot_id() -> int:
     return secrets.randbelow(0xFFFFFFFF) + 1
 
 
+def _at_rate(plate: Plate, frame_rate_hz: float | None) -> Plate:
+    """Return the plate with that frame rate in place of its own."""
+    if frame_rate_hz is None:
+        return plate
+    counter = plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})
+    return plate.model_copy(update={"counter": counter})
+
+
 def _emulated_board(
-    plate: Plate, scenario: Scenario, seed: int, counter: Literal["sums", "stamps"], misbehaviour: Misbehaviour
+    plate: Plate,
+    scenario: Scenario,
+    seed: int,
+    counter: Literal["sums", "stamps"],
+    misbehaviour: Misbehaviour,
+    *,
+    one_gate: bool = False,
 ) -> Board:
+    """Return a board on the plate; with `one_gate` it offers no other frame rate than the plate's."""
     single_tone = plate.counter.kind == "single-tone"
     emulated: EmulatedPlate
     if counter == "stamps" and not single_tone:
@@ -299,6 +322,16 @@ def _emulated_board(
         emulated = CombPlate(plate, scenario, seed)
     else:
         emulated = SkinPlate(plate, scenario, seed, reference_error=scenario.physics.reference_error)
+    gate_ticks = None
+    if one_gate:
+        gate_ticks = round(plate.counter.reference_hz / plate.counter.frame_rate_hz)
+        low, high = emulated.description.gate_ticks_min, emulated.description.gate_ticks_max
+        if not low <= gate_ticks <= high:
+            lowest_hz, highest_hz = plate.counter.reference_hz / high, plate.counter.reference_hz / low
+            raise ValueError(
+                f"frame_rate_hz: got {plate.counter.frame_rate_hz:g}; the emulated {plate.name} makes {lowest_hz:g} to "
+                f"{highest_hz:g} frames/s"
+            )
     return Board(
         emulated,
         Identity(f"emulated {plate.name}", SERIAL_NUMBER, "emulator", PROTOCOL_MINOR, CREDIT_BYTES),
@@ -307,6 +340,7 @@ def _emulated_board(
         drop_rate=scenario.physics.drop_rate,
         seed=seed,
         misbehaviour=misbehaviour,
+        gate_ticks=gate_ticks,
     )
 
 

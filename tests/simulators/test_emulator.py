@@ -17,10 +17,14 @@ import pytest
 from emulation import emulated
 from wire_host import WAIT_S, Host, opened, truths, wait_for
 
-from firmware_protocol.host import FramePart
+from firmware_protocol.host import Described, FramePart
+from resonator_daemon.acquisition.fit import misfits
+from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
 from simulators.links import PtyLink
+from simulators.scenario import Scenario
+from simulators.skin_plate import SkinPlate
 from simulators.stamps import stamped_sums
 
 
@@ -113,6 +117,39 @@ def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
     }  # fmt: skip
     assert contacts[0]["radius_m"] == pytest.approx(2.5e-3 * contacts[0]["force_newton"][2] ** (1 / 3))
     assert emulator.report()["bytes_sent"] >= 80 * parts_a_frame * 36
+
+
+def at_rate(plate: Plate, frame_rate_hz: float) -> Plate:
+    return plate.model_copy(
+        update={"counter": plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})},
+    )
+
+
+def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other() -> None:
+    skin = load_plate("skin32")
+    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), frame_rate_hz=250.0)
+    with emulated(options) as emulator:
+        host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
+        with socket.create_connection((host_name, int(port))) as client:
+            host = Host(client.fileno(), gate_ticks=1_000_000)
+            host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 10 * 20)
+    (described,) = (event for event in host.events if isinstance(event, Described))
+    assert misfits(described.description, at_rate(skin, 250.0)) == ()
+    assert misfits(described.description, skin) == (
+        "frame rate: the board makes 250 to 250 Hz, the plate file has 100 Hz",
+    )
+    ticks = sorted({event.board_ticks for event in host.events if isinstance(event, FramePart)})
+    assert np.diff(ticks).tolist() == [1_000_000] * (len(ticks) - 1)
+
+
+def test_a_skin_is_as_noisy_at_a_given_rate_as_one_whose_file_has_it() -> None:
+    def stated_noise(frame_rate_hz: float) -> bytes:
+        plate = at_rate(load_plate("skin32"), frame_rate_hz)
+        gate_ticks = round(plate.counter.reference_hz / frame_rate_hz)
+        (frame, *_) = SkinPlate(plate, Scenario((), None, plate), seed=1).count(0, 0, gate_ticks, 1)
+        return frame.channels[0][10::12]  # the codes of the standard deviation
+
+    assert stated_noise(250.0) == stated_noise(100.0)
 
 
 def test_a_comb_of_force_sites_sends_all_its_tones_on_four_channels_over_tcp(tmp_path: Path) -> None:
@@ -273,6 +310,8 @@ def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:
         Emulator(EmulatorOptions("quartz16", pty=path, scenario="tuches"))
     with pytest.raises(ValueError, match="plate skin32 is channelised, and only a single-tone"):
         Emulator(EmulatorOptions("skin32", pty=path, counter="stamps"))
+    with pytest.raises(ValueError, match=r"frame_rate_hz: got 251; the emulated skin32 makes 10 to 250 frames/s"):
+        Emulator(EmulatorOptions("skin32", pty=path, frame_rate_hz=251.0))
     with pytest.raises(FileNotFoundError):
         Emulator(EmulatorOptions("quartz16", pty=path, truth=tmp_path / "nowhere" / "truth.jsonl"))
     assert not path.is_symlink()
