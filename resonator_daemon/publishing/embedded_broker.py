@@ -9,6 +9,7 @@ from contextlib import asynccontextmanager
 from typing import Final
 
 from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing.embedded_delivery import Connection, StreamDelivery
 
 SHUTDOWN_TIMEOUT_S: Final = 2.0
 
@@ -23,7 +24,7 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         amqtt, which the broker is made of, is not installed.
     """
     try:
-        from amqtt.adapters import StreamReaderAdapter, StreamWriterAdapter
+        from amqtt.adapters import StreamReaderAdapter
         from amqtt.broker import Broker
     except ImportError as error:
         raise OperatorError("the embedded broker needs amqtt: pip install amqtt") from error
@@ -36,13 +37,18 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         "plugins": {"amqtt.plugins.authentication.AnonymousAuthPlugin": {"allow_anonymous": True}},
     }
     broker = Broker(config)
+    delivery = StreamDelivery(broker)
     serving: dict[asyncio.Task[None], asyncio.StreamWriter] = {}
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        connection = Connection(reader, writer, delivery)
+        reading = asyncio.create_task(connection.read_on())
         try:
-            await broker.external_connected(StreamReaderAdapter(reader), StreamWriterAdapter(writer), "default")
+            await broker.external_connected(StreamReaderAdapter(connection.reader), connection, "default")
         finally:
+            reading.cancel()
             writer.close()
+            delivery.subscriptions_changed()
 
     def accept(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         task = asyncio.create_task(serve(reader, writer))

@@ -1,0 +1,141 @@
+"""Short way through the embedded broker for messages of streams, which amqtt would queue without limit."""
+
+import asyncio
+import logging
+from typing import TYPE_CHECKING, Final
+
+from paho.mqtt.client import topic_matches_sub
+
+if TYPE_CHECKING:
+    from amqtt.broker import Broker
+
+WAITING_BYTES_MAX: Final = 256 * 1024  # for one subscriber: ten decoded frames, a few hundred messages of forces
+
+_READ_BYTES: Final = 64 * 1024
+_STREAM: Final = 0x30  # PUBLISH with QoS 0, neither retained nor a duplicate
+_CONNACK, _SUBACK, _UNSUBACK = b"\x20", b"\x90", b"\xb0"
+_LENGTH_BYTES_MAX: Final = 4
+
+log = logging.getLogger(__name__)
+
+
+class StreamDelivery:
+    """Hands messages of QoS 0 that are not retained to their subscribers as they come; all else is amqtt's.
+
+    A subscriber for whom too much is waiting misses them; `dropped` counts.
+    """
+
+    def __init__(self, broker: "Broker") -> None:
+        self._broker = broker
+        self._subscribers: dict[bytes, list[Connection]] = {}  # by topic
+        self.dropped = 0
+
+    def forward(self, packet: bytes, topic: bytes) -> None:
+        """Write a packet to all subscribers of its topic."""
+        subscribers = self._subscribers.get(topic)
+        if subscribers is None:
+            subscribers = self._subscribers[topic] = self._find(topic.decode(errors="replace"))
+        for subscriber in subscribers:
+            if not subscriber.write_stream(packet):
+                if not self.dropped:
+                    log.warning("a subscriber does not keep up: it misses messages of QoS 0")
+                self.dropped += 1
+
+    def subscriptions_changed(self) -> None:
+        self._subscribers.clear()
+
+    def _find(self, topic: str) -> list["Connection"]:
+        identifiers = {
+            session.client_id
+            for topic_filter, subscriptions in self._broker.subscriptions.items()
+            if topic_matches_sub(topic_filter, topic)
+            for session, _ in subscriptions
+        }
+        handlers = [self._broker.sessions[each][1] for each in identifiers if each in self._broker.sessions]
+        return [handler.writer for handler in handlers if isinstance(handler.writer, Connection)]
+
+
+class Connection:
+    """One client: `read_on` sorts its packets; amqtt reads those left for it from `reader`, and writes to this object.
+
+    The methods without a comment are those of amqtt's WriterAdapter.
+    """
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, delivery: StreamDelivery) -> None:
+        self._socket_reader = reader
+        self._writer = writer
+        self._delivery = delivery
+        self._accepted = False
+        self._closed = False
+        self.reader = asyncio.StreamReader()
+
+    async def read_on(self) -> None:
+        """Read until the client leaves."""
+        waiting = bytearray()
+        try:
+            while data := await self._socket_reader.read(_READ_BYTES):
+                waiting += data
+                del waiting[: self._sort(bytes(waiting))]
+        except OSError:
+            pass  # it left without a farewell
+        finally:
+            self.reader.feed_eof()
+
+    def write_stream(self, packet: bytes) -> bool:
+        """Write a packet unless too much waits already; return whether it was written."""
+        if self._closed or self._writer.transport.get_write_buffer_size() > WAITING_BYTES_MAX:
+            return self._closed
+        self._writer.write(packet)
+        return True
+
+    def write(self, data: bytes) -> None:
+        if data[:1] == _CONNACK:
+            self._accepted = data[3] == 0
+        elif data[:1] in (_SUBACK, _UNSUBACK):
+            self._delivery.subscriptions_changed()
+        if not self._closed:
+            self._writer.write(data)
+
+    async def drain(self) -> None:
+        if not self._closed:
+            await self._writer.drain()
+
+    def get_peer_info(self) -> tuple[str, int] | None:
+        name = self._writer.get_extra_info("peername")
+        return (name[0], name[1]) if name else None
+
+    def get_ssl_info(self) -> None:
+        return None
+
+    async def close(self) -> None:
+        if not self._closed:
+            self._closed = True
+            self._delivery.subscriptions_changed()
+            self._writer.close()
+
+    def _sort(self, data: bytes) -> int:
+        """Forward or hand over all whole packets; return the bytes used up."""
+        start = 0
+        while (ends := _packet(data, start)) is not None:
+            body, end = ends
+            if data[start] == _STREAM and self._accepted:
+                topic_end = body + 2 + int.from_bytes(data[body : body + 2], "big")
+                self._delivery.forward(data[start:end], data[body + 2 : topic_end])
+            else:
+                self.reader.feed_data(data[start:end])
+            start = end
+        return start
+
+
+def _packet(data: bytes, start: int) -> tuple[int, int] | None:
+    """Return where the body of the packet at `start` begins and ends; None where it is not whole yet."""
+    length = 0
+    for place in range(_LENGTH_BYTES_MAX):
+        at = start + 1 + place
+        if at >= len(data):
+            return None
+        length |= (data[at] & 0x7F) << 7 * place
+        if data[at] < 0x80:
+            break
+    end = at + 1 + length
+    return (at + 1, end) if end <= len(data) else None
