@@ -5,14 +5,18 @@ from collections.abc import Collection
 
 import psutil
 
-from resonator_daemon.demo.processes import cpu_s
-
 
 class HostLoad:
-    """Measures from its construction to `stop`; processes that end or start in between count in the sum alone."""
+    """Measures from its construction to `stop`; processes that end or start in between count in the sum alone.
+
+    Attributes
+    ----------
+    used_s
+        Processor time of each process, once stopped.
+    """
 
     def __init__(self) -> None:
-        self._processes = {process: cpu_s(process) for process in psutil.process_iter()}
+        self.used_s = {process: _cpu_s(process) for process in psutil.process_iter()}
         self._busy_s = _busy_s()
         self._started_s = time.monotonic()
         self._ended_s = self._started_s
@@ -20,7 +24,7 @@ class HostLoad:
     def stop(self) -> None:
         self._ended_s = time.monotonic()
         self._busy_s = _busy_s() - self._busy_s
-        self._processes = {process: cpu_s(process) - before_s for process, before_s in self._processes.items()}
+        self.used_s = {process: _cpu_s(process) - before_s for process, before_s in self.used_s.items()}
 
     def in_words(self, own_cpu_s: float, own_pids: Collection[int]) -> str:
         """Return one sentence on what kept the computer busy, given what the run itself used."""
@@ -28,17 +32,25 @@ class HostLoad:
         cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
         others = max(self._busy_s / seconds - own, 0.0)
         words = f"of {cores} processor cores, this demo used {own:.2f} and other processes {others:.2f}"
-        foreign = {process: used_s for process, used_s in self._processes.items() if process.pid not in own_pids}
+        foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
         if foreign:
             process = max(foreign, key=lambda process: foreign[process])
             if (used := foreign[process] / seconds) >= others / 4 and used >= 0.05:
-                words += f", most of them {_name(process)} (process {process.pid}) with {used:.2f}"
+                words += f", above all {_name(process)} (process {process.pid}) with {used:.2f}"
         return words
 
 
 def _busy_s() -> float:
     times = psutil.cpu_times()
     return float(sum(times) - times.idle - getattr(times, "iowait", 0.0) - getattr(times, "guest", 0.0))
+
+
+def _cpu_s(process: psutil.Process) -> float:
+    try:
+        times = process.cpu_times()
+    except psutil.Error:
+        return 0.0
+    return float(times.user + times.system)
 
 
 def _name(process: psutil.Process) -> str:

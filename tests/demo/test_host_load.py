@@ -1,0 +1,37 @@
+"""What kept the computer busy, in one sentence."""
+
+import os
+import re
+import subprocess
+import sys
+
+import psutil
+
+from resonator_daemon.demo.host_load import HostLoad
+from resonator_daemon.demo.processes import cpu_s
+
+BUSY = "print('busy', flush=True)\nwhile True: pass"
+
+
+def test_the_busiest_other_process_is_named() -> None:
+    with subprocess.Popen([sys.executable, "-c", BUSY], stdout=subprocess.PIPE) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        load = HostLoad()
+        process = psutil.Process(other.pid)
+        until_s = cpu_s(process) + 0.5
+        while cpu_s(process) < until_s:
+            os.sched_yield()
+        load.stop()
+        other.kill()
+    its = [used_s for each, used_s in load.used_s.items() if each.pid == other.pid]
+    assert len(its) == 1
+    assert its[0] >= 0.4
+    words = load.in_words(0.0, {os.getpid()})
+    assert re.match(r"of \d+ processor cores, this demo used 0\.00 and other processes \d+\.\d\d", words)
+
+
+def test_own_processes_are_not_named() -> None:
+    load = HostLoad()
+    load.stop()
+    assert "above all" not in load.in_words(0.0, set(psutil.pids()))

@@ -1,0 +1,67 @@
+"""What a demo's result says: which of it is a failure, which is only late, and the same losses as on the page."""
+
+from typing import Any
+
+import pytest
+
+from resonator_daemon.demo.results import delays, failures, in_words
+
+LOST = dict.fromkeys(("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow", "publish_dropped"), 0)
+
+
+def plate(**changes: Any) -> dict[str, Any]:
+    fine = {
+        "frames": 20_000,
+        "lost": LOST,
+        "frame_rate_hz": 1000.0,
+        "latency_ms": {"p50": 1.0, "p99": 4.0},
+        "contacts_true": 9,
+        "contacts_found": 9,
+        "contacts_late": 0,
+        "latest_contact_ms": None,
+        "sites_right": 9,
+        "force_error_newton_rms": 0.001,
+        "position_error_mm_rms": None,
+        "decoded_frames": None,
+        "frames_not_decoded": None,
+        "traction_error": None,
+        "parts_lost": 0,
+    }
+    return fine | changes
+
+
+def test_a_run_without_loss_is_no_failure() -> None:
+    assert failures(plate()) == []
+    assert delays(plate()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "clause"),
+    [
+        ({"contacts_found": 7}, "2 of 9 touches missed: no onset at the right site with a time within 50 ms"),
+        ({"contacts_found": 7, "sites_right": None}, "2 of 9 touches missed: no onset with a time within 50 ms"),
+        ({"lost": LOST | {"link_gap": 3}}, "3 lost: link_gap"),
+        ({"frames": 0}, "no frame arrived"),
+        ({"decoded_frames": 0}, "no frame was decoded"),
+    ],
+)
+def test_what_was_missed_or_lost_is_a_failure(changes: dict[str, Any], clause: str) -> None:
+    assert failures(plate(**changes)) == [clause]
+
+
+def test_what_came_late_is_none() -> None:
+    late = plate(contacts_late=2, latest_contact_ms=130.4, latency_ms={"p50": 3.0, "p99": 80.2})
+    assert failures(late) == []
+    assert delays(late) == [
+        "2 of 9 touches late: the onset arrived more than 50 ms after the touch, 130 ms at most",
+        "messages late: 80 ms (99 %)",
+    ]
+
+
+def test_words_name_parts_losses_and_late_touches() -> None:
+    lossy = plate(lost=LOST | {"link_gap": 3}, contacts_late=2, parts_lost=1)
+    result = {"seconds": 20.0, "broker": "mosquitto", "cores": 0.5, "cpu_percent_by_part": {"broker": 3.0}}
+    words = in_words(result | {"plates": {"quartz16": lossy}})
+    assert "lost: link gap 3, parts 1" in words
+    assert "touches: 9 of 9 found at the right site, 2 of them late" in words
+    assert "  3.0 %  broker" in words
