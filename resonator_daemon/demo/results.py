@@ -31,6 +31,7 @@ def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[st
         "frames_not_decoded": losses["not_decoded"] if has_skin else None,
         "traction_error": _rounded(accuracy.traction_error),
         "parts_lost": losses["parts"],
+        "messages_missed": score.messages_missed,
     }
 
 
@@ -64,6 +65,8 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
             f"{late} of {plate['contacts_true']} touches late: the onset arrived more than {_LATE_MS:g} ms "
             f"after the touch, {plate['latest_contact_ms']:.0f} ms at most"
         )
+    if missed := plate["messages_missed"]:
+        clauses.append(f"{missed} messages missing between others: skipped under load, or lost on the way")
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
         clauses.append(f"messages late: {plate['latency_ms']['p99']:.0f} ms (99 %)")
     return clauses

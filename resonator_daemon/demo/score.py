@@ -87,6 +87,8 @@ class PlateScore:
 
     Attributes
     ----------
+    messages_missed
+        Gaps in `seq` of `forces`, `decoded` and its summary since `begin`: skipped under load, or lost on the way.
     started, ended
         A first result was received; the daemon has published that it is offline, its last message.
     """
@@ -115,6 +117,8 @@ class PlateScore:
         self._losses_before = self._losses.copy()
         self.latency_ms: list[float] = []
         self.decoded_frames = 0
+        self.messages_missed = 0
+        self._newest_seq: dict[str, int] = {}  # by path
         self.health: list[Mapping[str, Any]] = []
         self.started = self.ended = False
 
@@ -126,7 +130,7 @@ class PlateScore:
         self._force_errors.clear()
         self._position_errors.clear()
         self._traction_errors.clear()
-        self.decoded_frames = 0
+        self.decoded_frames = self.messages_missed = 0
         self._losses_before = self._losses.copy()
         self._sequence_before = self._newest_sequence
 
@@ -150,12 +154,15 @@ class PlateScore:
         """Take a message of the topic with this path; it arrived at that time, UTC."""
         if path == DECODED.path:
             self.decoded_frames += 1
-            self._waiting.append(_Waiting(path, read_arrays(payload), arrived_ns))
+            message = read_arrays(payload)
+            self._count_missed(path, message["seq"])
+            self._waiting.append(_Waiting(path, message, arrived_ns))
             return
         message = json.loads(payload)
         self._count(message["lost"])
         if path in (FORCES.path, DECODED_SUMMARY.path):
             self.started = True
+            self._count_missed(path, message["seq"])
             self._waiting.append(_Waiting(path, message, arrived_ns))
         elif path == CONTACT_EVENT.path:
             if message["event"] == "onset":
@@ -165,6 +172,11 @@ class PlateScore:
             self.health.append(message)
         elif path == STATE_DAEMON.path:
             self.ended = message["state"] == "offline"
+
+    def _count_missed(self, path: str, seq: int) -> None:
+        if (newest := self._newest_seq.get(path)) is not None:
+            self.messages_missed += max(seq - newest - 1, 0)
+        self._newest_seq[path] = seq
 
     def _count(self, losses: Mapping[str, int]) -> None:
         for cause, count in losses.items():

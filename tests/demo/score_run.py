@@ -121,14 +121,16 @@ class Run:
         message = ContactEvent(**header, board_ticks=1, event=event, contact=contact)
         self.take(topics.CONTACT_EVENT, message, t_ns if arrived_ns is None else arrived_ns)
 
-    def forces(self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS) -> None:
+    def forces(
+        self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS, seq: int = 0
+    ) -> None:
         """Take the message of the window of so many frames whose last gate was frame `number`."""
         forces = tuple(
             SiteForce(site=site, force_newton=newton, noise_newton=0.0, systematic_newton=0.0, status="ok")
             for site, newton in sites
         )
         message = Forces(
-            **HEADER,
+            **HEADER | {"seq": seq},
             board_ticks=TICKS * (number + 1),
             window_s=frames * FRAME_NS * 1e-9,
             status="ok",
@@ -147,10 +149,16 @@ class Run:
         self.take(topics.FORCES, message, arrived_ns)
 
     def decoded(
-        self, number: int, traction_pascal: NDArray[np.float64], *, grid: bool = True, arrived_ns: int = FAR_NS
+        self,
+        number: int,
+        traction_pascal: NDArray[np.float64],
+        *,
+        grid: bool = True,
+        arrived_ns: int = FAR_NS,
+        seq: int = 0,
     ) -> None:
         message = Decoded(
-            **HEADER,
+            **HEADER | {"seq": seq},
             board_ticks=TICKS * (number + 1),
             traction_pascal=traction_pascal,
             traction_std_pascal=np.zeros_like(traction_pascal),

@@ -26,6 +26,7 @@ def plate(**changes: Any) -> dict[str, Any]:
         "frames_not_decoded": None,
         "traction_error": None,
         "parts_lost": 0,
+        "messages_missed": 0,
     }
     return fine | changes
 
@@ -50,10 +51,11 @@ def test_what_was_missed_or_lost_is_a_failure(changes: dict[str, Any], clause: s
 
 
 def test_what_came_late_is_none() -> None:
-    late = plate(contacts_late=2, latest_contact_ms=130.4, latency_ms={"p50": 3.0, "p99": 80.2})
+    late = plate(contacts_late=2, latest_contact_ms=130.4, messages_missed=5, latency_ms={"p50": 3.0, "p99": 80.2})
     assert failures(late) == []
     assert delays(late) == [
         "2 of 9 touches late: the onset arrived more than 50 ms after the touch, 130 ms at most",
+        "5 messages missing between others: skipped under load, or lost on the way",
         "messages late: 80 ms (99 %)",
     ]
 

@@ -267,3 +267,12 @@ def test_frames_are_those_since_the_last_before_the_beginning(run: Run) -> None:
     run.health(7)
     run.health(12)
     assert run.score.frames == 7
+
+
+def test_gaps_between_messages_are_counted_by_topic(run: Run) -> None:
+    for seq in (3, 4, 7):
+        run.forces(1, seq=seq)
+    run.score.begin(T0_NS)
+    run.decoded(1, np.zeros((3, 2, 2)), seq=1)
+    run.forces(1, seq=9)
+    assert run.score.messages_missed == 1
