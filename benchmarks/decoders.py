@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.decoding.skin import Wanted
-from resonator_daemon.decoding.stage import set_up
+from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
@@ -271,7 +271,12 @@ def costs(plate: Plate, frames: list[NDArray[np.float32]]) -> None:
     known.take_info(encode(info_of(plate)))
     if known.skin is None:
         raise ValueError(known.problem)
-    reporter = SurfaceReporter(known.skin.site_ids, known.skin.skin.site_positions_m, known.skin.grid, "bench")
+    reporter = SurfaceReporter(
+        known.skin.site_ids,
+        known.skin.skin.site_positions_m,
+        known.skin.grid.pitch_m if known.skin.grid else None,
+        "bench",
+    )
     noise_std = noise.astype(np.float64)
     alone = set_up(known.skin.skin, Wanted(background=False), noise_std, ignore)
     following = set_up(known.skin.skin, Wanted(), noise_std, ignore)

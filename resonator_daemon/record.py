@@ -238,12 +238,11 @@ class _Sitting:
 
 def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
     """Return what measures, and has it recorded; what that imports takes half a second."""
-    from resonator_daemon.decoding.in_order import DecodingInOrder
     from resonator_daemon.reporting.board_course import BoardCourse
     from resonator_daemon.service.recorded_messages import RecordedMessages
 
     messages = RecordedMessages(recorder, derived=True)
-    return BoardCourse(config, boot_id, messages.take, make_stage=DecodingInOrder)
+    return BoardCourse(config, boot_id, messages.take)
 
 
 def _progress(account: LinkAccount, recorder: Recorder) -> str:

@@ -64,6 +64,15 @@ def health(**changed: Any) -> Health:
         "parts_lost": 7,
         "frames_not_decoded": 8,
         "records_unusable": {"edges": 9},
+        "decoder": {
+            "pid": 4711,
+            "restarts": {"hung": 46},
+            "decoded": 47,
+            "skipped": {"too_old": 8},
+            "waiting": 0,
+            "cpu_percent": 48.0,
+            "rss_mb": 49.0,
+        },
         "packets_ignored": {"stale": 10, "malformed": 11, "unknown": 12, "log": 13},
         "bytes_in": 11_111,
         "bytes_by_fate": {

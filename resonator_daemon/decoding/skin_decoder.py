@@ -75,9 +75,13 @@ class SkinDecoder:
             self._reader.physics.reset()
         return self.contacts.reset()
 
+    def number_from(self, last_contact_id: int) -> None:
+        """Continue the numbers of contacts after those of an earlier decoder."""
+        self.contacts.tracker.last_id = last_contact_id
+
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
         """Take the place of another: returns how its contacts end, and numbers those to come on from there."""
-        self.contacts.tracker.last_id = other.contacts.tracker.last_id
+        self.number_from(other.contacts.tracker.last_id)
         return other.reset()
 
     def decode(self, signals: Floats, noise_std: Floats) -> SurfaceReading:

@@ -10,7 +10,13 @@ from typing import NamedTuple, TypedDict
 import psutil
 
 from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.publishing.payloads import BootInfo, LatencyInfo, MessageAccount, RecordingInfo
+from resonator_daemon.publishing.payloads import (
+    BootInfo,
+    DecoderProcessInfo,
+    LatencyInfo,
+    MessageAccount,
+    RecordingInfo,
+)
 
 
 class Vitals(TypedDict):
@@ -37,6 +43,7 @@ class Vitals(TypedDict):
     threads: int
     file_descriptors: int
     latency: dict[str, LatencyInfo]
+    decoder: DecoderProcessInfo | None
     recording: RecordingInfo
     commands: dict[str, int]
     messages: MessageAccount
@@ -51,25 +58,29 @@ class Held(NamedTuple):
     file_descriptors: int
 
 
-class OwnProcess:
-    """Asks the system what this process has of it."""
+class ProcessUsage:
+    """Asks the system what a process has of it; by default this one."""
 
-    def __init__(self) -> None:
-        self._process = psutil.Process()
+    def __init__(self, pid: int | None = None) -> None:
+        self._process = psutil.Process(pid)
         self._process.cpu_percent()  # the first call begins the interval
         self._last = Held(0.0, self._rss_mb(), self._process.num_threads(), self._process.num_fds())
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     def held(self) -> Held:
         """Return what it has now.
 
         The system tells in files. A process that may open nothing more has as many descriptors as it may have; the rest
-        is then not known, or as it was.
+        is then not known, or as it was. So it is of a process that has ended.
         """
         try:
             self._last = Held(
                 self._process.cpu_percent(), self._rss_mb(), self._process.num_threads(), self._process.num_fds()
             )
-        except OSError:
+        except (OSError, psutil.Error):
             most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
             return self._last._replace(cpu_percent=math.nan, file_descriptors=most)
         return self._last
@@ -82,7 +93,7 @@ class HealthMonitor:
     """Takes stock of this process; rates are over the time since the last call of `vitals`."""
 
     def __init__(self) -> None:
-        self._process = OwnProcess()
+        self._process = ProcessUsage()
         self._started = self._last = time.monotonic()
         self._last_frames = 0
 
@@ -96,6 +107,7 @@ class HealthMonitor:
         latency: dict[str, LatencyInfo],
         recording: RecordingInfo,
         commands: dict[str, int],
+        decoder: DecoderProcessInfo | None = None,
     ) -> Vitals:
         """Take stock; from a task of the event loop, whose tasks are counted."""
         now = time.monotonic()
@@ -143,6 +155,7 @@ class HealthMonitor:
             threads=held.threads,
             file_descriptors=held.file_descriptors,
             latency=latency,
+            decoder=decoder,
             recording=recording,
             commands=commands,
             messages=messages,

@@ -103,6 +103,15 @@ class _Families:
         yield self._counters("resonatord_frames_lost", "Frames lost", "cause", lost)
         yield self._counter("resonatord_frame_parts_lost", "Parts of frames lost", health.parts_lost)
         yield self._counter("resonatord_frames_not_decoded", "Frames the decoder skipped", health.frames_not_decoded)
+        if (decoder := health.decoder) is not None:
+            yield self._counters(
+                "resonatord_decoder_frames_skipped", "Frames the decoder skipped", "cause", decoder.skipped
+            )
+            yield self._counters(
+                "resonatord_decoder_restarts", "Restarts of the decoder process", "cause", decoder.restarts
+            )
+            yield self._gauge("resonatord_decoder_cpu_ratio", "Processor time, of one core", decoder.cpu_percent * 0.01)
+            yield self._gauge("resonatord_decoder_resident_memory_bytes", "Memory", decoder.rss_mb * 1e6)
         yield self._counters(
             "resonatord_records_unusable", "Readings that gave no frequency", "cause", health.records_unusable
         )

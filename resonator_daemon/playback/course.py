@@ -15,7 +15,6 @@ from resonator_daemon.acquisition.replay import Replay
 from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.acquisition.wire_events import WireEvent
 from resonator_daemon.config import Config
-from resonator_daemon.decoding.in_order import DecodingInOrder
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.reporting.board_course import BoardCourse
@@ -67,7 +66,7 @@ class Playback:
         self._ring = Ring(_RING_BYTES, lambda: None, ())
         self._link = LinkCourse(config.plate, self._ring, lambda _: None)
         self._replay = Replay(recording, self._link)
-        self._board = BoardCourse(config, daemon_boot_id, self._publish, make_stage=DecodingInOrder)
+        self._board = BoardCourse(config, daemon_boot_id, self._publish)
         self._waiting: list[tuple[HostTime, list[SingleToneFrame]]] = []  # events of which nothing but frames came
         self._waiting_frames: list[SingleToneFrame] = []  # of all of these: they are adjacent
         self.refused: tuple[str, ...] = ()

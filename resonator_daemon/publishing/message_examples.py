@@ -206,6 +206,7 @@ EXAMPLES: Final[dict[str, dict[str, Any]]] = {
         "threads": 4,
         "file_descriptors": 23,
         "latency": {"forces": {"bounds_ms": [1.0, 2.0, 10.0], "counts": [2100, 9300, 640, 0]}},
+        "decoder": None,
         "recording": {
             "file": None,
             "since_t_ns": None,

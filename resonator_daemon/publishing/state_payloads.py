@@ -147,6 +147,26 @@ class LatencyInfo(Message):
     counts: tuple[int, ...] = Field(description="messages in each bin since the daemon, or decoder, started")
 
 
+class DecoderProcessInfo(Message):
+    """How the process that decodes a skin fares.
+
+    Frames offered to it since the daemon started = `decoded` + sum of `skipped` + `waiting`.
+    """
+
+    pid: int | None = Field(description="process id; null while it is being started")
+    restarts: dict[str, int] = Field(
+        description="since the daemon started, by what ended the process before: `crashed`, `hung`"
+    )
+    decoded: int = Field(description="frames that were decoded")
+    skipped: dict[str, int] = Field(
+        description="frames that were not, by cause: `newer_frame` (a newer one came first), `too_old` (more than 0.1 s"
+        " when its turn came), `no_noise` (the noise of a channel is not known yet), `decoder_ended`, `undecodable`"
+    )
+    waiting: int = Field(description="frames that are being decoded, or are next")
+    cpu_percent: Float = Field(description=_CPU)
+    rss_mb: Float = Field(description="memory of the process")
+
+
 class RecordingInfo(Message):
     """What is being recorded of the link, and what all recordings since the daemon started have come to."""
 
@@ -171,9 +191,7 @@ class Health(Header):
     frames: int = Field(description="frames that arrived since then")
     frame_rate_hz: Float = Field(description="since the last `health`")
     parts_lost: int = Field(description="parts of large frames that were damaged or missing; their tones are not known")
-    frames_not_decoded: int = Field(
-        description="skipped by the decoder: a newer one was there, it was being set up, or nothing told the noise yet"
-    )
+    frames_not_decoded: int = Field(description="skipped by the decoder; `decoder` has them by cause")
     records_unusable: dict[str, int] = Field(description="readings that gave no frequency, by cause")
     packets_ignored: dict[str, int] = Field(
         description="undamaged packets that led to nothing, by cause: from before a reset, malformed, of unknown type, "
@@ -189,12 +207,15 @@ class Health(Header):
     )
     clock_outliers: int = Field(description="pings whose answer contradicted the others")
     clock_restarts: int = Field(description="times that the board's clock had to be learnt anew")
-    cpu_percent: Float = Field(description=_CPU)
-    rss_mb: Float = Field(description="memory of the daemon")
+    cpu_percent: Float = Field(description=_CPU + "; without the decoder's")
+    rss_mb: Float = Field(description="memory of the daemon, without the decoder's")
     tasks: int = Field(description="of the daemon's event loop")
     threads: int = Field(description="of the daemon")
     file_descriptors: int = Field(description="that the daemon holds open")
     latency: dict[str, LatencyInfo] = Field(description="by topic")
+    decoder: DecoderProcessInfo | None = Field(
+        None, description="the process that decodes a skin; null where the daemon has none"
+    )
     recording: RecordingInfo = Field(description="what is recorded, and was since the daemon started")
     commands: dict[str, int] = Field(
         default_factory=dict,

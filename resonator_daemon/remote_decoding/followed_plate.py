@@ -3,30 +3,23 @@
 import asyncio
 import time
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Wanted
-from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
-from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.monitoring.latency import LatencyHistogram
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
+from resonator_daemon.publishing.payloads import Condition, ContactEvent, DecoderPlateHealth, Message, Signals
 from resonator_daemon.publishing.publisher import Subscription
-from resonator_daemon.publishing.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
-    INFO,
-    SIGNALS,
-    full_topic,
-)
+from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, SkinPlate, header_of
 from resonator_daemon.reporting.silence import CONTACTS_END_S
-from resonator_daemon.reporting.surface_reports import SurfaceReporter
+from resonator_daemon.reporting.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings
 
 _LOOK_S = 0.1
 
@@ -56,14 +49,12 @@ class FollowedPlate:
         self._decoder_id = decoder_id
         self._publish = publish
         self._uncertainty = uncertainty
-        self._stage: DecodingStage[Signals] | None = None
+        self._decoder: DecoderSupervisor[Signals] | None = None
         self._changed = asyncio.Event()
         self._note = ""
-        self._stage_has_ended = False  # what it announced last is why
-        self._is_set_up = False  # the decoder of the stage
-        self._delivered: Signals | None = None
+        self._decoder_has_ended = False  # what it announced last is why
+        self._is_set_up = False  # the decoder
         self._decoded = self._skipped = self._events = 0
-        self._since_utc_ns: dict[int, int] = {}
         self.latency = LatencyHistogram()
         self.topic_filter = full_topic(prefix, name, SIGNALS.path)
 
@@ -77,75 +68,70 @@ class FollowedPlate:
         if self._plate.problem:
             return Condition.WAITING, f"{name}: {self._plate.problem}"
         if self._note:
-            return (Condition.REFUSED if self._stage_has_ended else Condition.STARTING), f"{name}: {self._note}"
+            return (Condition.REFUSED if self._decoder_has_ended else Condition.STARTING), f"{name}: {self._note}"
         is_set_up = self._is_set_up and not self._changed.is_set()
         if not is_set_up or time.monotonic() - self._plate.last_s > WAITS_AFTER_S:
             return Condition.WAITING, f"{name}: no signals that could be decoded"
         return Condition.ONLINE, f"signals of {name} are decoded"
 
     def health(self) -> dict[str, DecoderPlateHealth]:
-        plate, stage = self._plate, self._stage
-        deaf = stage.frames_without_noise if stage else 0
+        plate, decoder = self._plate, self._decoder
+        deaf = decoder.skipped["no_noise"] if decoder else 0
         account = DecoderPlateHealth(
             received=plate.received,
             decoded=self._decoded,
-            skipped=self._skipped + (stage.frames_skipped - deaf if stage else 0),
+            skipped=self._skipped + (decoder.frames_skipped - deaf if decoder else 0),
             unusable=plate.unusable + deaf,
-            waiting=stage.waiting if stage else 0,
+            waiting=decoder.waiting if decoder else 0,
             missed=plate.missed,
         )
         return {plate.name: account}
 
     async def run(self) -> None:
-        """Decode until cancelled; another `info` begins anew with another stage."""
+        """Decode until cancelled; another `info` begins anew with another decoder."""
         looking = asyncio.create_task(self._end_contacts_in_silence(), name="silence")
         try:
-            before: SkinDecoder | None = None
+            last_contact_id = 0
             while True:
                 self._changed.clear()
                 if self._plate.skin is None:
                     await self._changed.wait()
                 else:
-                    before = await self._decode(self._plate.skin, before)
+                    last_contact_id = await self._decode(self._plate.skin, last_contact_id)
         finally:
             looking.cancel()
 
-    async def _decode(self, skin: SkinPlate, before: SkinDecoder | None) -> SkinDecoder | None:
-        """Decode until the plate has changed; return the decoder that followed contacts last."""
-        reporter = SurfaceReporter(
-            skin.site_ids,
-            skin.skin.site_positions_m,
-            skin.grid,
-            self._decoder_id,
-            uncertainty=self._uncertainty,
-            since_utc_ns=self._since_utc_ns,
-        )
-
-        stage = self._stage = DecodingStage[Signals](
+    async def _decode(self, skin: SkinPlate, last_contact_id: int) -> int:
+        """Decode until the plate has changed; return the number of the last contact."""
+        settings = SurfaceSettings(
             skin.skin,
             self._wanted,
-            lambda origin, decoded: self._deliver_map(reporter, origin, decoded),
-            lambda origin, surface: self._deliver(reporter, origin, surface),
-            self._announce,
-            before,
+            skin.site_ids,
+            skin.grid.pitch_m if skin.grid else None,
+            decoder_id=self._decoder_id,
+            uncertainty=self._uncertainty,
+            last_contact_id=last_contact_id,
         )
-        self._note, self._stage_has_ended, self._is_set_up = "", False, False
-        running = asyncio.create_task(stage.run(), name="decoding")
+        decoder = self._decoder = DecoderSupervisor[Signals](self._plate.name, settings, self)
+        self._note, self._decoder_has_ended, self._is_set_up = "", False, False
+        running = asyncio.create_task(decoder.run(), name="decoding")
         changed = asyncio.create_task(self._changed.wait())
         try:
             await asyncio.wait((running, changed), return_when=asyncio.FIRST_COMPLETED)
             if running.done():
                 running.result()
-                self._stage_has_ended = True
+                self._decoder_has_ended = True
                 await changed
         finally:
             changed.cancel()
             running.cancel()
             await asyncio.wait((running, changed))
-            self._skipped += stage.frames_skipped - stage.frames_without_noise + stage.waiting
-            self._plate.unusable += stage.frames_without_noise
-            self._stage = None
-        return stage.latest
+            deaf = decoder.skipped["no_noise"]
+            self._skipped += decoder.frames_skipped - deaf + decoder.waiting
+            self._plate.unusable += deaf
+            self._decoder = None
+        decoder.release_contacts("the plate has changed")
+        return decoder.last_contact_id
 
     def _take_info(self, message: Incoming) -> None:
         if self._plate.take_info(message.payload):
@@ -155,37 +141,43 @@ class FollowedPlate:
         signals = self._plate.take_signals(message.payload, time.monotonic())
         if signals is None:
             return
-        if self._stage is None or self._changed.is_set():
+        if self._decoder is None or self._changed.is_set():
             self._skipped += 1
             return
-        self._stage.offer(signals, signals.signals.astype(np.float64), signals.noise_std.astype(np.float64))
+        header = header_of(signals)
+        self._decoder.offer(
+            signals,
+            SurfaceFrame(
+                header, header["seq"], signals.signals.astype(np.float64), signals.noise_std.astype(np.float64)
+            ),
+        )
 
-    def _announce(self, note: str) -> None:
+    def announce(self, note: str) -> None:
+        """Report what is being set up, or why nothing is decoded."""
         self._note = note
         self._is_set_up = not note
 
-    def _deliver_map(self, reporter: SurfaceReporter, origin: Signals, decoded: Decoded) -> None:
-        self._decoded += 1
-        self.latency.add(self._plate.age_s(origin))
-        self._publish(self._plate.name, DECODED, reporter.decoded(header_of(origin), decoded))
+    def contacts_header(self, origin: Signals) -> MeasuredFields:
+        """Return the header of one more message on `contacts`."""
+        return header_of(origin)
 
-    def _deliver(self, reporter: SurfaceReporter, origin: Signals, surface: SurfaceReading) -> None:
-        name, header = self._plate.name, header_of(origin)
-        for event in surface.events:
-            self._events += 1
-            own = header.copy()
-            own["seq"] = self._events - 1
-            self._publish(name, CONTACT_EVENT, reporter.event(own, event))
-        if origin is not self._delivered:  # else it was decoded before: contacts have ended without a frame
-            self._delivered = origin
-            self._publish(name, DECODED_SUMMARY, reporter.summary(header, surface))
-        self._publish(name, CONTACTS, reporter.contacts(header, surface))
+    def deliver(self, origin: Signals, topic: Topic[Any], message: Message | Encoded) -> None:
+        """Publish a message about decoded signals."""
+        if topic is DECODED:
+            self._decoded += 1
+            self.latency.add(self._plate.age_s(origin))
+        self._publish(self._plate.name, topic, message)
+
+    def deliver_event(self, _origin: Signals, event: ContactEvent) -> None:
+        """Publish an event of a contact."""
+        self._publish(self._plate.name, CONTACT_EVENT, event.model_copy(update={"seq": self._events}))
+        self._events += 1
 
     async def _end_contacts_in_silence(self) -> None:
         ended_s = -np.inf
         while True:
             await asyncio.sleep(_LOOK_S)
             last_s = self._plate.last_s
-            if self._stage is not None and last_s > ended_s and time.monotonic() - last_s > CONTACTS_END_S:
+            if self._decoder is not None and last_s > ended_s and time.monotonic() - last_s > CONTACTS_END_S:
                 ended_s = last_s
-                self._stage.interrupt(f"no signals for {CONTACTS_END_S:g} s")
+                self._decoder.interrupt(f"no signals for {CONTACTS_END_S:g} s")

@@ -6,6 +6,7 @@ from typing import Final, Protocol
 from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.monitoring.latency import LatencyHistogram
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import MessageT, Topic
@@ -16,7 +17,7 @@ WAITS_AFTER_S: Final = 2.0  # without signals, a decoder says that it waits
 class Publish(Protocol):
     """Publishes a message below the topics of a plate; never waits."""
 
-    def __call__(self, plate: str, topic: Topic[MessageT], message: MessageT) -> None: ...
+    def __call__(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None: ...
 
 
 class Mode(Protocol):

@@ -15,13 +15,12 @@ from urllib.parse import quote
 
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.decoding.stage import SWITCH_S
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.flow_watch import FlowWatch
-from resonator_daemon.monitoring.health import OwnProcess
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.monitoring.health import ProcessUsage
+from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
 from resonator_daemon.publishing.publisher import Publisher
@@ -41,6 +40,7 @@ from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 log = logging.getLogger(__name__)
 
 _LOOK_S = 0.1
+_SWITCH_S = 5e-4  # of a thread that decodes, before the event loop has its turn; Python's 5 ms are half a frame
 _HEALTH_S = 1.0
 _STATE_AGAIN_S = DECODER_EXPIRY_S / 3  # with MQTT 5 a retained state expires
 _LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes longer, and nobody waits for it
@@ -65,7 +65,7 @@ async def serve(config: DecoderConfig) -> None:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         loop.add_signal_handler(number, process.stop)
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(_SWITCH_S)
     await process.run()
 
 
@@ -109,7 +109,7 @@ class DecoderProcess:
         self._state = (Condition.STARTING, "started")
         self._since_utc_ns = time.time_ns()
         self._started_s = self._said_s = time.monotonic()
-        self._process = OwnProcess()
+        self._process = ProcessUsage()
 
     async def run(self) -> None:
         """Run until `stop`; raises what only the operator can mend."""
@@ -179,7 +179,7 @@ class DecoderProcess:
             prefix, self._config.name, wanted, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
         )
 
-    def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT) -> None:
+    def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         self._publisher.publish(f"{self._config.mqtt.prefix}/{plate}", topic, message)
 
     def _connected(self, _number: int) -> None:

@@ -194,7 +194,11 @@ class SharedPlates:
         skin = plate.skin
         if plate.name not in self._reporters:
             self._reporters[plate.name] = SurfaceReporter(
-                skin.site_ids, skin.skin.site_positions_m, skin.grid, self._decoder_id, uncertainty=self._uncertainty
+                skin.site_ids,
+                skin.skin.site_positions_m,
+                skin.grid.pitch_m if skin.grid else None,
+                self._decoder_id,
+                uncertainty=self._uncertainty,
             )
         origin = _Origin(signals, self._reporters[plate.name])
         self._stage.offer(

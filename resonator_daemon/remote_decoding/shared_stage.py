@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
-from resonator_daemon.decoding.stage import CANNOT_DECODE, announcer, failed, set_up
+from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
 from resonator_daemon.remote_decoding.plate import SkinPlate, told
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
@@ -96,7 +96,7 @@ class SharedStage(Generic[Origin]):
     async def run(self) -> None:
         """Decode until cancelled."""
         pool = ThreadPoolExecutor(1, thread_name_prefix="decoding")
-        with threadpool_limits(1, user_api="blas"):  # as in the daemon
+        with threadpool_limits(1, user_api="blas"):  # as in the daemon's decoder
             try:
                 while True:
                     await self._offered.wait()
@@ -139,7 +139,11 @@ class SharedStage(Generic[Origin]):
         if noise_std is None:
             return None
         loop, started = asyncio.get_running_loop(), time.monotonic()
-        progress = announcer(self._announce, loop)
+
+        def progress(step: str) -> None:
+            log.info("decoder is being set up: %s", step)
+            loop.call_soon_threadsafe(self._announce, f"decoder is being set up: {step}")
+
         try:
             decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._wanted, noise_std, progress)
         except CANNOT_DECODE as error:

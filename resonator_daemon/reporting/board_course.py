@@ -17,16 +17,16 @@ from resonator_daemon.acquisition.frames import (
     Steering,
 )
 from resonator_daemon.config import Config, Measurement
-from resonator_daemon.decoding.stage import DecodingStage
 from resonator_daemon.measurement.readings import ForceReading
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR, Topic
-from resonator_daemon.reporting.measuring import MakeStage, Measuring
+from resonator_daemon.reporting.measuring import Measuring
 from resonator_daemon.reporting.reports import Reporter, utc_day
 from resonator_daemon.reporting.sensor_state import SensorState
 from resonator_daemon.reporting.silence import CallLater, Silence
 from resonator_daemon.reporting.steering import MeasureOver, Tare, parse_order
+from resonator_daemon.reporting.surface_decoding import MakeSurfaceDecoding, SequentialDecoding
 
 log = logging.getLogger(__name__)
 
@@ -49,8 +49,8 @@ class BoardCourse:
         Tells how many messages subscribers have missed.
     call_later
         Of the event loop; None where all time passes by what arrives, and by `pass_time`.
-    make_stage
-        What decodes under a skin.
+    make_decoding
+        Makes what decodes the frames of a skin.
 
     Attributes
     ----------
@@ -73,14 +73,14 @@ class BoardCourse:
         publish: Publish,
         publish_dropped: Callable[[], int] = lambda: 0,
         call_later: CallLater | None = None,
-        make_stage: MakeStage = DecodingStage,
+        make_decoding: MakeSurfaceDecoding = SequentialDecoding,
     ) -> None:
         self._plate = config.plate
         self._publish = publish
         self._publish_dropped = publish_dropped
         self.reporter = Reporter(config, daemon_boot_id, self._lost)
         self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
-        self.measuring = Measuring(config, self.reporter, self._sensor, publish, make_stage)
+        self.measuring = Measuring(config, self.reporter, self._sensor, publish, make_decoding)
         self._silence = Silence(self.measuring.end_contacts, call_later)
         self.board: BoardOnline | None = None
         self.link: LinkChange | None = None

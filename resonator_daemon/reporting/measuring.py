@@ -1,18 +1,13 @@
 """Frames of one board to messages: its measurement chain, and under a skin the decoding of what that gives."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.fit import oscillator_hz
 from resonator_daemon.acquisition.frames import BoardOnline, ChannelisedFrame, SingleToneFrame
 from resonator_daemon.config import Config, Measurement, ReplayLink
-from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Skin, Wanted
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.measurement.comb_chain import CombChain
 from resonator_daemon.measurement.contacts import ContactEvent
@@ -21,49 +16,21 @@ from resonator_daemon.measurement.single_tone_chain import SingleToneChain
 from resonator_daemon.measurement.skin_chain import SkinChain
 from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.plate import Plate
-from resonator_daemon.publishing.topics import (
-    CONTACT_EVENT,
-    CONTACTS,
-    DECODED,
-    DECODED_SUMMARY,
-    FORCES,
-    SIGNALS,
-    Topic,
-)
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.payloads import ContactEvent as EventMessage
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, FORCES, SIGNALS, Topic
 from resonator_daemon.reporting.chains import Chain, make_chain
 from resonator_daemon.reporting.reports import Reporter
 from resonator_daemon.reporting.sensor_state import SensorState
+from resonator_daemon.reporting.surface_decoding import MakeSurfaceDecoding, SurfaceDecoding
+from resonator_daemon.reporting.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceSettings
 
 _ONSET_S = 0.005  # that an onset may wait for the frames after it
 _ANEW = "the board started anew"
 
-Floats = NDArray[np.float64]
 Origin = tuple[SkinReading, Instant]
-
-
-class Stage(Protocol):
-    """What decodes the frames of a skin: the newest ones as they come, or each in its turn."""
-
-    @property
-    def frames_skipped(self) -> int: ...
-
-    def offer(self, origin: Origin, signals: Floats, noise_std: Floats) -> None: ...
-
-    def interrupt(self, reason: str) -> None: ...
-
-    async def run(self) -> None: ...
-
-
-MakeStage = Callable[
-    [
-        Skin,
-        Wanted,
-        Callable[[Origin, Decoded], None],
-        Callable[[Origin, SurfaceReading], None],
-        Callable[[str], None],
-    ],
-    Stage,
-]
 
 
 class Measuring:
@@ -78,8 +45,8 @@ class Measuring:
         Is told what each reading is worth.
     publish
         Takes topic and message.
-    make_stage
-        What decodes under a skin.
+    make_decoding
+        Makes what decodes the frames of a skin.
 
     Attributes
     ----------
@@ -93,7 +60,7 @@ class Measuring:
         reporter: Reporter,
         sensor: SensorState,
         publish: Callable[[Topic[Any], Any], None],
-        make_stage: MakeStage,
+        make_decoding: MakeSurfaceDecoding,
     ) -> None:
         self._config = config
         self._reporter = reporter
@@ -101,14 +68,13 @@ class Measuring:
         self._publish = publish
         self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._chain: Chain | None = None
-        self._stage = self._decoding(make_stage)
+        self._decoding = self._make(make_decoding)
         self._last_forces: tuple[ForceReading, Instant] | None = None
-        self._told: tuple[SkinReading, Instant] | None = None  # whose summary was published last
 
     async def run(self) -> None:
         """Decode, where there is a skin to be decoded, until cancelled."""
-        if self._stage is not None:
-            await self._stage.run()
+        if self._decoding is not None:
+            await self._decoding.run()
 
     @property
     def force_chain(self) -> SingleToneChain | CombChain | None:
@@ -117,7 +83,7 @@ class Measuring:
 
     @property
     def frames_not_decoded(self) -> int:
-        return self._stage.frames_skipped if self._stage is not None else 0
+        return self._decoding.frames_skipped if self._decoding is not None else 0
 
     @property
     def records_unusable(self) -> dict[str, int]:
@@ -137,8 +103,8 @@ class Measuring:
             self._chain = make_chain(self._config, oscillator_hz(board.description))
         elif isinstance(self._chain, SkinChain):
             self._chain.restart()
-            if self._stage is not None:
-                self._stage.interrupt(_ANEW)
+            if self._decoding is not None:
+                self._decoding.interrupt(_ANEW)
         else:
             self._tell_of_last_forces(self._chain.restart())
 
@@ -170,8 +136,8 @@ class Measuring:
         """Release what was touched when frames stopped coming: nobody knows whether it still is."""
         if self.force_chain is not None:
             self._tell_of_last_forces(self.force_chain.end_contacts(reason))
-        elif self._stage is not None:
-            self._stage.interrupt(reason)
+        elif self._decoding is not None:
+            self._decoding.interrupt(reason)
 
     def measure(self, frame: ChannelisedFrame) -> None:
         """Measure a frame and publish what follows from it."""
@@ -196,10 +162,11 @@ class Measuring:
         reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
         self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
         self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
-        if self._stage is not None and reading.status == "ok":
-            self._stage.offer((reading, frame.gate_middle), reading.signals, reading.noise_std)
+        if self._decoding is not None and reading.status == "ok":
+            origin = (reading, frame.gate_middle)
+            self._decoding.offer(origin, self._reporter.surface_frame(*origin))
 
-    def _decoding(self, make_stage: MakeStage) -> Stage | None:
+    def _make(self, make_decoding: MakeSurfaceDecoding) -> SurfaceDecoding[Origin] | None:
         skin, wanted = self._config.plate.skin, self._config.decoding
         if skin is None:
             return None
@@ -209,33 +176,41 @@ class Measuring:
         if wanted.apart:
             self._sensor.explain("decoded by another process: resonatord decode")
             return None
-        half_space = HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio)
-        return make_stage(
-            Skin(
-                half_space,
-                self._config.plate.site_positions_m,
-                skin.depth_m,
-                skin.gain_std,
-                skin.correlation_length_m,
-                skin.tangential_ratio,
-            ),
-            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
-            self._decoded_map,
-            self._decoded,
-            self._sensor.explain,
+        plate = self._config.plate
+        described = Skin(
+            HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio),
+            plate.site_positions_m,
+            skin.depth_m,
+            skin.gain_std,
+            skin.correlation_length_m,
+            skin.tangential_ratio,
         )
+        settings = SurfaceSettings(
+            described,
+            Wanted(wanted.method, wanted.contact_physics, wanted.friction_coefficient, wanted.displacement),
+            plate.site_ids,
+            plate.grid.pitch_m if plate.grid else None,
+            uncertainty=wanted.uncertainty,
+        )
+        return make_decoding(settings, self)
 
-    def _decoded_map(self, origin: tuple[SkinReading, Instant], decoded: Decoded) -> None:
-        self._count_latency(DECODED, origin[1])
-        self._publish(DECODED, self._reporter.decoded(*origin, decoded))
+    def deliver(self, origin: Origin, topic: Topic[Any], message: Message | Encoded) -> None:
+        """Publish a message about a decoded frame."""
+        if topic is DECODED:
+            self._count_latency(DECODED, origin[1])
+        self._publish(topic, message)
 
-    def _decoded(self, origin: tuple[SkinReading, Instant], surface: SurfaceReading) -> None:
-        for event in surface.events:
-            self._publish(CONTACT_EVENT, self._reporter.skin_event(event, *origin))
-        if origin is not self._told:  # else its contacts have ended since, without another frame
-            self._told = origin
-            self._publish(DECODED_SUMMARY, self._reporter.summary(*origin, surface))
-        self._publish(CONTACTS, self._reporter.skin_contacts(*origin, surface))
+    def deliver_event(self, _origin: Origin, event: EventMessage) -> None:
+        """Publish an event of a contact on a skin."""
+        self._publish(CONTACT_EVENT, self._reporter.numbered(event))
+
+    def announce(self, note: str) -> None:
+        """Report how it goes with decoding in the sensor's state."""
+        self._sensor.explain(note)
+
+    def contacts_header(self, origin: Origin) -> MeasuredFields:
+        """Return the header of one more message on `contacts` about a frame."""
+        return self._reporter.contacts_header(*origin)
 
     def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
         if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording

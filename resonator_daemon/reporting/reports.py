@@ -13,9 +13,6 @@ from numpy.typing import NDArray
 from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import BoardOnline, LinkChange, Outage
 from resonator_daemon.config import Config
-from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.decoding.skin_contacts import SkinEvent
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement import contacts as measured
 from resonator_daemon.measurement.matching import SiteForce as MeasuredForce
 from resonator_daemon.measurement.readings import Compensation as MeasuredCompensation
@@ -28,8 +25,6 @@ from resonator_daemon.publishing.payloads import (
     Contact,
     ContactEvent,
     Contacts,
-    Decoded,
-    DecodedSummary,
     EventContact,
     Forces,
     GridInfo,
@@ -59,7 +54,8 @@ from resonator_daemon.publishing.topics import (
 )
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.publishing.verbs import obeyed
-from resonator_daemon.reporting.surface_reports import ContactFields, HeaderFields, MeasuredFields, SurfaceReporter
+from resonator_daemon.reporting.surface_reports import ContactFields, HeaderFields, MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceFrame
 
 _NS = 1_000_000_000
 _DAY_NS = 86_400 * _NS
@@ -90,12 +86,6 @@ class Reporter:
         self.allowed: Collection[str] = config.commands.allow
         self._lost = lost
         self._seq: Counter[str] = Counter()
-        self._surface = SurfaceReporter(
-            self._plate.site_ids,
-            self._plate.site_positions_m,
-            self._plate.grid,
-            uncertainty=config.decoding.uncertainty,
-        )
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts on force sites, by id
         self.board_boot_id: str | None = None
 
@@ -247,17 +237,18 @@ class Reporter:
             status=_STATUS[reading.status],
         )
 
-    def decoded(self, reading: SkinReading, gate_middle: Instant, frame: DecodedFrame) -> Decoded:
-        return self._surface.decoded(self._measured(DECODED, reading, gate_middle), frame)
+    def surface_frame(self, reading: SkinReading, gate_middle: Instant) -> SurfaceFrame:
+        """Return a frame to be decoded; one that is skipped leaves a gap in `seq` of the topics of the surface."""
+        header = self._measured(DECODED, reading, gate_middle)
+        return SurfaceFrame(header, self._next_seq(CONTACTS), reading.signals, reading.noise_std)
 
-    def summary(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> DecodedSummary:
-        return self._surface.summary(self._measured(DECODED_SUMMARY, reading, gate_middle), surface)
+    def contacts_header(self, reading: SkinReading, gate_middle: Instant) -> MeasuredFields:
+        """Return the header of a message on `contacts` beside those of the frames."""
+        return self._measured(CONTACTS, reading, gate_middle)
 
-    def skin_contacts(self, reading: SkinReading, gate_middle: Instant, surface: SurfaceReading) -> Contacts:
-        return self._surface.contacts(self._measured(CONTACTS, reading, gate_middle), surface)
-
-    def skin_event(self, event: SkinEvent, reading: SkinReading, gate_middle: Instant) -> ContactEvent:
-        return self._surface.event(self._measured(CONTACT_EVENT, reading, gate_middle), event)
+    def numbered(self, event: ContactEvent) -> ContactEvent:
+        """Return an event of the surface with the number that it has among all events."""
+        return event.model_copy(update={"seq": self._next_seq(CONTACT_EVENT)})
 
     def _calibration(self) -> CalibrationInfo:
         calibration = self._plate.calibration
@@ -272,16 +263,19 @@ class Reporter:
         )
 
     def _header(self, topic: Topic[Any], utc_ns: int, uncertainty_ns: int) -> HeaderFields:
-        seq = self._seq[topic.path]
-        self._seq[topic.path] += 1
         return HeaderFields(
-            seq=seq,
+            seq=self._next_seq(topic),
             daemon_boot_id=self._daemon_boot_id,
             board_boot_id=self.board_boot_id,
             t_ns=utc_ns,
             t_unc_ns=uncertainty_ns,
             lost=self._lost(),
         )
+
+    def _next_seq(self, topic: Topic[Any]) -> int:
+        seq = self._seq[topic.path]
+        self._seq[topic.path] += 1
+        return seq
 
     def _measured(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> MeasuredFields:
         header = self._header(topic, self._window_middle_ns(reading, gate_middle), gate_middle.uncertainty_ns)

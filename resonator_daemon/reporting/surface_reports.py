@@ -1,7 +1,7 @@
 """What was decoded of a skin to payloads: the same words wherever it is decoded."""
 
 import math
-from typing import Protocol, TypedDict
+from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,13 +66,6 @@ class ContactFields(TypedDict):
     at_least_newton: float | None
 
 
-class GridLike(Protocol):
-    """A grid of sites."""
-
-    @property
-    def pitch_m(self) -> float: ...
-
-
 class _SlipFields(TypedDict):
     stick_ratio: float
     slip_margin: float
@@ -99,33 +92,30 @@ class SurfaceReporter:
         (n,).
     site_positions_m
         In the same order, (n, 2).
-    grid
-        That the sites form; None where they are scattered.
+    pitch_m
+        Of the grid that the sites form; None where they are scattered.
     decoder_id
         Of the process that decodes; None for the daemon itself.
     uncertainty
         Whether `decoded` has the traction's standard deviation.
-    since_utc_ns
-        Onsets of the present contacts by id, kept up to date here; given where one reporter takes another's place.
     """
 
     def __init__(
         self,
         site_ids: NDArray[np.integer],
         site_positions_m: Floats,
-        grid: GridLike | None,
+        pitch_m: float | None,
         decoder_id: str | None = None,
         *,
         uncertainty: bool = True,
-        since_utc_ns: dict[int, int] | None = None,
     ) -> None:
         self._site_ids = site_ids
         self._site_positions_m = site_positions_m
         x, y = site_positions_m[0]
-        self._grid = Grid(origin_m=(float(x), float(y)), pitch_m=grid.pitch_m) if grid else None
+        self._grid = Grid(origin_m=(float(x), float(y)), pitch_m=pitch_m) if pitch_m is not None else None
         self._decoder_id = decoder_id
         self._uncertainty = uncertainty
-        self._since_utc_ns = {} if since_utc_ns is None else since_utc_ns
+        self._since_utc_ns: dict[int, int] = {}  # onsets of the present contacts, by id
 
     def decoded(self, header: MeasuredFields, frame: DecodedFrame) -> Decoded:
         return Decoded(

@@ -27,7 +27,7 @@ from resonator_daemon.acquisition.frames import (
 )
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.config import Config, plate_name
-from resonator_daemon.decoding.stage import SWITCH_S
+from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.host.journal import name_lines
 from resonator_daemon.host.places import runtime_directory
@@ -39,11 +39,14 @@ from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.reporting import steering
 from resonator_daemon.reporting.board_course import BoardCourse
 from resonator_daemon.reporting.measuring import useful_together
+from resonator_daemon.reporting.surface_decoding import SurfaceClient
+from resonator_daemon.reporting.surface_stream import SurfaceSettings
 from resonator_daemon.service.command_handlers import CommandHandlers, DaemonParts, ForceChain
 from resonator_daemon.service.config_in_use import ConfigInUse
 from resonator_daemon.service.config_store import ConfigStore
@@ -54,6 +57,7 @@ from resonator_daemon.service.recording_commands import RecordingCommands, as_js
 log = logging.getLogger(__name__)
 
 _HEALTH_S = 1.0
+_SWITCH_S = 5e-4  # of the reader thread, before the event loop has its turn; Python's 5 ms are half a frame
 _WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
 _TOGETHER = 50  # arrivals
 
@@ -71,7 +75,7 @@ async def serve(store: ConfigStore) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, service.stop, f"ended by {number.name}")
     loop.add_signal_handler(signal.SIGHUP, service.reload)
-    sys.setswitchinterval(SWITCH_S)
+    sys.setswitchinterval(_SWITCH_S)
     try:
         await service.run()
     finally:  # a reload that is asked for now must not end in the signal's usual way
@@ -101,9 +105,15 @@ class Service:
         self._daemon_boot_id = secrets.token_hex(8)
         self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
         self._recordings: RecordingCommands | None = None
+        self._decoder: DecoderSupervisor[Any] | None = None
         self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
         self._course = BoardCourse(
-            config, self._daemon_boot_id, self._publish, lambda: self._outlet.dropped, loop.call_later
+            config,
+            self._daemon_boot_id,
+            self._publish,
+            lambda: self._outlet.dropped,
+            loop.call_later,
+            self._make_decoder,
         )
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
@@ -319,7 +329,11 @@ class Service:
         self._end()
         self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
 
-    def _publish(self, topic: Topic[Any], message: Message) -> None:
+    def _make_decoder(self, settings: SurfaceSettings, client: SurfaceClient[Any]) -> DecoderSupervisor[Any]:
+        self._decoder = DecoderSupervisor(self._in_use.config.name or self._file_stem, settings, client)
+        return self._decoder
+
+    def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
         self._outlet.publish(topic, message)
         self._recorded.take(topic, message)
 
@@ -402,6 +416,7 @@ class Service:
             measuring.frames_not_decoded,
             measuring.records_unusable,
             latency=measuring.latencies.info(),
+            decoder=self._decoder.info() if self._decoder is not None else None,
             recording=recording_info(self._recording),
             commands=self._outlet.command_counts,
         )

@@ -1,14 +1,12 @@
 """Decoders in the place of the real one."""
 
 import functools
-import queue
-import threading
 from collections.abc import Callable, Iterator
 
 import pytest
-from stage_bench import HeldDecoder, SubstituteDecoder
+from streaming_bench import SubstituteDecoder
 
-from resonator_daemon.decoding import stage as stage_module
+from resonator_daemon.decoding import streaming
 from resonator_daemon.decoding.fitting import contact_model
 
 
@@ -33,15 +31,7 @@ def substitute(monkeypatch: pytest.MonkeyPatch) -> Callable[[type[SubstituteDeco
     """Put another decoder in the place of the real one, and keep none in files."""
 
     def put(decoder: type[SubstituteDecoder]) -> None:
-        monkeypatch.setattr(stage_module, "SkinDecoder", decoder)
-        monkeypatch.setattr(stage_module, "cached", lambda _, build: build())
+        monkeypatch.setattr(streaming, "SkinDecoder", decoder)
+        monkeypatch.setattr(streaming, "cached", lambda _, build: build())
 
     return put
-
-
-@pytest.fixture
-def held(substitute: Callable[[type[SubstituteDecoder]], None]) -> type[HeldDecoder]:
-    """Substitute a decoder that waits."""
-    HeldDecoder.entered, HeldDecoder.released, HeldDecoder.threads = queue.Queue(), threading.Semaphore(0), set()
-    substitute(HeldDecoder)
-    return HeldDecoder

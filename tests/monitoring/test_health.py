@@ -48,7 +48,7 @@ COMMANDS = {"done": 2, "denied": 1}
 class Process:
     """A process of 92 MB, busy by 0.5 % more in every interval; the first of all measures nothing."""
 
-    def __init__(self) -> None:
+    def __init__(self, pid: int | None = None) -> None:
         self._asked = 0
 
     def cpu_percent(self) -> float:
@@ -79,7 +79,7 @@ class Machine:
 def machine(monkeypatch: pytest.MonkeyPatch) -> Machine:
     machine = Machine()
     monkeypatch.setattr(health, "time", SimpleNamespace(monotonic=lambda: machine.now_s))
-    monkeypatch.setattr(health, "psutil", SimpleNamespace(Process=Process))
+    monkeypatch.setattr(health, "psutil", SimpleNamespace(Process=Process, Error=Exception))
     return machine
 
 

@@ -12,7 +12,7 @@ from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
-from resonator_daemon.decoding.stage import set_up
+from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.remote_decoding import shared_stage
 from resonator_daemon.remote_decoding.plate import SkinPlate

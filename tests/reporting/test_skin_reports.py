@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from report_makers import LOST, NAN, configured, gate_middle, literal, reporter_of
 
+from resonator_daemon.acquisition.clock import Instant
+from resonator_daemon.config import Config
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.patches import Patch as FoundPatch
@@ -18,7 +20,7 @@ from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.measurement.readings import SkinReading
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
-from resonator_daemon.reporting.reports import Reporter
+from resonator_daemon.reporting.surface_reports import MeasuredFields, SurfaceReporter
 
 SCATTERED_SKIN = """\
 format = 1
@@ -43,9 +45,35 @@ position_mm = [1, 0.5]
 GATE_MIDDLE = gate_middle(10_000_000)
 
 
+class SkinReporter:
+    """The messages of a daemon and of its decoder, each under the header of its frame."""
+
+    def __init__(self, config: Config) -> None:
+        plate = config.plate
+        self.reporter = reporter_of(config)
+        self.signals = self.reporter.signals
+        pitch_m = plate.grid.pitch_m if plate.grid else None
+        self._surface = SurfaceReporter(plate.site_ids, plate.site_positions_m, pitch_m)
+
+    def decoded(self, reading: SkinReading, middle: Instant, frame: DecodedFrame) -> payloads.Decoded:
+        return self._surface.decoded(self._header(reading, middle), frame)
+
+    def summary(self, reading: SkinReading, middle: Instant, surface: SurfaceReading) -> payloads.DecodedSummary:
+        return self._surface.summary(self._header(reading, middle), surface)
+
+    def skin_contacts(self, reading: SkinReading, middle: Instant, surface: SurfaceReading) -> payloads.Contacts:
+        return self._surface.contacts(self._header(reading, middle), surface)
+
+    def skin_event(self, event: SkinEvent, reading: SkinReading, middle: Instant) -> payloads.ContactEvent:
+        return self._surface.event(self._header(reading, middle), event)
+
+    def _header(self, reading: SkinReading, middle: Instant) -> MeasuredFields:
+        return self.reporter.surface_frame(reading, middle).header
+
+
 @pytest.fixture
-def skin_reporter(tmp_path: Path) -> Reporter:
-    return reporter_of(configured(tmp_path, "skin32"))
+def skin_reporter(tmp_path: Path) -> SkinReporter:
+    return SkinReporter(configured(tmp_path, "skin32"))
 
 
 def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> SkinReading:
@@ -67,7 +95,7 @@ def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> Dec
     return DecodedFrame(**(fields | change))
 
 
-def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
+def test_signals_are_packed_as_they_were_read(skin_reporter: SkinReporter) -> None:
     signals = np.random.default_rng(5).normal(size=(3, 1024))
     signals[1, 7] = NAN
     payload = encode(skin_reporter.signals(channelised(signals), GATE_MIDDLE))
@@ -80,7 +108,7 @@ def test_signals_are_packed_as_they_were_read(skin_reporter: Reporter) -> None:
 
 
 @pytest.mark.parametrize("displacement", [True, False])
-def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displacement: bool) -> None:
+def test_decoded_keeps_each_array_in_its_place(skin_reporter: SkinReporter, displacement: bool) -> None:
     frame = decoded((3, 32, 32), displacement=displacement)
     measured = channelised(np.zeros((3, 1024)), window_s=0.004)
     message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_MIDDLE, frame)))
@@ -97,14 +125,14 @@ def test_decoded_keeps_each_array_in_its_place(skin_reporter: Reporter, displace
     assert message.grid.pitch_m == pytest.approx(4e-4)
 
 
-def test_a_grid_too_small_to_be_decoded_as_one_has_a_list_of_places(skin_reporter: Reporter) -> None:
+def test_a_grid_too_small_to_be_decoded_as_one_has_a_list_of_places(skin_reporter: SkinReporter) -> None:
     measured = channelised(np.zeros((3, 1024)), window_s=0.004)
     message = skin_reporter.decoded(measured, GATE_MIDDLE, decoded((3, 1024), displacement=False))
     assert message.grid is None
 
 
 def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
-    reporter = reporter_of(configured(tmp_path, SCATTERED_SKIN))
+    reporter = SkinReporter(configured(tmp_path, SCATTERED_SKIN))
     message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_MIDDLE, decoded((3, 1), displacement=False))
     assert message.grid is None
     assert message.traction_pascal.shape == (3, 1)
@@ -199,7 +227,7 @@ OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficien
 UNDECODED = {"chi2": NAN, "border_contact": False}
 
 
-def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
+def test_a_summary_is_the_contracts_literal(skin_reporter: SkinReporter) -> None:
     frame = decoded((3, 32, 32), displacement=False, reason="2 signals lost")
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(skin_contact(),))))
     assert said == {
@@ -228,7 +256,7 @@ def test_a_summary_is_the_contracts_literal(skin_reporter: Reporter) -> None:
     ],
     ids=["no fit", "unknown"],
 )
-def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: PartialSlip | None, why: str) -> None:
+def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip: PartialSlip | None, why: str) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     contact = skin_contact(slip=slip, radius_of_curvature_m=NAN)
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
@@ -237,7 +265,7 @@ def test_what_is_not_known_of_a_patch_is_null(skin_reporter: Reporter, slip: Par
 
 
 @pytest.mark.parametrize("status", ["rejected", "no_signal"])
-def test_a_frame_that_was_not_decoded_says_so(skin_reporter: Reporter, status: str) -> None:
+def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, status: str) -> None:
     frame = decoded((3, 32, 32), displacement=True, status=status, reason="why", **UNDECODED)
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, "fourier")))
     expected = {"decoder": "fourier", "status": status, "reason": "why", "chi2": None, "border_contact": False}
@@ -247,13 +275,13 @@ def test_a_frame_that_was_not_decoded_says_so(skin_reporter: Reporter, status: s
     assert (contacts["status"], contacts["contacts"]) == (status, [])
 
 
-def test_the_word_for_physics_that_was_given_up_is_of_the_wire(skin_reporter: Reporter) -> None:
+def test_the_word_for_physics_that_was_given_up_is_of_the_wire(skin_reporter: SkinReporter) -> None:
     frame = decoded((3, 32, 32), displacement=False, status=np.str_("constraint_dropped"), reason=np.str_("why"))
     said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
     assert (said["status"], said["reason"]) == ("constraint_dropped", "why")
 
 
-def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: Reporter) -> None:
+def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: SkinReporter) -> None:
     frame = decoded((3, 32, 32), displacement=False)
     reading_of_skin = surface(frame, contacts=(skin_contact(), skin_contact(id=4)))
     said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, reading_of_skin))
@@ -263,14 +291,14 @@ def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: Reporter) -
 
 
 @pytest.mark.parametrize("word", ["onset", "incipient_slip", "gross_slip", "release"])
-def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: Reporter, word: Any) -> None:
+def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: SkinReporter, word: Any) -> None:
     said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_MIDDLE))
     assert said["event"] == word
     of_slip = {"slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6}
     assert said["contact"] == CONTACT_LITERAL | of_slip
 
 
-def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:
+def test_friction_that_is_hardly_known_is_null(skin_reporter: SkinReporter) -> None:
     contact = skin_contact(slip=partial_slip(friction_coefficient_std=0.2))
     said = literal(
         skin_reporter.summary(
@@ -281,7 +309,7 @@ def test_friction_that_is_hardly_known_is_null(skin_reporter: Reporter) -> None:
     assert said["patches"] == [PATCH_LITERAL | unknown]
 
 
-def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: Reporter) -> None:
+def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: SkinReporter) -> None:
     frame = surface(decoded((3, 32, 32), displacement=False), contacts=(skin_contact(),))
     later = [gate_middle(10_000_000, later_ns=number * 10_000_000) for number in range(4)]
     onset = skin_reporter.skin_event(SkinEvent("onset", skin_contact()), MEASURED_OF_SKIN, later[0])
@@ -293,7 +321,7 @@ def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: 
     assert again.contact.since_t_ns == onset.contact.since_t_ns + 30_000_000
 
 
-def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_reporter: Reporter) -> None:
+def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_reporter: SkinReporter) -> None:
     noise = np.random.default_rng(6).uniform(1e-3, 2e-3, (3, 1024))
     noise[0, 7], noise[1, 8] = NAN, np.inf
     measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise, status="settling")
@@ -302,21 +330,22 @@ def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_
     assert message.status == "settling"
 
 
-def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: Reporter) -> None:
+def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: SkinReporter) -> None:
     event = SkinEvent("release", skin_contact(), "unplugged")
     said = literal(skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE))
     assert (said["event"], said["reason"]) == ("release", "unplugged")
 
 
-def test_messages_of_a_skin_count_apart(skin_reporter: Reporter) -> None:
-    measured, frame = channelised(np.zeros((3, 1024))), decoded((3, 32, 32), displacement=False)
-    made = [
-        skin_reporter.signals(measured, GATE_MIDDLE),
-        skin_reporter.signals(measured, GATE_MIDDLE),
-        skin_reporter.decoded(measured, GATE_MIDDLE, frame),
-        skin_reporter.summary(measured, GATE_MIDDLE, surface(frame)),
-        skin_reporter.skin_contacts(measured, GATE_MIDDLE, surface(frame)),
-        skin_reporter.signals(measured, GATE_MIDDLE),
-        skin_reporter.summary(measured, GATE_MIDDLE, surface(frame)),
-    ]
-    assert [message.seq for message in made] == [0, 1, 0, 0, 0, 2, 1]
+def test_a_frame_that_is_skipped_leaves_a_gap_in_the_numbers_of_its_messages(skin_reporter: SkinReporter) -> None:
+    reporter, measured = skin_reporter.reporter, channelised(np.zeros((3, 1024)))
+    frames = [reporter.surface_frame(measured, GATE_MIDDLE) for _ in range(2)]
+    assert reporter.signals(measured, GATE_MIDDLE).seq == 0
+    assert reporter.contacts_header(measured, GATE_MIDDLE)["seq"] == 2
+    frames.append(reporter.surface_frame(measured, GATE_MIDDLE))
+    assert [(frame.header["seq"], frame.contacts_seq) for frame in frames] == [(0, 0), (1, 1), (2, 3)]
+
+
+def test_events_are_numbered_without_gaps(skin_reporter: SkinReporter) -> None:
+    events = [SkinEvent("onset", skin_contact(id=number)) for number in range(3)]
+    made = [skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE) for event in events]
+    assert [skin_reporter.reporter.numbered(event).seq for event in made[1:]] == [0, 1]

@@ -1,0 +1,1 @@
+"""Decoding of a skin in a process of its own, which the daemon starts, supervises and restarts."""

@@ -1,0 +1,32 @@
+"""Entry of the decoder process, started by a daemon: `python -m resonator_daemon.decoder_process NAME DESCRIPTOR`."""
+
+import contextlib
+import ctypes
+import signal
+import socket
+import sys
+
+from resonator_daemon.host.journal import name_lines, set_up_logging
+
+_PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15  # linux/prctl.h
+
+
+def main() -> None:
+    """Decode until the daemon ends or closes the socket; signals that are for the daemon are ignored."""
+    name, descriptor = sys.argv[1:]
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    libc = ctypes.CDLL(None)
+    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also where a frame never ends; the daemon's end closes the socket
+    libc.prctl(_PR_SET_NAME, b"resonatord-dec")  # 15 bytes at most
+    set_up_logging()
+    name_lines(name)
+    connection = socket.socket(fileno=int(descriptor))
+    from resonator_daemon.decoder_process.worker import work  # what takes long, when signals are ignored already
+
+    with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the daemon has gone
+        work(connection)
+
+
+if __name__ == "__main__":
+    main()

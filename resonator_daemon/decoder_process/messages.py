@@ -1,0 +1,71 @@
+"""Messages between a daemon and its decoder process, and their form on the socket: pickled, after their length."""
+
+import pickle
+import struct
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from resonator_daemon.publishing.payloads import ContactEvent
+from resonator_daemon.reporting.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings
+
+Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
+
+LENGTH: Final = struct.Struct("<I")
+
+
+@dataclass(frozen=True)
+class Work:
+    """A frame to be decoded, and when it was offered by CLOCK_MONOTONIC."""
+
+    frame: SurfaceFrame
+    offered_ns: int
+
+
+@dataclass(frozen=True)
+class EndContacts:
+    """Contacts are to be released; `header` is that of the message on `contacts`, None where there are no contacts."""
+
+    header: MeasuredFields | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """An encoded message of a stream, by the path of its topic."""
+
+    path: str
+    payload: bytes
+    t_ns: int
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a request led to; the last ones of a request have its outcome."""
+
+    messages: tuple[Published | ContactEvent, ...]
+    outcome: Outcome | None
+
+
+@dataclass(frozen=True)
+class SetUpStep:
+    """A step of a set-up that begins; "" where the set-up is done."""
+
+    step: str
+
+
+@dataclass(frozen=True)
+class Undecodable:
+    """The sites cannot be decoded, for a reason; the process ends."""
+
+    reason: str
+
+
+Request = SurfaceSettings | Work | EndContacts  # the settings come first, and once
+Reply = Results | SetUpStep | Undecodable
+
+
+def packed(message: Request | Reply) -> bytes:
+    """Return a message as it goes over the socket."""
+    content = pickle.dumps(message, protocol=5)
+    return LENGTH.pack(len(content)) + content

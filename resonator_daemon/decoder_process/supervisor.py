@@ -1,0 +1,287 @@
+"""Runs a decoder in a process of its own: one frame at a time to it, its messages to the client, restarts it."""
+
+import asyncio
+import contextlib
+import logging
+import os
+import signal
+import socket
+import sys
+import time
+from asyncio.subprocess import DEVNULL, Process
+from collections import Counter
+from dataclasses import replace
+from typing import Final, Generic, Literal, TypeVar
+
+import psutil
+
+from resonator_daemon.decoder_process.connection import WorkerConnection
+from resonator_daemon.decoder_process.followed_contacts import FollowedContacts, no_contacts
+from resonator_daemon.decoder_process.messages import EndContacts, Reply, Results, SetUpStep, Undecodable, Work
+from resonator_daemon.monitoring.health import ProcessUsage
+from resonator_daemon.publishing.backoff import Backoff
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.payloads import ContactEvent, DecoderProcessInfo
+from resonator_daemon.publishing.topics import CONTACTS, DECODED, TOPICS
+from resonator_daemon.reporting.surface_decoding import SurfaceClient
+from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings
+
+HUNG_S: Final = 5.0  # for one frame: hundreds of times what it takes
+SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up
+RESTART_FIRST_S: Final = 0.5
+RESTART_LONGEST_S: Final = 30.0
+SOUND_S: Final = 60.0  # after which the next restart is as soon as the first
+_EXIT_S: Final = 1.0  # of a process that has closed its socket
+
+Skipped = Literal["newer_frame", "too_old", "no_noise", "decoder_ended", "undecodable"]
+Ending = Literal["crashed", "hung"]
+Origin = TypeVar("Origin")
+
+# More threads of linear algebra cost more in waiting than they save on arrays of this size.
+_ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+log = logging.getLogger(__name__)
+
+
+class DecoderSupervisor(Generic[Origin]):
+    """Has frames decoded by a child process; to be used from the event loop's thread only.
+
+    At most one frame is with the process. While it is there the newest one waits; the one that it replaces is skipped.
+    At any instant, frames offered = `decoded` + sum of `skipped` + `waiting`.
+
+    Parameters
+    ----------
+    name
+        Of the plate, shown by `ps`.
+    settings
+    client
+
+    Attributes
+    ----------
+    decoded
+        Frames whose map was delivered.
+    skipped
+        Frames that were not decoded, by cause.
+    restarts
+        By what ended the process before.
+    """
+
+    def __init__(self, name: str, settings: SurfaceSettings, client: SurfaceClient[Origin]) -> None:
+        self._name = name
+        self._settings = settings
+        self._client = client
+        self._contacts = FollowedContacts(settings.last_contact_id)
+        self._connection: WorkerConnection | None = None
+        self._usage: ProcessUsage | None = None
+        self._is_idle = False
+        self._present: Origin | None = None  # of the frame that the process has, until its map is there
+        self._last: Origin | None = None  # of the frame that the process got last
+        self._newest: tuple[Origin, Work] | None = None
+        self._interruption: str | None = None
+        self._undecodable = False
+        self._ending: asyncio.Future[Ending | None] | None = None
+        self._deadline: asyncio.TimerHandle | None = None
+        self.decoded = 0
+        self.skipped: Counter[Skipped] = Counter()
+        self.restarts: Counter[Ending] = Counter()
+
+    @property
+    def waiting(self) -> int:
+        """Frames that are being decoded, or are next."""
+        return (self._present is not None) + (self._newest is not None)
+
+    @property
+    def frames_skipped(self) -> int:
+        return self.skipped.total()
+
+    @property
+    def last_contact_id(self) -> int:
+        """The highest number of a contact so far."""
+        return self._contacts.last_id
+
+    def info(self) -> DecoderProcessInfo:
+        """Return how the process fares."""
+        held = self._usage.held() if self._usage is not None else None
+        return DecoderProcessInfo(
+            pid=self._usage.pid if self._usage is not None else None,
+            restarts=dict(self.restarts),
+            decoded=self.decoded,
+            skipped=dict(self.skipped),
+            waiting=self.waiting,
+            cpu_percent=held.cpu_percent if held is not None else 0.0,
+            rss_mb=held.rss_mb if held is not None else 0.0,
+        )
+
+    def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
+        """Have a frame decoded, or skipped when a newer one comes first."""
+        if self._undecodable:
+            self.skipped["undecodable"] += 1
+            return
+        self.skipped["newer_frame"] += self._newest is not None
+        self._newest = (origin, Work(frame, time.monotonic_ns()))
+        self._send_next()
+
+    def interrupt(self, reason: str) -> None:
+        """Release all contacts, because frames have stopped coming."""
+        self._interruption = reason
+        self._send_next()
+
+    def release_contacts(self, reason: str) -> None:
+        """Release the contacts of a process that follows them no longer."""
+        if not self._contacts or self._last is None:
+            return
+        header = self._client.contacts_header(self._last)
+        for event in self._contacts.release(header, reason):
+            self._client.deliver_event(self._last, event)
+        self._client.deliver(self._last, CONTACTS, no_contacts(header, reason, self._settings.decoder_id))
+
+    async def run(self) -> None:
+        """Keep a process running until cancelled, or until it turns out that the sites cannot be decoded."""
+        backoff = Backoff(RESTART_FIRST_S)
+        try:
+            while True:
+                started_s = time.monotonic()
+                ending, how = await self._run_process()
+                if ending is None:
+                    return
+                self.release_contacts(f"the decoder {ending}")
+                if time.monotonic() - started_s > SOUND_S:
+                    backoff.start_anew()
+                pause_s = backoff.next_s(RESTART_LONGEST_S)
+                log.error("decoder %s (%s): it is restarted in %.1f s", ending, how, pause_s)
+                self._client.announce(f"decoder {ending} ({how}) and is restarted")
+                await asyncio.sleep(pause_s)
+                self.restarts[ending] += 1
+        finally:
+            if self._newest is not None:
+                self._newest = None
+                self.skipped["undecodable" if self._undecodable else "decoder_ended"] += 1
+
+    async def _run_process(self) -> tuple[Ending | None, str]:
+        """Start a process; return how it ended, None where it cannot decode the sites, with details."""
+        ending = self._ending = asyncio.get_running_loop().create_future()
+        process: Process | None = None
+        try:
+            process = await self._start()
+            how = await ending
+            if how != "hung":  # it ends by itself; killed meanwhile, it would be reaped without its exit code
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(_EXIT_S):
+                        await process.wait()
+        except OSError as error:
+            return "crashed", str(error)
+        finally:
+            self._disconnect()
+            if process is not None and process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    process.kill()  # it holds nothing that is not made again
+                await process.wait()
+        return how, f"no result for {HUNG_S:g} s" if how == "hung" else _in_words(process.returncode)
+
+    async def _start(self) -> Process:
+        own, other = socket.socketpair()
+        connection = WorkerConnection(self._received, lambda: self._end("crashed"))
+        with other:
+            try:
+                await asyncio.get_running_loop().create_unix_connection(lambda: connection, sock=own)
+            except BaseException:
+                own.close()
+                raise
+            self._connection = connection
+            process = await asyncio.create_subprocess_exec(
+                *(sys.executable, "-P", "-m", __package__, self._name, str(other.fileno())),
+                stdin=DEVNULL,
+                stdout=DEVNULL,
+                pass_fds=(other.fileno(),),
+                env=os.environ | _ONE_THREAD,
+            )
+        with contextlib.suppress(psutil.Error):  # it has ended already
+            self._usage = ProcessUsage(process.pid)
+        connection.send(replace(self._settings, last_contact_id=self._contacts.last_id))
+        self._expect_reply(SET_UP_MAX_S)
+        return process
+
+    def _disconnect(self) -> None:
+        if self._connection is not None:
+            self._connection.close()
+        if self._deadline is not None:
+            self._deadline.cancel()
+        if self._present is not None:
+            self.skipped["undecodable" if self._undecodable else "decoder_ended"] += 1
+        self._connection = self._ending = self._present = self._usage = self._interruption = None
+        self._is_idle = False
+
+    def _send_next(self) -> None:
+        if self._connection is None or not self._is_idle:
+            return
+        if self._interruption is not None:
+            reason, self._interruption = self._interruption, None
+            header = self._client.contacts_header(self._last) if self._contacts and self._last is not None else None
+            self._connection.send(EndContacts(header, reason))
+        elif self._newest is not None:
+            (origin, work), self._newest = self._newest, None
+            self._present = self._last = origin
+            self._connection.send(work)
+        else:
+            return
+        self._is_idle = False
+        self._expect_reply(HUNG_S)
+
+    def _received(self, reply: Reply) -> None:
+        match reply:
+            case Results():
+                self._deliver(reply)
+            case SetUpStep(step=""):
+                log.info("decoder of %s is ready", self._name)
+                self._client.announce("")
+                self._expect_reply(HUNG_S)
+            case SetUpStep(step=step):
+                log.info("decoder is being set up: %s", step)
+                self._client.announce(f"decoder is being set up: {step}")
+                self._expect_reply(SET_UP_MAX_S)
+            case Undecodable(reason=reason):
+                log.error("nothing is decoded: %s", reason)
+                self._undecodable = True
+                self._client.announce(f"nothing is decoded: {reason}")
+                self._end(None)
+
+    def _deliver(self, results: Results) -> None:
+        origin = self._last
+        for message in results.messages:
+            if origin is None:
+                raise ValueError("results of no frame")
+            if isinstance(message, ContactEvent):
+                self._contacts.add_event(message)
+                self._client.deliver_event(origin, message)
+                continue
+            topic = TOPICS[message.path]
+            if topic is DECODED:
+                self.decoded += 1
+                self._present = None
+            elif topic is CONTACTS:
+                self._contacts.add_contacts(message.payload)
+            self._client.deliver(origin, topic, Encoded(message.payload, message.t_ns))
+        if results.outcome is None:
+            return
+        if results.outcome in ("too_old", "no_noise"):
+            self.skipped[results.outcome] += 1
+        self._present = None
+        self._is_idle = True
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._send_next()
+
+    def _expect_reply(self, within_s: float) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+        self._deadline = asyncio.get_running_loop().call_later(within_s, self._end, "hung")
+
+    def _end(self, ending: Ending | None) -> None:
+        if self._ending is not None and not self._ending.done():
+            self._ending.set_result(ending)
+
+
+def _in_words(exit_code: int | None) -> str:
+    if exit_code is not None and exit_code < 0:
+        return f"by {signal.Signals(-exit_code).name}"
+    return f"exit code {exit_code}"

@@ -1,0 +1,118 @@
+"""The decoder process: decodes one frame at a time, encodes what it gives, and follows contacts meanwhile."""
+
+import gc
+import pickle
+import socket
+import time
+from typing import Any, Final
+
+from resonator_daemon.decoder_process.messages import (
+    LENGTH,
+    EndContacts,
+    Outcome,
+    Published,
+    Reply,
+    Request,
+    Results,
+    SetUpStep,
+    Undecodable,
+    Work,
+    packed,
+)
+from resonator_daemon.decoding.streaming import UndecodableError
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import ContactEvent, Header, Message
+from resonator_daemon.publishing.topics import DECODED, Topic
+from resonator_daemon.reporting.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceSettings, SurfaceStream
+
+AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
+_REST: Final = 2.4  # times as long as a rebuild took: rebuilds take at most 30 % of a core
+
+
+def work(connection: socket.socket) -> None:
+    """Decode what comes over a blocking stream socket until the daemon closes it, or the sites cannot be decoded."""
+    with connection, connection.makefile("rb") as requests:
+
+        def receive() -> Request | None:
+            head = requests.read(LENGTH.size)
+            if len(head) < LENGTH.size:
+                return None
+            request: Request = pickle.loads(requests.read(*LENGTH.unpack(head)))
+            return request
+
+        settings = receive()
+        if not isinstance(settings, SurfaceSettings):
+            return
+        worker = _Worker(connection, settings)
+        while (request := receive()) is not None:
+            try:
+                worker.serve(request)
+            except UndecodableError as error:
+                connection.sendall(packed(Undecodable(str(error))))
+                return
+
+
+class _Worker:
+    """Serves one request after the other."""
+
+    def __init__(self, connection: socket.socket, settings: SurfaceSettings) -> None:
+        self._connection = connection
+        self._stream = SurfaceStream(settings, self._publish, self._report_step)
+        self._messages: list[Published | ContactEvent] = []
+        self._rested_ns = 0  # by when the next rebuild may begin
+        self._reply("ready")
+
+    def serve(self, request: Request) -> None:
+        match request:
+            case Work():
+                self._decode(request)
+            case EndContacts():
+                self._stream.end_contacts(lambda: _known(request.header), request.reason)
+                self._reply("ready")
+
+    def _decode(self, request: Work) -> None:
+        known = self._stream.prepare(request.frame)
+        if not known:
+            self._reply("no_noise")
+        elif time.monotonic_ns() - request.offered_ns > AGE_MAX_NS:
+            self._reply("too_old")
+        else:
+            self._stream.decode(request.frame)
+            self._reply("decoded")
+            self._rebuild()
+
+    def _rebuild(self) -> None:
+        """Follow contacts that have moved; a frame that comes meanwhile waits in the socket."""
+        began_ns = time.monotonic_ns()
+        if self._stream.rebuild_wanted and began_ns >= self._rested_ns:
+            self._stream.rebuild()
+            now_ns = time.monotonic_ns()
+            self._rested_ns = now_ns + round(_REST * (now_ns - began_ns))
+
+    def _publish(self, topic: Topic[Any], message: Message) -> None:
+        if isinstance(message, ContactEvent):
+            self._messages.append(message)
+        elif isinstance(message, Header):
+            self._messages.append(Published(topic.path, encode(message), message.t_ns))
+            if topic is DECODED:  # on its way before the contacts are read
+                self._reply(None)
+
+    def _report_step(self, step: str) -> None:
+        if not step:
+            gc.collect()
+            gc.freeze()  # what was set up stays: a look through all of it would cost milliseconds
+        self._send(SetUpStep(step))
+
+    def _reply(self, outcome: Outcome | None) -> None:
+        self._send(Results(tuple(self._messages), outcome))
+        self._messages.clear()
+
+    def _send(self, reply: Reply) -> None:
+        self._connection.sendall(packed(reply))
+
+
+def _known(header: MeasuredFields | None) -> MeasuredFields:
+    if header is None:
+        raise ValueError("contacts ended that the daemon knows nothing of")
+    return header

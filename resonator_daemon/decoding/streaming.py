@@ -1,0 +1,150 @@
+"""Streaming decoder: the frames of one skin in the order of time, through changes of noise and failures of frames."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.setup_cache import cached
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_contacts import SkinEvent
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
+
+log = logging.getLogger(__name__)
+
+Floats = NDArray[np.float64]
+
+CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
+
+_LOGGED_MAX = 20
+_logged: set[str] = set()  # failures that are in the log already
+
+
+class UndecodableError(ValueError):
+    """The sites of a skin cannot be decoded as wanted."""
+
+
+class StreamingDecoder:
+    """Decodes frames of one skin in the order of time; sets a decoder up when the noise is known or has changed.
+
+    Parameters
+    ----------
+    skin, wanted
+    progress
+        Called with each step of a set-up, and with "" at its end.
+    last_contact_id
+        Number of the last contact of an earlier decoder; numbers go on from there.
+    """
+
+    def __init__(self, skin: Skin, wanted: Wanted, progress: Callable[[str], None], last_contact_id: int = 0) -> None:
+        self._skin = skin
+        self._wanted = wanted
+        self._progress = progress
+        self._last_contact_id = last_contact_id
+        self._decoder: SkinDecoder | None = None
+        self._map: Decoded | SurfaceReading | None = None
+        self._ended: tuple[SkinEvent, ...] = ()  # contacts of a decoder that was replaced
+
+    def prepare(self, noise_std: Floats) -> bool:
+        """Set up a decoder for noise (3, n) if there is none; return whether there is one.
+
+        Raises
+        ------
+        UndecodableError
+            The sites cannot be decoded.
+        """
+        before = self._decoder
+        if before is not None and before.fits(noise_std):
+            return True
+        built_for = rounded_noise(self._skin, noise_std)
+        if built_for is None:
+            return False
+        self._progress("looking in the cache")
+        try:
+            decoder = set_up(self._skin, self._wanted, built_for, self._progress)
+        except CANNOT_DECODE as error:
+            raise UndecodableError(str(error) or repr(error)) from error
+        if before is not None:
+            self._ended += decoder.succeed(before)
+        elif self._last_contact_id:
+            decoder.number_from(self._last_contact_id)
+        self._decoder = decoder
+        self._progress("")
+        return True
+
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        """Return the map of a frame, both arrays (3, n), after `prepare`; `read_contacts` is to follow."""
+        decoder = self._present
+        try:
+            self._map = decoder.decode_map(signals, noise_std)
+        except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
+            self._map = failed(decoder, error)
+        return self._map.decoded if isinstance(self._map, SurfaceReading) else self._map
+
+    def read_contacts(self) -> SurfaceReading:
+        """Return the whole reading of the frame whose map was decoded last."""
+        decoder, surface = self._present, self._map
+        if surface is None:
+            raise ValueError("no map was decoded")
+        if isinstance(surface, Decoded):
+            try:
+                surface = decoder.read_contacts(surface)
+            except Exception as error:  # noqa: BLE001  as above
+                surface = failed(decoder, error)
+        ended, self._ended = self._ended, ()
+        return replace(surface, events=ended + surface.events)
+
+    def end_contacts(self, reason: str) -> SurfaceReading | None:
+        """End all contacts because frames have stopped coming; return their releases, None where there are none."""
+        if self._decoder is None:
+            return None
+        events = self._ended + tuple(replace(event, reason=reason) for event in self._decoder.reset())
+        self._ended = ()
+        return nothing_decoded(self._decoder, "no_signal", reason, events) if events else None
+
+    @property
+    def rebuild_wanted(self) -> bool:
+        """Whether `rebuild` has something to do."""
+        return self._decoder is not None and self._decoder.rebuild_wanted
+
+    def rebuild(self) -> None:
+        """Follow a contact that has moved, where `Wanted.background` leaves that to the caller."""
+        try:
+            self._present.rebuild()
+        except Exception:  # until one succeeds, the decoder shows its map without contact physics
+            log.exception("contact physics could not follow a contact")
+
+    @property
+    def _present(self) -> SkinDecoder:
+        if self._decoder is None:
+            raise ValueError("no decoder is set up")
+        return self._decoder
+
+
+def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
+    """Build a decoder, or take it from the cache; one of CANNOT_DECODE where that is not possible."""
+    try:
+        return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
+    except CANNOT_DECODE:
+        raise
+    except Exception as error:  # whatever a skin from elsewhere is like, others can be decoded
+        log.exception("decoder could not be set up")
+        raise ValueError(f"decoder could not be set up: {error!r}") from error
+
+
+def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
+    """Return the reading of a frame whose decoding failed: all contacts end."""
+    if repr(error) not in _logged and len(_logged) < _LOGGED_MAX:  # what one frame does, all that follow may do
+        _logged.add(repr(error))
+        log.error("frames cannot be decoded", exc_info=error)
+    return nothing_decoded(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
+
+
+def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
+    """Return a reading without a surface, but with how contacts end."""
+    unknown = np.full((3, *decoder.shape), np.nan)
+    decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, status, reason)
+    return SurfaceReading(decoder.name, decoded, events=events)

@@ -1,0 +1,104 @@
+"""What the tests of the decoder process share: frames of a small skin, and a client that keeps what is delivered."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+import numpy as np
+from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Floats, pressed, until
+
+from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
+from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.reporting.surface_reports import MeasuredFields
+from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings
+
+NOTHING = np.zeros((3, SITES))
+SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
+
+
+def settings(skin: Skin = SKIN, **options: Any) -> SurfaceSettings:
+    return SurfaceSettings(skin, Wanted(contact_physics=False), np.arange(100, 100 + SITES), PITCH_M, **options)
+
+
+def header(seq: int) -> MeasuredFields:
+    return MeasuredFields(
+        seq=seq,
+        daemon_boot_id=BOOT,
+        board_boot_id="51aa03c4",
+        t_ns=T_NS + seq * 10_000_000,
+        t_unc_ns=42_000,
+        lost=Lost(link_gap=3),
+        board_ticks=1000 + seq,
+    )
+
+
+def frame(seq: int, values: Floats | None = None, noise_std: Floats = NOISE) -> SurfaceFrame:
+    """A pressed frame, unless other values are given; `seq` on `contacts` is 1000 more."""
+    return SurfaceFrame(header(seq), 1000 + seq, pressed(seq % 40) if values is None else values, noise_std)
+
+
+class Client:
+    """A supervised decoder, and what it has delivered and announced."""
+
+    def __init__(self, **options: Any) -> None:
+        self.supervisor = DecoderSupervisor[int]("hand", settings(**options), self)
+        self.messages: list[tuple[int, str, Message]] = []
+        self.events: list[ContactEvent] = []
+        self.announced: list[str] = []
+        self.offered = 0
+
+    def deliver(self, origin: int, topic: Topic[Any], message: Any) -> None:
+        self.messages.append((origin, topic.path, decode(topic.payload, encode(message))))
+
+    def deliver_event(self, origin: int, event: ContactEvent) -> None:
+        self.events.append(event)
+
+    def announce(self, note: str) -> None:
+        self.announced.append(note)
+
+    def contacts_header(self, origin: int) -> MeasuredFields:
+        return header(origin) | {"seq": 5000}  # type: ignore[return-value]
+
+    def on(self, path: str) -> list[Any]:
+        return [message for _, topic, message in self.messages if topic == path]
+
+    def offer(self, values: Floats | None = None) -> None:
+        self.supervisor.offer(self.offered, frame(self.offered, values))
+        self.offered += 1
+
+    async def read(self, values: Floats | None = None) -> None:
+        """Offer frames until one more is decoded, and wait for its contacts."""
+        before = self.supervisor.decoded
+        while self.supervisor.decoded == before:
+            self.offer(values)
+            await until(lambda: self.supervisor.waiting == 0 or self.supervisor.info().pid is None)
+            await asyncio.sleep(0.01)
+        await until(lambda: len(self.on("contacts")) >= len(self.on("decoded")))
+
+    async def touch(self) -> None:
+        """Offer pressed frames until a contact is there."""
+        before = len(self.events)
+        while len(self.events) == before:
+            await self.read()
+
+    @property
+    def is_exact(self) -> bool:
+        counts = self.supervisor
+        return self.offered == counts.decoded + counts.skipped.total() + counts.waiting
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator["asyncio.Task[None]"]:
+        task = asyncio.create_task(self.supervisor.run())
+        try:
+            yield task
+        finally:
+            task.cancel()
+            await asyncio.wait([task])
+        assert self.is_exact
+        assert self.supervisor.waiting == 0
+        assert self.supervisor.info().pid is None

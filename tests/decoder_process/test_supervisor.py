@@ -1,0 +1,185 @@
+"""The decoder process as its daemon sees it: fed, restarted, exact in its counts, and gone with the daemon."""
+
+import asyncio
+import os
+import signal
+import sys
+
+import numpy as np
+import psutil
+import pytest
+from decoder_bench import SITES, until
+from surface_bench import NOTHING, SKIN, Client, frame
+
+from resonator_daemon.decoder_process import supervisor
+from resonator_daemon.decoding.skin import Skin
+
+
+async def test_frames_become_messages_of_their_topics_under_their_own_numbers() -> None:
+    client = Client(decoder_id="host-1")
+    async with client.running():
+        await client.touch()
+        await client.read(NOTHING)
+    assert client.announced[0] == "decoder is being set up: looking in the cache"
+    assert client.announced[-1] == ""
+    for path, shift in (("decoded", 0), ("decoded/summary", 0), ("contacts", 1000)):
+        found = [(origin, message.seq) for origin, topic, message in client.messages if topic == path]
+        assert len(found) >= 3
+        assert all(seq == origin + shift for origin, seq in found)
+    (onset,) = client.events
+    assert (onset.event, onset.contact.id, onset.decoder_id) == ("onset", 1, "host-1")
+    assert [contact.id for contact in client.on("contacts")[-2].contacts] == [1]
+
+
+async def test_while_the_process_is_busy_the_newest_frame_waits_and_the_others_are_counted() -> None:
+    client = Client()
+    async with client.running():
+        await client.read(NOTHING)
+        skipped = client.supervisor.skipped["newer_frame"]
+        for _ in range(30):
+            client.offer(NOTHING)
+        assert client.supervisor.waiting == 2
+        assert client.is_exact
+        await until(lambda: client.supervisor.waiting == 0)
+        assert client.supervisor.skipped["newer_frame"] == skipped + 28
+        await until(lambda: client.on("contacts")[-1].seq == 1000 + client.offered - 1)
+
+
+async def test_an_interruption_releases_contacts_for_its_reason_and_only_then() -> None:
+    client = Client()
+    async with client.running():
+        await client.read(NOTHING)
+        client.supervisor.interrupt("nothing is there yet")
+        await client.touch()
+        client.supervisor.interrupt("unplugged")
+        client.supervisor.interrupt("unplugged")
+        await until(lambda: len(client.events) == 2)
+        await client.touch()
+    assert [(event.event, event.reason) for event in client.events] == [
+        ("onset", ""),
+        ("release", "unplugged"),
+        ("onset", ""),
+    ]
+    first, release, second = client.events
+    assert first.contact.id == release.contact.id < second.contact.id
+    assert [message.contacts for message in client.on("contacts") if message.seq == 5000] == [()]
+
+
+async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> None:
+    client = Client()
+    async with client.running():
+        await client.touch()
+        before = client.on("contacts")[-1].contacts[0]
+        pid = client.supervisor.info().pid
+        assert pid is not None
+        os.kill(pid, signal.SIGKILL)
+        await until(lambda: len(client.events) == 2)
+        assert client.announced[-1] == "decoder crashed (by SIGKILL) and is restarted"
+        await client.touch()
+        assert client.supervisor.restarts == {"crashed": 1}
+        assert client.supervisor.info().pid not in (None, pid)
+        assert client.is_exact
+    assert client.announced[-1] == ""
+    onset, release, again = client.events
+    assert [event.event for event in client.events] == ["onset", "release", "onset"]
+    assert release.reason == "the decoder crashed"
+    assert release.contact.id == onset.contact.id < again.contact.id
+    assert release.contact.since_t_ns == onset.contact.since_t_ns
+    assert release.contact.force_newton == before.force_newton
+    (ended,) = [message for message in client.on("contacts") if message.seq == 5000]
+    assert (ended.status, ended.reason, ended.contacts) == ("no_signal", "the decoder crashed", ())
+
+
+async def test_a_process_that_stops_is_killed_and_restarted(monkeypatch: pytest.MonkeyPatch) -> None:
+    client = Client()
+    async with client.running():
+        await client.touch()
+        pid = client.supervisor.info().pid
+        assert pid is not None
+        monkeypatch.setattr(supervisor, "HUNG_S", 0.2)
+        os.kill(pid, signal.SIGSTOP)
+        for _ in range(3):
+            client.offer()
+        assert client.supervisor.waiting == 2
+        await until(lambda: len(client.events) == 2)
+        assert not psutil.pid_exists(pid)
+        monkeypatch.undo()
+        await client.touch()
+        assert client.supervisor.restarts == {"hung": 1}
+        assert client.supervisor.skipped["decoder_ended"] == 1
+    assert [event.reason for event in client.events] == ["", "the decoder hung", ""]
+
+
+async def test_sites_that_cannot_be_decoded_are_announced_and_not_tried_again() -> None:
+    twice = SKIN.site_positions_m.copy()
+    twice[1] = twice[0]
+    client = Client(skin=Skin(SKIN.half_space, twice, 1e-3))
+    async with client.running() as running:
+        client.offer(NOTHING)
+        client.offer(NOTHING)
+        await asyncio.wait_for(running, 30)
+        client.offer(NOTHING)
+        assert client.is_exact
+        assert client.supervisor.restarts == {}
+        assert client.supervisor.skipped == {"newer_frame": 1, "undecodable": 2}
+    assert client.announced[-1].startswith("nothing is decoded: sites 0 and 1 are both at")
+
+
+async def test_frames_whose_noise_is_not_known_are_counted_apart() -> None:
+    client = Client()
+    async with client.running():
+        client.supervisor.offer(0, frame(0, noise_std=np.full((3, SITES), np.nan)))
+        client.offered = 1
+        await until(lambda: client.supervisor.skipped["no_noise"] == 1)
+        await client.read(NOTHING)
+
+
+async def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "RESTART_FIRST_S", 0.01)
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    client = Client()
+    async with client.running():
+        await until(lambda: client.supervisor.restarts["crashed"] >= 2)
+        monkeypatch.undo()
+        await client.read(NOTHING)
+
+
+async def test_the_process_is_named_and_ignores_signals_that_are_for_its_daemon() -> None:
+    client = Client()
+    async with client.running():
+        await client.read(NOTHING)
+        process = psutil.Process(client.supervisor.info().pid)
+        assert process.name() == "resonatord-dec"
+        assert process.cmdline()[-2] == "hand"
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            process.send_signal(number)
+        await client.read(NOTHING)
+        assert client.supervisor.restarts == {}
+
+
+DAEMON = """
+import asyncio, sys
+sys.path[:0] = {paths!r}
+from surface_bench import Client, NOTHING
+
+async def main():
+    client = Client()
+    async with client.running():
+        await client.read(NOTHING)
+        print(client.supervisor.info().pid, flush=True)
+        await asyncio.sleep(600)
+
+asyncio.run(main())
+"""
+
+
+async def test_the_process_ends_with_a_daemon_that_is_killed() -> None:
+    """Also where it is stopped: it never sees that the socket is closed."""
+    program = DAEMON.format(paths=sys.path)
+    daemon = await asyncio.create_subprocess_exec(sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE)
+    assert daemon.stdout is not None
+    pid = int(await asyncio.wait_for(daemon.stdout.readline(), 60))
+    os.kill(pid, signal.SIGSTOP)
+    daemon.kill()
+    await daemon.wait()
+    await until(lambda: not psutil.pid_exists(pid) or psutil.Process(pid).status() == psutil.STATUS_ZOMBIE)

@@ -1,0 +1,102 @@
+"""What runs in the decoder process, over a socket pair in a thread: one request, its results, and its age."""
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from decoder_bench import NOISE
+from surface_bench import NOTHING, frame, header, settings
+
+from resonator_daemon.decoder_process.connection import WorkerConnection
+from resonator_daemon.decoder_process.messages import EndContacts, Reply, Request, Results, SetUpStep, Work, packed
+from resonator_daemon.decoder_process.worker import AGE_MAX_NS, work
+from resonator_daemon.decoding.streaming import StreamingDecoder
+
+
+class Bench:
+    """A worker in a thread, and the daemon's end of its socket."""
+
+    def __init__(self) -> None:
+        self._own, other = socket.socketpair()
+        self._thread = threading.Thread(target=work, args=(other,))
+        self._thread.start()
+        self._replies: list[Reply] = []
+        self._parser = WorkerConnection(self._replies.append, lambda: None)
+        self._parser.connection_made(None)  # type: ignore[arg-type]
+        self._parser._transport = self  # type: ignore[assignment]  # it reads as long as there is one
+
+    def ask(self, request: Request) -> list[Any]:
+        """Send a request; return all replies up to its outcome."""
+        self._replies.clear()
+        self._own.sendall(packed(request))
+        while not any(isinstance(reply, Results) and reply.outcome for reply in self._replies):
+            data = self._own.recv(1 << 16)
+            assert data, "the worker has ended"
+            self._parser.data_received(data)
+        return list(self._replies)
+
+    def decode(self, seq: int, values: Any = NOTHING, *, age_ns: int = 0) -> str:
+        """Ask for a frame of some age; return its outcome."""
+        replies = self.ask(Work(frame(seq, values), time.monotonic_ns() - age_ns))
+        return str(replies[-1].outcome)
+
+    def close(self) -> None:
+        self._own.close()
+        self._thread.join(30)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    bench = Bench()
+    try:
+        assert bench.ask(settings()) == [Results((), "ready")]
+        while bench.decode(0) != "decoded":  # the frame for which it is set up may be too old by then
+            pass
+        yield bench
+    finally:
+        bench.close()
+
+
+def test_the_map_goes_out_before_the_contacts_are_read(bench: Bench) -> None:
+    first, rest = bench.ask(Work(frame(1, NOTHING), time.monotonic_ns()))
+    assert ([message.path for message in first.messages], first.outcome) == (["decoded"], None)
+    assert [message.path for message in rest.messages] == ["decoded/summary", "contacts"]
+    assert rest.outcome == "decoded"
+    assert {message.t_ns for message in (*first.messages, *rest.messages)} == {header(1)["t_ns"]}
+
+
+def test_a_frame_that_is_too_old_is_not_decoded(bench: Bench) -> None:
+    assert bench.decode(1, age_ns=AGE_MAX_NS + 1) == "too_old"
+    assert bench.decode(2) == "decoded"
+
+
+def test_steps_of_a_set_up_come_as_they_begin(bench: Bench) -> None:
+    replies = bench.ask(Work(frame(1, NOTHING, 8.0 * NOISE), time.monotonic_ns()))
+    steps = [reply.step for reply in replies if isinstance(reply, SetUpStep)]
+    assert (steps[0], steps[-1]) == ("looking in the cache", "")
+
+
+def test_without_contacts_an_interruption_has_no_message(bench: Bench) -> None:
+    assert bench.ask(EndContacts(None, "unplugged")) == [Results((), "ready")]
+
+
+def test_rebuilds_rest_so_that_frames_have_the_processor(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    spans_ns: list[tuple[int, int]] = []
+
+    def rebuild(_: StreamingDecoder) -> None:
+        began_ns = time.monotonic_ns()
+        np.sort(np.random.default_rng(1).standard_normal(200_000))
+        spans_ns.append((began_ns, time.monotonic_ns()))
+
+    monkeypatch.setattr(StreamingDecoder, "rebuild_wanted", True)
+    monkeypatch.setattr(StreamingDecoder, "rebuild", rebuild)
+    while len(spans_ns) < 4:
+        bench.decode(1)
+    for (began_ns, ended_ns), (next_ns, _) in pairwise(spans_ns):
+        assert next_ns - began_ns >= 3.0 * (ended_ns - began_ns)

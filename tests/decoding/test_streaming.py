@@ -1,0 +1,257 @@
+"""The streaming decoder: frames in the order of time, through changes of noise and failures of frames."""
+
+import logging
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skin_scenes import DEPTH_M, FRICTION, PITCH_M, RADIUS_M
+from streaming_bench import LINEAR, NAN, NOISE, NOTHING, SHAPE, SITES, SKIN, Floats, SubstituteDecoder, marked, pressed
+
+from resonator_daemon.decoding import Decoded
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin_contacts import SkinEvent
+from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
+from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
+from simulators.contact import pixel_tractions
+
+
+def streaming(wanted: Wanted = LINEAR, skin: Skin = SKIN, **options: Any) -> StreamingDecoder:
+    return StreamingDecoder(skin, wanted, lambda _: None, **options)
+
+
+def read(decoder: StreamingDecoder, signals: Floats, noise_std: Floats = NOISE) -> SurfaceReading:
+    assert decoder.prepare(noise_std)
+    decoder.decode_map(signals, noise_std)
+    return decoder.read_contacts()
+
+
+def events_of(reading: SurfaceReading) -> list[tuple[str, int]]:
+    return [(event.event, event.contact.id) for event in reading.events]
+
+
+def test_results_are_those_of_the_decoder() -> None:
+    direct, decoder = SkinDecoder(SKIN, LINEAR, NOISE, [].append), streaming()
+    for seed in range(4):
+        reading, expected = read(decoder, pressed(seed)), direct.decode(pressed(seed), NOISE)
+        assert reading.decoder == "open-plane"
+        # Single precision; matrices that come from the cache may lie in memory otherwise.
+        np.testing.assert_allclose(reading.decoded.traction_pascal, expected.decoded.traction_pascal, atol=1.0)
+        np.testing.assert_allclose(reading.decoded.displacement_m, expected.decoded.displacement_m, atol=1e-9)
+        assert [contact.id for contact in reading.contacts] == [contact.id for contact in expected.contacts]
+        assert events_of(reading) == ([("onset", 1)] if seed == 1 else [])
+
+
+def test_two_runs_are_the_same_with_contact_physics_too() -> None:
+    frames = [NOTHING, pressed(0), pressed(1), pressed(2), NOTHING, NOTHING]
+    one, other = streaming(Wanted(background=False)), streaming(Wanted(background=False))
+    for frame in frames:
+        first, again = read(one, frame), read(other, frame)
+        np.testing.assert_allclose(again.decoded.traction_pascal, first.decoded.traction_pascal, atol=1.0)
+        assert first.decoder == "open-plane+contact"
+
+
+def test_a_frame_of_nan_gives_nan_with_its_reason_and_spoils_no_other() -> None:
+    decoder = streaming()
+    before, unknown, deaf, after = (
+        read(decoder, signals, noise_std).decoded
+        for signals, noise_std in (
+            (pressed(), NOISE),
+            (np.full((3, SITES), NAN), NOISE),
+            (pressed(), np.full((3, SITES), NAN)),
+            (pressed(), NOISE),
+        )
+    )
+    for decoded in (unknown, deaf):
+        assert decoded.status == "no_signal"
+        assert decoded.reason
+        assert decoded.displacement_m is not None
+        for array in (decoded.traction_pascal, decoded.traction_std_pascal, decoded.displacement_m):
+            assert array.shape == (3, *SHAPE)
+            assert np.isnan(array).all()
+    np.testing.assert_array_equal(after.traction_pascal, before.traction_pascal)
+
+
+@pytest.mark.parametrize("unknown", [NAN, np.inf])
+def test_without_noise_of_every_channel_there_is_no_decoder_yet(unknown: float) -> None:
+    deaf = NOISE.copy()
+    deaf[1] = unknown
+    decoder = streaming()
+    assert not decoder.prepare(deaf)
+    assert decoder.end_contacts("nothing was there") is None
+    assert read(decoder, pressed()).decoded.status == "ok"
+
+
+def test_another_noise_builds_another_decoder_and_ends_the_contacts_of_the_one_before() -> None:
+    decoder = streaming()
+    onset = [read(decoder, pressed(seed)) for seed in range(2)][1]
+    still = read(decoder, pressed(2), 1.45 * NOISE)
+    ended = read(decoder, pressed(3), 1.6 * NOISE)
+    again = read(decoder, pressed(4), 1.6 * NOISE)
+    assert events_of(onset) == [("onset", 1)]
+    assert [contact.id for contact in still.contacts] == [1]
+    assert events_of(ended) == [("release", 1)]
+    assert ended.contacts == ()
+    assert events_of(again) == [("onset", 2)]
+
+
+def test_an_interruption_ends_contacts_for_its_reason_and_only_once() -> None:
+    decoder = streaming()
+    for seed in range(3):
+        read(decoder, pressed(seed))
+    ended = decoder.end_contacts("unplugged")
+    assert ended is not None
+    assert [(event.event, event.contact.id, event.reason) for event in ended.events] == [("release", 1, "unplugged")]
+    assert (ended.decoded.status, ended.decoded.reason, ended.contacts) == ("no_signal", "unplugged", ())
+    assert np.isnan(ended.decoded.traction_pascal).all()
+    assert decoder.end_contacts("unplugged again") is None
+    assert [events_of(read(decoder, pressed(seed))) for seed in range(2)] == [[], [("onset", 2)]]
+
+
+def test_releases_of_a_decoder_that_was_replaced_come_with_an_interruption_too(
+    substitute: Callable[[Any], None],
+) -> None:
+    class Ending(SubstituteDecoder):
+        def succeed(self, other: SubstituteDecoder) -> tuple[SkinEvent, ...]:
+            return (SkinEvent("release", None, "replaced"),)  # type: ignore[arg-type]
+
+        def reset(self) -> tuple[SkinEvent, ...]:
+            return (SkinEvent("release", None),)  # type: ignore[arg-type]
+
+    substitute(Ending)
+    decoder = streaming()
+    read(decoder, marked(1.0))
+    assert decoder.prepare(2 * NOISE)  # its frame is skipped
+    ended = decoder.end_contacts("unplugged")
+    assert ended is not None
+    assert [event.reason for event in ended.events] == ["replaced", "unplugged"]
+
+
+def test_numbers_of_contacts_go_on_from_those_of_an_earlier_decoder() -> None:
+    decoder = streaming(last_contact_id=41)
+    assert [events_of(read(decoder, pressed(seed))) for seed in range(2)] == [[], [("onset", 42)]]
+
+
+def test_steps_of_a_set_up_are_reported_until_it_is_done_and_done_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path))
+    readings = []
+    for expected in (["open-plane decoder of 144 sites", "contact shapes"], []):
+        steps: list[str] = []
+        decoder = StreamingDecoder(SKIN, LINEAR, steps.append)
+        readings += [read(decoder, pressed()), read(decoder, pressed())]
+        assert steps == ["looking in the cache", *expected, ""]
+    assert len(list(tmp_path.iterdir())) == 1
+    first, kept = readings[1], readings[3]
+    np.testing.assert_array_equal(kept.decoded.traction_pascal, first.decoded.traction_pascal)
+    assert [contact.id for contact in kept.contacts] == [contact.id for contact in first.contacts] == [1]
+
+
+class SometimesFailing(SkinDecoder):
+    """Fails on frames whose first signal is 7, and on the contacts of those where it is 8."""
+
+    def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
+        if signals[0, 0] == 7.0:
+            raise ZeroDivisionError("seven")
+        self.fails_later = signals[0, 0] == 8.0
+        return super().decode_map(signals, noise_std)
+
+    def read_contacts(self, decoded: Decoded) -> SurfaceReading:
+        if self.fails_later:
+            raise ZeroDivisionError("eight")
+        return super().read_contacts(decoded)
+
+
+@pytest.mark.parametrize(("value", "what"), [(7.0, "seven"), (8.0, "eight")])
+def test_a_frame_that_fails_is_flagged_ends_the_contacts_and_the_next_one_is_decoded(
+    value: float, what: str, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    substitute(SometimesFailing)
+    decoder = streaming()
+    onset = [read(decoder, pressed(seed)) for seed in range(2)][1]
+    failed = read(decoder, marked(value))
+    after = [read(decoder, pressed(seed)) for seed in range(2)]
+    assert events_of(onset) == [("onset", 1)]
+    assert failed.decoded.status == "rejected"
+    assert f"ZeroDivisionError('{what}')" in failed.decoded.reason
+    assert (failed.decoder, failed.contacts) == ("open-plane", ())
+    assert failed.decoded.traction_pascal.shape == (3, *SHAPE)
+    assert np.isnan(failed.decoded.traction_pascal).all()
+    assert events_of(failed) == [("release", 1)]
+    assert after[0].decoded.status == "ok"
+    assert events_of(after[1]) == [("onset", 2)]
+    assert "Traceback" in caplog.text
+
+
+def test_contact_physics_follows_when_the_caller_rebuilds() -> None:
+    """The surface is then nearer to that of the closed forms than the map cut to the contact, and than the map."""
+    truth = pixel_tractions((0.3, 0.0, 1.0), (0.0, 0.0), RADIUS_M, FRICTION, SHAPE, PITCH_M)
+
+    def error(reading: SurfaceReading) -> float:
+        return float(np.linalg.norm(reading.decoded.traction_pascal - truth) / np.linalg.norm(truth))
+
+    decoder = streaming(Wanted(friction_coefficient=FRICTION))
+    linear, first = read(streaming(), pressed()), read(decoder, pressed())
+    assert decoder.rebuild_wanted
+    decoder.rebuild()
+    solved = read(decoder, pressed())
+    errors = [error(reading) for reading in (linear, first, solved)]
+    assert all(worse > better for worse, better in pairwise(errors))
+    assert errors[2] < 0.7 * errors[0]
+    assert solved.decoded.status == "ok"
+
+
+def test_a_rebuild_that_fails_is_logged_and_costs_nothing_else(
+    substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Failing(SubstituteDecoder):
+        def rebuild(self) -> None:
+            raise ZeroDivisionError("rebuild")
+
+    substitute(Failing)
+    decoder = streaming()
+    read(decoder, marked(1.0))
+    decoder.rebuild()
+    assert caplog.text.count("ZeroDivisionError: rebuild") == 1
+    assert read(decoder, marked(2.0)).decoded.chi2 == 2.0
+
+
+def test_sites_that_cannot_be_decoded_are_refused_with_the_reason() -> None:
+    twice = SKIN.site_positions_m.copy()
+    twice[1] = twice[0]
+    with pytest.raises(UndecodableError, match="sites 0 and 1 are both at"):
+        streaming(skin=Skin(SKIN.half_space, twice, DEPTH_M)).prepare(NOISE)
+
+
+@pytest.mark.parametrize(
+    ("error", "reason"),
+    [
+        (MemoryError("no room"), "no room"),
+        (OverflowError("too large"), "too large"),
+        (ZeroDivisionError("by zero"), "by zero"),
+        (IndexError("odd"), "decoder could not be set up: IndexError('odd')"),
+    ],
+)
+def test_a_set_up_that_fails_makes_the_skin_undecodable(
+    error: Exception, reason: str, substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
+) -> None:
+    class Failing(SubstituteDecoder):
+        def __init__(self, *arguments: Any) -> None:
+            raise error
+
+    substitute(Failing)
+    with pytest.raises(UndecodableError) as raised:
+        streaming().prepare(NOISE)
+    assert str(raised.value) == reason
+    assert {record.levelno for record in caplog.records} <= {logging.ERROR}
+
+
+def test_a_programmers_mistake_is_not_hidden() -> None:
+    decoder = streaming()
+    read(decoder, NOTHING)
+    with pytest.raises(ValueError, match="shape"):
+        decoder.prepare(np.ones((3, SITES + 1)))
