@@ -37,7 +37,7 @@ class Listener:
     def __init__(self, port: int, seen: Seen, excused: Callable[[float], bool]) -> None:
         self._seen = seen
         self._excused = excused
-        self._last: dict[str, tuple[int, int]] = {}  # by topic, of this connection: seq, and publish_dropped
+        self._last: dict[str, tuple[int, int]] = {}  # by topic, of this connection: seq, and what was not sent
         self._news = threading.Condition()
         self.health: dict[str, Any] | None = None
         self.link: dict[str, Any] | None = None
@@ -86,7 +86,8 @@ class Listener:
             self._news.notify_all()
 
     def _judge(self, topic: str, payload: dict[str, Any]) -> None:
-        seen, seq, dropped = self._seen, payload["seq"], payload["lost"]["publish_dropped"]
+        seen, seq = self._seen, payload["seq"]
+        dropped = payload["lost"]["publish_dropped"] + payload["lost"]["skipped_late"]
         seen.messages += 1
         before = self._last.get(topic)
         if before is not None and seq <= before[0]:

@@ -23,7 +23,7 @@ HEADER: dict[str, Any] = {
     "t_ns": NOW_NS,
     "t_unc_ns": 0,
 }
-LOST = Lost(link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=5, publish_dropped=6)
+LOST = Lost(link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=5, publish_dropped=6, skipped_late=7)
 RECORDING = RecordingInfo(
     file="/rec/hand.mcap",
     since_t_ns=NOW_NS - 30_000_000_000,

@@ -91,7 +91,9 @@ class BoardReader:
     ) -> None:
         self._target = target
         self._plate = plate
-        self._ring = Ring(ring_bytes, wake, step_frames)
+        self._wake = wake
+        self._wake_due = False
+        self._ring = Ring(ring_bytes, self._wake_soon, step_frames)
         self._course = LinkCourse(plate, self._ring, tap)
         self._pacing = StepPacing(frame_bytes(plate), round(1e9 / plate.counter.frame_rate_hz))
         self._log = LinkLog()
@@ -103,10 +105,10 @@ class BoardReader:
         self._port: PortIdentity | None = None
         self._locating = threading.Lock()
         self._told_located: list[Callable[[str | None], None]] = []  # whoever waits for an answer
-        self._to_locate = self._link_open = False
+        self._to_locate = self._link_open = self._serving = False
 
     def start(self) -> None:
-        if not isinstance(self._target, ReplayLink):  # there it was said when it was recorded
+        if not self.replays:  # there it was said when it was recorded
             self._course.apply(Said(read_host_time(), "starting", "the link is being opened"))
         self._thread.start()
 
@@ -142,12 +144,11 @@ class BoardReader:
             self._to_locate = self._link_open
             if self._link_open:
                 return
-        replayed = isinstance(self._target, ReplayLink)
-        self._ring.put(BoardLocated("a recording has no board" if replayed else "no board is connected"))
+        self._ring.put(BoardLocated("a recording has no board" if self.replays else "no board is connected"))
 
     def steer(self, key: str, order: str) -> None:
         """Have `take` give this order after all frames that have arrived, and a recording hold it there."""
-        if isinstance(self._target, ReplayLink):  # what is recorded there was recorded before
+        if self.replays:  # what is recorded there was recorded before
             self._ring.put(Steering(key, order))
         else:
             self._orders.append((key, order))
@@ -162,6 +163,17 @@ class BoardReader:
         self._ring.step_frames = step_frames
 
     @property
+    def replays(self) -> bool:
+        """Whether a recording is read: its frames have no age."""
+        return isinstance(self._target, ReplayLink)
+
+    @property
+    def newest_monotonic_ns(self) -> int:
+        """Middle of the newest gate whose frame has arrived; 0 before the first."""
+        newest = self._ring.newest
+        return newest.gate_middle.monotonic_ns if newest is not None else 0
+
+    @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
         return self._course.lost
@@ -172,6 +184,17 @@ class BoardReader:
         connection = self._course.connection
         clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
         return clock.rate_ppm if clock else float("nan")
+
+    def _wake_soon(self) -> None:
+        """Wake the consumer; from the reader's thread before it waits next, so that both do not compete till then."""
+        self._wake_due = True
+        if not self._serving or threading.get_ident() != self._thread.ident:
+            self._wake_now()
+
+    def _wake_now(self) -> None:
+        if self._wake_due:
+            self._wake_due = False
+            self._wake()
 
     def _run(self) -> None:
         try:
@@ -227,7 +250,7 @@ class BoardReader:
         now = read_host_time()
         course.apply(Opened(now))
         overruns = 0
-        self._link_open = True
+        self._link_open = self._serving = True
         try:
             while not self._stopping:
                 self.turns += 1
@@ -259,6 +282,8 @@ class BoardReader:
                 self._say_goodbye(link)
             raise
         finally:
+            self._serving = False
+            self._wake_now()
             was_online = course.was_online
             with self._locating:
                 self._link_open = False
@@ -277,11 +302,15 @@ class BoardReader:
         now_ns = time.monotonic_ns()
         due_ns = min(due_ns, now_ns + _POLL_NS)
         newest = self._ring.newest
+        sleep_ns = 0
         if newest is not None and not self._course.awaits_answer:
             sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._ring.step_frames, due_ns)
-            if sleep_ns:
-                time.sleep(sleep_ns * 1e-9)
-                now_ns = time.monotonic_ns()
+        self._wake_now()
+        if sleep_ns:
+            time.sleep(sleep_ns * 1e-9)
+            if data := link.read(0.0):
+                return [Received(read_host_time(), data)]
+            now_ns = time.monotonic_ns()
         timeout_s = max(0, due_ns - now_ns) * 1e-9
         pieces: list[Received] = []
         while len(pieces) < _PIECES and (data := link.read(timeout_s)):

@@ -74,7 +74,7 @@ class FileDescriptorLink:
 
     def read(self, timeout_s: float) -> bytes:
         self._check()
-        if not self._wait(timeout_s):
+        if timeout_s > 0.0 and not self._wait(timeout_s):
             return b""
         data = self._drain()
         if not data and self._lost is None and any(state & _BROKEN for _, state in self._readable.poll(0)):

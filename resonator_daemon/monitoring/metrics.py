@@ -96,11 +96,12 @@ class _Families:
         return {part: state for part, state in states.items() if state is not None}
 
     def _of_the_link(self, health: Health) -> Iterator[Metric]:
-        lost = health.lost.model_dump(exclude={"publish_dropped"})  # that one is messages
+        lost = health.lost.model_dump(exclude={"publish_dropped", "skipped_late"})  # those are messages
         fates = {fate: count for fate, count in health.bytes_by_fate.items() if fate != _WAITING}
         bytes_waiting = health.bytes_by_fate.get(_WAITING, 0)
         yield self._counter("resonatord_frames", "Frames that arrived", health.frames)
         yield self._counters("resonatord_frames_lost", "Frames lost", "cause", lost)
+        yield self._counter("resonatord_messages_late", "Messages not made, being late", health.lost.skipped_late)
         yield self._counter("resonatord_frame_parts_lost", "Parts of frames lost", health.parts_lost)
         yield self._counter("resonatord_frames_not_decoded", "Frames the decoder skipped", health.frames_not_decoded)
         if (decoder := health.decoder) is not None:

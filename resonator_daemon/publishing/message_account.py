@@ -17,6 +17,7 @@ class Cause(StrEnum):
 
     NO_CONNECTION = "no_connection"
     QUEUE_FULL = "queue_full"
+    LATE = "late"  # a stream that waited too long for the socket
     SUPERSEDED = "superseded"  # a state that gave way to a newer one: nobody misses it
     REFUSED = "refused"  # by the broker
     TOO_LARGE = "too_large"
@@ -31,7 +32,7 @@ _ON_REFUSAL: Final = (
 )
 
 # A connection that is lost, a spool that fails and a message that is too large are said by themselves.
-_SAID: Final = (Cause.QUEUE_FULL, Cause.REFUSED, Cause.SPOOL_FULL)
+_SAID: Final = (Cause.QUEUE_FULL, Cause.LATE, Cause.REFUSED, Cause.SPOOL_FULL)
 
 
 class Account:

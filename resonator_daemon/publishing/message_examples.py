@@ -17,6 +17,7 @@ _HEADER: Final = {
         "host_overrun": 0,
         "ring_overflow": 0,
         "publish_dropped": 0,
+        "skipped_late": 0,
     },
 }
 _MEASURED: Final = {**_HEADER, "board_ticks": "123456789"}

@@ -16,7 +16,7 @@ from resonator_daemon.publishing.stream_packets import stream_packet
 from resonator_daemon.publishing.topics import CONTACT_EVENT
 
 STREAMS_WAITING_MAX: Final = 4096
-STREAM_BYTES_WAITING_MAX: Final = 32 * 2**20  # some seconds of the largest arrays
+STREAM_BYTES_WAITING_MAX: Final = 32 * 2**20
 ANSWERS_WAITING_MAX: Final = 32
 ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
 UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
@@ -44,6 +44,7 @@ class _Stream(NamedTuple):
 
     topic: str
     packet: bytes
+    since_s: float
 
     @property
     def size_bytes(self) -> int:
@@ -64,9 +65,14 @@ class Outbox:
         Takes what becomes of each message.
     spool_directory
         Where events wait; None: in memory alone.
+
+    Attributes
+    ----------
+    stream_wait_max_s
+        How long a stream may wait for the socket; what is older is dropped.
     """
 
-    def __init__(self, account: Account, spool_directory: Path | None) -> None:
+    def __init__(self, account: Account, spool_directory: Path | None, stream_wait_max_s: float) -> None:
         self._account = account
         self._client: BrokerClient | None = None
         self._retained: dict[str, Packet] = {}  # last message by topic
@@ -74,6 +80,7 @@ class Outbox:
         self.events = EventQueue(account, spool_directory, self.pump_soon)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self.stream_wait_max_s = stream_wait_max_s
         self._largest = LargestMessages()
         self._too_large: set[str] = set()  # topics of which it was said
         self._pumping = False
@@ -111,10 +118,11 @@ class Outbox:
             self._account.drop(Cause.NO_CONNECTION, packet.topic)
             return
         properties = packet.properties if client.version is client.version.V5 else None
-        stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload))
+        stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload), self._now_s())
         if stream.size_bytes > self._size_max(client):
             self._drop_too_large(packet.topic, stream.size_bytes, client.limits.packet_bytes_max)
         else:
+            self._drop_late()
             self._put(self._streams, stream)
 
     def connected(self, client: BrokerClient) -> None:
@@ -215,6 +223,7 @@ class Outbox:
 
     def _send_streams(self, client: BrokerClient) -> bool:
         """Send the streams that wait, as many as one write should hold; False: none waits."""
+        self._drop_late()
         packets: list[bytes] = []
         size_bytes = 0
         for stream in self._streams:
@@ -224,7 +233,7 @@ class Outbox:
                 break
         if not packets:
             return False
-        now_s = asyncio.get_running_loop().time()
+        now_s = self._now_s()
         for _ in range(client.send_streams(packets)):
             stream = self._streams.take()
             self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
@@ -233,7 +242,6 @@ class Outbox:
     def _send(self, client: BrokerClient, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
         """Write a message to the socket; False: the broker would not take one of this size."""
         properties = packet.properties if client.version is client.version.V5 else None
-        now_s = asyncio.get_running_loop().time()
         size_bytes = packet_bytes(
             packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
         )
@@ -246,7 +254,7 @@ class Outbox:
         except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
             self._account.drop(Cause.REFUSED, packet.topic)
             return False
-        self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
+        self._largest.sent(size_bytes, packet.topic, self._now_s(), awaited=qos > 0)
         return True
 
     def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
@@ -261,9 +269,20 @@ class Outbox:
                 limit_bytes,
             )
 
+    def _drop_late(self) -> None:
+        """Drop the streams that have waited too long to be of use."""
+        oldest_s = self._now_s() - self.stream_wait_max_s
+        while self._streams and next(iter(self._streams)).since_s < oldest_s:
+            self._account.drop(Cause.LATE, self._streams.take().topic)
+            self._moved.set()
+
+    @staticmethod
+    def _now_s() -> float:
+        return asyncio.get_running_loop().time()
+
     def _size_max(self, client: BrokerClient) -> int:
         """Return the size of the largest packet that the broker takes."""
-        return min(client.limits.packet_bytes_max, self._largest.bytes_max(asyncio.get_running_loop().time()))
+        return min(client.limits.packet_bytes_max, self._largest.bytes_max(self._now_s()))
 
     def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
         for pushed_out in queue.put(packet):

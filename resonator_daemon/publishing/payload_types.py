@@ -127,7 +127,7 @@ class Message(BaseModel):
 
 
 class Lost(Message):
-    """Losses since the daemon started, by cause: frames, and for publish_dropped messages."""
+    """Losses since the daemon started, by cause: frames, and for publish_dropped and skipped_late messages."""
 
     link_gap: int = Field(0, description="frames that the board sent and that never arrived")
     damaged: int = Field(0, description="frames that arrived with a wrong checksum")
@@ -141,6 +141,11 @@ class Lost(Message):
         description="messages never handed to the broker; a state that a newer one replaced before it was sent "
         "is not counted, as nobody misses it",
     )
+    skipped_late: int = Field(
+        0,
+        description="messages of `forces`, `contacts` and `signals` that were not made, as they would have been late: "
+        "more than 100 ms after the window, while newer frames waited to be measured",
+    )
 
 
 class Header(Message):
@@ -148,7 +153,7 @@ class Header(Message):
 
     seq: int = Field(
         description="number of the message on its topic since the daemon started; a step of more than 1 is messages "
-        "lost on the way, left out to lower the rate, or skipped by the decoder"
+        "lost on the way, left out to lower the rate, skipped as late, or skipped by the decoder"
     )
     daemon_boot_id: str = Field(description="new with each start of the daemon")
     board_boot_id: str | None = Field(description="new with each start of the board; null until the board said it")

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import logging
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -24,6 +25,7 @@ from resonator_daemon.publishing.payloads import Header, MessageAccount, State
 from resonator_daemon.publishing.topics import JSON, MessageT, Topic
 
 CLOSE_TIMEOUT_S: Final = 2.0
+FRESH_S: Final = 0.25  # a stream of a live sensor that has waited longer is of no use
 
 _WATCH_S: Final = 1.0
 
@@ -70,6 +72,8 @@ class Publisher:
         Called with the number of each connection, before the retained messages are sent again.
     on_denied
         Called with filter and reason when the broker refuses a subscription.
+    stream_wait_max_s
+        How long a stream may wait for the connection to take it; older ones are dropped.
     """
 
     def __init__(
@@ -82,6 +86,7 @@ class Publisher:
         spool_directory: Path | None = None,
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
+        stream_wait_max_s: float = math.inf,
     ) -> None:
         self._broker = broker
         self._identifier = identifier
@@ -94,7 +99,7 @@ class Publisher:
         self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self._account = Account()
-        self._outbox = Outbox(self._account, spool_directory)
+        self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
         self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
         self._slow_paces: dict[str, Pace] = {}  # of decimated copies, by full topic
         self._denied: set[str] = set()  # filters of which it was said

@@ -23,7 +23,7 @@ from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.publisher import FRESH_S, Publisher
 from resonator_daemon.publishing.topics import (
     DECODED,
     DECODER_EXPIRY_S,
@@ -101,6 +101,7 @@ class DecoderProcess:
             spool_directory=self._spool_directory(),
             on_connected=self._connected,
             on_denied=self._denied,
+            stream_wait_max_s=FRESH_S,
         )
         self._manager = ServiceManager()
         self._flow = FlowWatch()

@@ -5,6 +5,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from resonator_daemon.acquisition.account import FrameLoss
+from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import (
     Arrival,
     BoardOnline,
@@ -51,6 +52,9 @@ class BoardCourse:
         Of the event loop; None where all time passes by what arrives, and by `pass_time`.
     make_decoding
         Makes what decodes the frames of a skin.
+    is_late
+        Decides whether a message about a window that ends at this instant would come too late, while newer frames wait;
+        it is skipped then. Live only: what is replayed has no age.
 
     Attributes
     ----------
@@ -74,13 +78,14 @@ class BoardCourse:
         publish_dropped: Callable[[], int] = lambda: 0,
         call_later: CallLater | None = None,
         make_decoding: MakeSurfaceDecoding = SequentialDecoding,
+        is_late: Callable[[Instant], bool] = lambda _: False,
     ) -> None:
         self._plate = config.plate
         self._publish = publish
         self._publish_dropped = publish_dropped
         self.reporter = Reporter(config, daemon_boot_id, self._lost)
         self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
-        self.measuring = Measuring(config, self.reporter, self._sensor, publish, make_decoding)
+        self.measuring = Measuring(config, self.reporter, self._sensor, publish, make_decoding, is_late)
         self._silence = Silence(self.measuring.end_contacts, call_later)
         self.board: BoardOnline | None = None
         self.link: LinkChange | None = None
@@ -90,7 +95,7 @@ class BoardCourse:
         self._boots = 0
         self._loss = FrameLoss()
         self._told_lost = Lost()  # as the last message has it
-        self._told_loss = self._loss, 0  # of what that was made
+        self._told_loss = self._loss, 0, 0  # of what that was made
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
@@ -212,7 +217,7 @@ class BoardCourse:
         self._say_info()
 
     def _lost(self) -> Lost:
-        loss, dropped = told = self._loss, self._publish_dropped()
+        loss, dropped, late = told = self._loss, self._publish_dropped(), self.measuring.skipped_late
         if told != self._told_loss:  # hundreds of messages a second have nothing new to say
             self._told_loss = told
             self._told_lost = Lost(
@@ -222,6 +227,7 @@ class BoardCourse:
                 host_overrun=loss.host_overrun,
                 ring_overflow=loss.ring_overflow,
                 publish_dropped=dropped,
+                skipped_late=late,
             )
         return self._told_lost
 

@@ -47,11 +47,15 @@ class Measuring:
         Takes topic and message.
     make_decoding
         Makes what decodes the frames of a skin.
+    is_late
+        Decides whether a message about a window that ends at this instant would come too late, while newer frames wait.
 
     Attributes
     ----------
     latencies
         Of the messages of forces, and of decoded maps.
+    skipped_late
+        Messages that were not made as they would have been late.
     """
 
     def __init__(
@@ -61,11 +65,14 @@ class Measuring:
         sensor: SensorState,
         publish: Callable[[Topic[Any], Any], None],
         make_decoding: MakeSurfaceDecoding,
+        is_late: Callable[[Instant], bool],
     ) -> None:
         self._config = config
         self._reporter = reporter
         self._sensor = sensor
         self._publish = publish
+        self._is_late = is_late
+        self.skipped_late = 0
         self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._chain: Chain | None = None
         self._decoding = self._make(make_decoding)
@@ -128,6 +135,9 @@ class Measuring:
                 gate_middle.utc_ns,
                 compensation.plate_kelvin,
             )
+            if self._is_late(gate_middle):
+                self._skip(FORCES, CONTACTS)
+                return
             self._count_latency(FORCES, gate_middle)
             self._publish(FORCES, self._reporter.forces(reading, gate_middle))
             self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
@@ -161,6 +171,9 @@ class Measuring:
     def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
         reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
         self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
+        if self._is_late(frame.gate_middle):
+            self._skip(SIGNALS)
+            return
         self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
         if self._decoding is not None and reading.status == "ok":
             origin = (reading, frame.gate_middle)
@@ -212,9 +225,18 @@ class Measuring:
         """Return the header of one more message on `contacts` about a frame."""
         return self._reporter.contacts_header(*origin)
 
+    def _skip(self, *topics: Topic[Any]) -> None:
+        self._reporter.skip(*topics)
+        self.skipped_late += len(topics)
+
     def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
         if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording
             self.latencies.count(topic, gate_middle)
+
+
+def step_ns(plate: Plate, measurement: Measurement) -> int:
+    """Return the time from message to message on the topics of what is measured."""
+    return round(1e9 * (measurement.step_s if plate.skin is None else 1 / plate.counter.frame_rate_hz))
 
 
 def useful_together(plate: Plate, measurement: Measurement) -> tuple[int, ...]:

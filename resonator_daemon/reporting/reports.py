@@ -93,6 +93,11 @@ class Reporter:
         """Return the header of a message that tells of a moment on the host's clock."""
         return self._header(topic, utc_ns, 0)
 
+    def skip(self, *topics: Topic[Any]) -> None:
+        """Count a message of each topic that is not made: its number is passed over."""
+        for topic in topics:
+            self._seq[topic.path] += 1
+
     def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
         return State(
             **self.header(STATE_DAEMON, utc_ns),

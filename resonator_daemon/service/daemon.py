@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import gc
 import logging
+import math
 import os
 import secrets
 import signal
@@ -16,6 +17,7 @@ from typing import Any
 
 from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.clock import Instant
 from resonator_daemon.acquisition.frames import (
     Arrival,
     BoardOnline,
@@ -26,7 +28,7 @@ from resonator_daemon.acquisition.frames import (
     in_blocks,
 )
 from resonator_daemon.acquisition.recording_switch import RecordingSwitch
-from resonator_daemon.config import Config, plate_name
+from resonator_daemon.config import Config, frame_bytes, plate_name
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
 from resonator_daemon.host.journal import name_lines
@@ -39,12 +41,13 @@ from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
+from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.reporting import steering
 from resonator_daemon.reporting.board_course import BoardCourse
-from resonator_daemon.reporting.measuring import useful_together
+from resonator_daemon.reporting.measuring import step_ns, useful_together
 from resonator_daemon.reporting.surface_decoding import SurfaceClient
 from resonator_daemon.reporting.surface_stream import SurfaceSettings
 from resonator_daemon.service.command_handlers import CommandHandlers, DaemonParts, ForceChain
@@ -60,6 +63,9 @@ _HEALTH_S = 1.0
 _SWITCH_S = 5e-4  # of the reader thread, before the event loop has its turn; Python's 5 ms are half a frame
 _WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
 _TOGETHER = 50  # arrivals
+_FRAMES_WAITING_S = 2.0
+_FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
+_LATE_NS = 100_000_000  # after its window, a message is skipped if a newer one can be made
 
 
 async def serve(store: ConfigStore) -> None:
@@ -83,6 +89,12 @@ async def serve(store: ConfigStore) -> None:
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
 
 
+def frames_waiting_bytes(plate: Plate) -> int:
+    """Return the memory that the frames take that may wait to be measured."""
+    frames = math.ceil(_FRAMES_WAITING_S * plate.counter.frame_rate_hz)
+    return frames * (frame_bytes(plate) + _FRAME_OVERHEAD_BYTES)
+
+
 class Service:
     """One board from its bytes to its messages."""
 
@@ -99,7 +111,12 @@ class Service:
         self._recording = RecordingSwitch()
         steps = useful_together(config.plate, config.measurement)
         self._reader = BoardReader(
-            config.link, config.plate, self._wake_from(loop), step_frames=steps, tap=self._recording.tap
+            config.link,
+            config.plate,
+            self._wake_from(loop),
+            step_frames=steps,
+            ring_bytes=frames_waiting_bytes(config.plate),
+            tap=self._recording.tap,
         )
         self._steering = steering.Steering(self._reader.steer)
         self._daemon_boot_id = secrets.token_hex(8)
@@ -114,7 +131,9 @@ class Service:
             lambda: self._outlet.dropped,
             loop.call_later,
             self._make_decoder,
+            is_late=self._is_late,
         )
+        self._step_ns = step_ns(config.plate, config.measurement)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
         self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon, self._outlet.restore)
@@ -273,12 +292,12 @@ class Service:
 
     def _consume(self) -> None:
         """Do what follows from what has arrived; where it is much, messages and signals have their turn in between."""
-        scheduled = bool(self._arrivals)
-        self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
-        if not scheduled:
+        if not self._arrivals:  # else it goes on by itself
             self._go_on()
 
     def _go_on(self) -> None:
+        if not self._arrivals:
+            self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
         try:
             handled = 0
             while self._arrivals and handled < _TOGETHER:
@@ -293,6 +312,12 @@ class Service:
             if self._arrivals:
                 self._loop.call_soon(self._go_on)
 
+    def _is_late(self, gate_middle: Instant) -> bool:
+        """Return whether a message about this instant is late, and a newer one can be made from frames that wait."""
+        if self._reader.replays or self._reader.newest_monotonic_ns - gate_middle.monotonic_ns < self._step_ns:
+            return False
+        return time.monotonic_ns() - gate_middle.monotonic_ns > _LATE_NS
+
     def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
         match arrival:
             case BoardOnline() if not self._outlet.open and not self._take_name_of(arrival):
@@ -303,7 +328,9 @@ class Service:
                 self._refuse(arrival)
             case Steering():
                 self._steering.obeyed(arrival.key, self._course.steer(arrival.order))
-                self._reader.wake_at(useful_together(self._config.plate, self._course.reporter.measurement))
+                measurement = self._course.reporter.measurement
+                self._reader.wake_at(useful_together(self._config.plate, measurement))
+                self._step_ns = step_ns(self._config.plate, measurement)
                 return
             case ReaderFailed():
                 raise arrival.error

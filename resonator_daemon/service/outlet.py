@@ -12,7 +12,7 @@ from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
-from resonator_daemon.publishing.publisher import Publisher, Subscription
+from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, TOPICS, Topic, full_topic
 
 NOTHING_MADE: Final = MessageAccount(
@@ -106,6 +106,7 @@ class Outlet:
             ),
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             on_connected=daemon_state.connected,
+            stream_wait_max_s=FRESH_S,
         )
         self._publisher.retain(full_topic(broker.prefix, name, SCHEMA_PATH), asyncapi.encoded(), JSON)
         for topic, message in self._waiting.items():

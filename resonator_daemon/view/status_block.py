@@ -91,8 +91,9 @@ def _state(status: Status, part: str, state: State) -> Text:
 
 
 def _lost(health: Health) -> Text:
-    text = _by_cause(health.lost.model_dump(exclude={"publish_dropped"}), "nothing")
+    text = _by_cause(health.lost.model_dump(exclude={"publish_dropped", "skipped_late"}), "nothing")
     others = {"parts of frames": health.parts_lost, "frames not decoded": health.frames_not_decoded}
+    others |= {"messages skipped as late": health.lost.skipped_late}
     others |= {f"readings unusable ({cause})": count for cause, count in health.records_unusable.items()}
     return text.append("".join(f"; {_count(count)} {printable(what)}" for what, count in others.items() if count))
 

@@ -41,7 +41,7 @@ def test_both_plates_against_the_truth() -> None:
     assert skin.keys() >= PLATE_KEYS
     for plate in (quartz, skin):
         lost = plate["lost"]
-        assert set(lost) == {*FRAME_LOSSES, "publish_dropped"}
+        assert set(lost) == {*FRAME_LOSSES, "publish_dropped", "skipped_late"}
         # A busy computer reads late, and buffers run over; nothing else loses frames here.
         assert {lost[cause] for cause in FRAME_LOSSES - OVERRUNS} == {0}
         assert plate["latency_ms"]["p50"] <= plate["latency_ms"]["p99"]

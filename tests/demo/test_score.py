@@ -249,6 +249,7 @@ def test_losses_are_those_since_the_beginning(run: Run) -> None:
         "host_overrun": 0,
         "ring_overflow": 0,
         "publish_dropped": 5,
+        "skipped_late": 0,
     }
 
 

@@ -58,6 +58,7 @@ def of(name: str, /, **labels: str) -> Key:
         (of("resonatord_frames_total"), 3_600_000),
         (of("resonatord_frames_lost_total", cause="link_gap"), 1),
         (of("resonatord_frames_lost_total", cause="ring_overflow"), 5),
+        (of("resonatord_messages_late_total"), 7),
         (of("resonatord_frame_parts_lost_total"), 7),
         (of("resonatord_frames_not_decoded_total"), 8),
         (of("resonatord_decoder_frames_skipped_total", cause="too_old"), 8),

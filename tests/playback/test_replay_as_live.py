@@ -52,7 +52,7 @@ def replayed(path: Path) -> dict[str, list[dict[str, Any]]]:
 
 def of_the_link(payload: dict[str, Any]) -> dict[str, Any]:
     kept = {key: value for key, value in payload.items() if key not in OF_THE_RUN}
-    return kept | {"lost": payload["lost"] | {"publish_dropped": 0}}
+    return kept | {"lost": payload["lost"] | {"publish_dropped": 0, "skipped_late": 0}}
 
 
 def check_same(heard: Observer, again: dict[str, list[dict[str, Any]]]) -> dict[str, int]:

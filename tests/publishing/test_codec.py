@@ -18,9 +18,17 @@ ARRAY = bytes.fromhex("d828 82 82 03 02 d855 58 18") + struct.pack("<6f", *VALUE
 EXPECTED = np.array([[0.0, 1.0], [-2.0, 0.5], [np.inf, 3.0]])
 
 # the header and board_ticks of a map of 10; 1b is an 8-byte integer, 19 a 2-byte one
-LOST = b"\xa6" + b"".join(
+LOST = b"\xa7" + b"".join(
     bytes([0x60 + len(key)]) + key + b"\x00"
-    for key in (b"link_gap", b"damaged", b"board_overflow", b"host_overrun", b"ring_overflow", b"publish_dropped")
+    for key in (
+        b"link_gap",
+        b"damaged",
+        b"board_overflow",
+        b"host_overrun",
+        b"ring_overflow",
+        b"publish_dropped",
+        b"skipped_late",
+    )
 )
 HEAD = (
     b"\xaa\x63seq\x19\x04\xd2\x6edaemon_boot_id\x649f3c\x6dboard_boot_id\x6451aa"

@@ -246,6 +246,26 @@ async def test_two_seconds_of_a_stalled_broker_cost_no_stream(mosquitto) -> None
         assert left.account.dropped == {}
 
 
+async def test_streams_that_waited_too_long_are_dropped_and_counted(mosquitto) -> None:
+    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
+        await until(lambda: left.connected)
+        mosquitto.freeze()
+        number = 0
+        while len(left._outbox._streams) < 100:  # the sockets have taken what they hold
+            left.publish(LEFT, topics.SIGNALS, Messages.signals(number))
+            await asyncio.sleep(0)
+            number += 1
+        left._outbox.stream_wait_max_s = 0.0
+        left.publish(LEFT, topics.SIGNALS, Messages.signals(number))
+        left._outbox.stream_wait_max_s = 3600.0
+        assert left.account.dropped == {"late": 100}
+        assert_exact(left)
+        mosquitto.thaw()
+        await until(lambda: left.account.waiting == 0)
+        assert left.account.dropped == {"late": 100}
+        await observer.until(lambda: len(observer.heard) >= left.account.handed_to_socket)
+
+
 async def test_a_slow_link_brings_events_and_the_newest_streams(mosquitto, tmp_path: Path) -> None:
     async with slow_link(mosquitto.url, 1_000_000) as url, observe(mosquitto.url) as observer:
         async with publishing(url, spool_directory=tmp_path) as left:

@@ -34,14 +34,16 @@ MEASURED: dict[str, Any] = {
     "board_boot_id": "51aa",
     "t_ns": 1789000000000000000,
     "t_unc_ns": 42000,
-    "lost": Lost(link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=6, publish_dropped=5),
+    "lost": Lost(
+        link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=6, publish_dropped=5, skipped_late=7
+    ),
     "board_ticks": 123456789,
 }
 HEADER = {key: value for key, value in MEASURED.items() if key != "board_ticks"}
 HEADER_JSON = """
     "seq": 1234, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": "1789000000000000000", "t_unc_ns": 42000,
     "lost": {"link_gap": 1, "damaged": 2, "board_overflow": 3, "host_overrun": 4, "ring_overflow": 6,
-        "publish_dropped": 5}
+        "publish_dropped": 5, "skipped_late": 7}
 """
 OUTAGE = OutageInfo(start_t_ns=1788999998000000000, end_t_ns=1788999999000000000, frames_lost=999, reason="?")
 FORCE = {"force_newton": 1.234, "noise_newton": 0.0006, "systematic_newton": 0.012, "status": "ok"}
