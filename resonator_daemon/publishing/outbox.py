@@ -2,6 +2,8 @@
 
 import asyncio
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
@@ -183,6 +185,15 @@ class Outbox:
         self._moved.set()
         if self.queued:
             self.pump_soon()
+
+    @contextmanager
+    def together(self) -> Iterator[None]:
+        """Send what is put within this context at its end, not one turn of the event loop later."""
+        self._pumping = True
+        try:
+            yield
+        finally:
+            self._pump()
 
     def pump_soon(self) -> None:
         if not self._pumping and self._client is not None:

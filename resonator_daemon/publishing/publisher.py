@@ -5,6 +5,7 @@ import contextlib
 import logging
 import math
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -161,6 +162,10 @@ class Publisher:
                 self._outbox.put_state(Packet(name, encode(message), properties_of(topic)))
             else:
                 self._outbox.put_event(name, message)
+
+    def together(self) -> AbstractContextManager[None]:
+        """Send what is published within this context together, at its end."""
+        return self._outbox.together()
 
     def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:
         """Publish a document that is no message, to be kept by the broker."""

@@ -299,18 +299,21 @@ class Service:
         if not self._arrivals:
             self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
         try:
-            handled = 0
-            while self._arrivals and handled < _TOGETHER:
-                if self._over.done():
-                    return
-                arrival = self._arrivals.popleft()
-                self._handle(arrival)
-                handled += len(arrival) if isinstance(arrival, list) else 1
+            with self._outlet.together():
+                self._handle_some()
         except Exception as error:  # noqa: BLE001 - `run` raises it
-            self._over.set_exception(error)
+            if not self._over.done():
+                self._over.set_exception(error)
         else:
-            if self._arrivals:
+            if self._arrivals and not self._over.done():
                 self._loop.call_soon(self._go_on)
+
+    def _handle_some(self) -> None:
+        handled = 0
+        while self._arrivals and handled < _TOGETHER and not self._over.done():
+            arrival = self._arrivals.popleft()
+            self._handle(arrival)
+            handled += len(arrival) if isinstance(arrival, list) else 1
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made from frames that wait."""

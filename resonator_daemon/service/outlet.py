@@ -1,6 +1,7 @@
 """Where the daemon's messages leave it: below one name at one broker, as soon as the name is known."""
 
 from collections.abc import Callable, Collection, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any, Final
 from urllib.parse import quote
 
@@ -90,6 +91,10 @@ class Outlet:
             self._publisher.publish(self._base, topic, message)
         elif topic.retained and isinstance(message, Message):
             self._waiting[topic] = message
+
+    def together(self) -> AbstractContextManager[None]:
+        """Send what is published within this context together, at its end."""
+        return self._publisher.together() if self._publisher is not None else nullcontext()
 
     def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:
         """Take a name; `run` connects, and what waits is published first."""
