@@ -34,7 +34,7 @@ _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
 _COLD = 12  # iterations
 _WARM = 1  # iterations, and ...
 _WARM_MOST = 6  # ... how many where they are needed to explain the signals
-_MOVED = 0.75  # pixels, after which the other thread follows
+_MOVED = 1.5  # pixels, after which the other thread follows
 _STD_FACTOR = 0.8  # of the iteration's own standard deviation ...
 _SHAPE_ERROR = 0.034  # ... and of the traction, by pixels and smoothness: both to fit closed-form contacts
 _KNOWN_FRICTION = 0.87  # of both, where the friction coefficient is known
@@ -49,6 +49,7 @@ class _Request:
     frame: Frame
     hypothesis: Hypothesis  # to renew
     suspect: bool  # the frame contradicts it
+    before: Solved | None  # what the frame, or the one before, led to
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ class _Found:
 
     request: _Request
     hypothesis: Hypothesis
-    solved: Solved | None
+    solved: Solved | None  # None where the frames that follow have one to begin with
 
 
 class ContactDecoder:
@@ -187,9 +188,11 @@ class ContactDecoder:
             return False
         located = self._search.locate(request.frame, request.hypothesis.missed, request.hypothesis.located)
         renewed = replace(request.hypothesis, located=located)
-        solved: Solved | None = solve(request.frame, located, self._friction(renewed.bounds), None, _COLD)
+        solved: Solved | None = None
         if request.suspect:
-            renewed, solved = examine(self._search, request.frame, renewed, self._friction, solved)
+            renewed, solved = examine(self._search, request.frame, renewed, self._friction, request.before)
+        elif request.before is None:
+            solved = solve(request.frame, located, self._friction(renewed.bounds), None, _COLD)
         self._found.append(_Found(request, renewed, solved))
         return True
 
@@ -256,7 +259,7 @@ class ContactDecoder:
         fit = "unfit" if located is None else self._search.fit(located, frame)
         if self._background:
             if located is None or fit != "good" or np.hypot(*located.moved(frame)) > _MOVED:
-                self._wanted = _Request(frame, self._hypothesis, suspect=False)
+                self._wanted = _Request(frame, self._hypothesis, False, self._last if fit != "unfit" else None)
             if fit == "unfit":
                 return None
         elif fit != "good":
@@ -272,7 +275,7 @@ class ContactDecoder:
         if solved.is_sound:
             return solved
         if self._background:
-            self._wanted = _Request(frame, self._hypothesis, suspect=True)
+            self._wanted = _Request(frame, self._hypothesis, True, solved)
             return solved
         bounds = self._hypothesis.bounds
         self._hypothesis, examined = examine(self._search, frame, self._hypothesis, self._friction, solved)

@@ -49,10 +49,15 @@ def swept(mask: Mask, steps: NDArray[np.float64]) -> Mask:
     count = int(np.rint(np.abs(steps).max()))
     for step in range(1, count + 1):
         dy, dx = (int(shift) for shift in np.rint(steps * step / count))
-        passed |= ndimage.shift(mask, (dy, dx), order=0, prefilter=False)
+        passed[_part(dy), _part(dx)] |= mask[_part(-dy), _part(-dx)]
     return passed
 
 
 def blobs(mask: Mask) -> NDArray[np.int32]:
     """Return the number of the blob of each pixel (ny, nx), from 1, and 0 outside the mask."""
     return np.asarray(ndimage.label(mask, _EIGHT)[0], np.int32)
+
+
+def _part(shift: int) -> slice:
+    """Return what an axis that is shifted fills."""
+    return slice(shift, None) if shift >= 0 else slice(None, shift)
