@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, Singles, rows_of
+from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, ROWS, Singles, slope_rows
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 
 Floats = NDArray[np.float64]
@@ -85,23 +85,20 @@ class Linearisation:
     def __init__(self, model: DiscModel, parameters: Floats, whitening: Whitening) -> None:
         self.parameters = parameters
         self.whitening = whitening
-        whiten = whitening.factors
-        slopes = np.empty((parameters.size, whiten.size), np.float32)
-        filled = [
-            model.slip.fill(parameters[first : first + PARAMETERS], whiten, slopes[first : first + PARAMETERS])
-            for first in range(0, parameters.size, PARAMETERS)
+        contacts = parameters.size // PARAMETERS
+        self._rows = rows = np.empty((ROWS * contacts, whitening.factors.size), np.float32)
+        scales = [
+            model.slip.fill(one, whitening.factors, rows[ROWS * index : ROWS * (index + 1)])
+            for index, one in enumerate(parameters.reshape(-1, PARAMETERS))
         ]
-        self._slopes = slopes
-        self._value, self._scale = filled[0]
-        if len(filled) > 1:
-            self._value = np.sum([value for value, _ in filled], axis=0)
-            self._scale = np.concatenate([scale for _, scale in filled])
-        self._rows = rows_of(len(filled))
-        # A product of a matrix with itself takes another routine, three times as long.
-        product = (slopes @ slopes.copy().T)[self._rows].take(self._rows, axis=1)
-        self.precision: Floats = product * self._scale * self._scale[:, None]
+        self._value = rows[0] if contacts == 1 else rows[::ROWS].sum(axis=0)
+        self._scale = scales[0] if contacts == 1 else np.concatenate(scales)
+        self._slopes = slope_rows(contacts)
+        # Products of rows with those from the second one on: of a matrix with itself they take three times as long.
+        products = (rows @ rows[1:].T)[self._slopes].take(self._slopes - 1, axis=1)
+        self.precision: Floats = products * self._scale * self._scale[:, None]
 
     def left(self, target: Singles) -> tuple[float, Floats]:
         """Chi-square of signals (3 n,) and its gradient (7 k,) at the parameters, without the law of friction."""
         residual = target - self._value
-        return float(residual @ residual), (self._slopes @ residual)[self._rows] * self._scale
+        return float(residual @ residual), (self._rows @ residual)[self._slopes] * self._scale

@@ -25,8 +25,8 @@ X, Y, RADIUS, FORCE_X, FORCE_Y, FORCE_Z, MARGIN = range(PARAMETERS)
 _KNOTS = 501  # even in r^2 / (r^2 + 7)
 _HALF_WAY = 7.0  # squared depths, at half of the knots
 _NEARLY_STUCK = 0.97  # margin from which both discs are interpolated between the same radii: else m has no digits
-# Rows of the slopes as computed: F_x, F_y, F_z, x, y, m, a. Those of the parameters in their usual order:
-_ROWS = np.array([3, 4, 6, 0, 1, 2, 5])
+ROWS = 8  # of a contact: its signals, and their slopes by a, m, x, y, F_x, F_y, F_z
+_SLOPES = np.array([3, 4, 1, 5, 6, 7, 2])  # rows of the slopes by the parameters in their usual order
 
 
 class _Depth(NamedTuple):
@@ -90,41 +90,40 @@ class SlipSignals:
 
     def signals(self, contact: Floats) -> tuple[Floats, Floats]:
         """Signals (3 n,) of a contact x, y, a, F_x, F_y, F_z, m, and their slopes (7, 3 n)."""
-        slopes = np.empty((PARAMETERS, 3 * self._count), np.float32)
-        value, scale = self.fill(contact, self.whiten(np.ones(slopes.shape[1])), slopes)
-        return value.astype(np.float64), slopes[_ROWS] * scale[:, None]
+        rows = np.empty((ROWS, 3 * self._count), np.float32)
+        scale = self.fill(contact, self.whiten(np.ones(rows.shape[1])), rows)
+        return rows[0].astype(np.float64), rows[_SLOPES] * scale[:, None]
 
     def whiten(self, weights: Floats) -> Singles:
         """Return what `fill` multiplies by, for signals that are to be multiplied by weights (3 n,)."""
         return np.asarray(weights.reshape(3, -1) * self._per_area, np.float32).ravel()
 
-    def fill(self, contact: Floats, whiten: Singles, slopes: Singles) -> tuple[Singles, Floats]:
-        """Write slopes (7, 3 n); returns the signals (3 n,), and by what to multiply each slope.
+    def fill(self, contact: Floats, whiten: Singles, rows: Singles) -> Floats:
+        """Write signals and slopes of a contact, (8, 3 n); returns by what to multiply each slope, (7,).
 
-        Slopes by the parameters, in their order, are the rows `rows_of(1)`, each times its factor.
+        Slopes by the parameters, in their order, are the rows `slope_rows(1)`, each times its factor.
         """
         x_m, y_m, radius_m, force_x, force_y, force_z, margin = contact.tolist()
         force = np.array([[force_x], [force_y]], np.float32)
-        whole = np.empty((8, 3, self._count), np.float32)
+        whole = rows.reshape(ROWS, 3, self._count)
         for group in self._groups:
             centre = np.array([[x_m / group.depth_m], [y_m / group.depth_m]], np.float32)
             profiles = self._profiles(radius_m / group.depth_m, margin, force_z)
             if isinstance(group.members, slice):
                 self._at_depth(group.sites - centre, profiles, force, whole)
                 continue
-            part = np.empty((8, 3, group.sites.shape[1]), np.float32)
+            part = np.empty((ROWS, 3, group.sites.shape[1]), np.float32)
             self._at_depth(group.sites - centre, profiles, force, part)
-            part[[3, 4, 6]] *= self._reference_m / group.depth_m
+            part[[1, 3, 4]] *= self._reference_m / group.depth_m
             whole[:, :, group.members] = part
-        rows = whole.reshape(8, -1)
-        np.multiply(rows[:PARAMETERS], whiten, out=slopes)
+        rows *= whiten
         per_m = 1.0 / self._reference_m
-        return rows[7] * whiten, np.array([1.0, 1.0, 1.0 / force_z, -per_m, -per_m, 1.0, per_m])[_ROWS]
+        return np.array([-per_m, -per_m, per_m, 1.0, 1.0, 1.0 / force_z, 1.0])
 
     def _profiles(self, radius: float, margin: float, force_z: float) -> Singles:
         """Functions of distance at a radius in depths, (5, 4, knots).
 
-        A, 2 C, D, F_z P, F_z E, each by m, by a, itself and (1/r) d/dr.
+        A, 2 C, D, F_z P, F_z E, each itself, by a, by m and (1/r) d/dr.
         """
         ratio = margin ** (1.0 / 3.0)
         rest = 1.0 / (1.0 - margin)
@@ -160,9 +159,9 @@ class SlipSignals:
         pressed = press @ rows[:, split:]
         sheared, pressed = sheared.reshape(3, 2, 3, _KNOTS), pressed.reshape(2, 2, 2, _KNOTS)
         profiles = np.empty((5, 4, _KNOTS), np.float32)
-        profiles[:3, 0], profiles[3:, 0] = sheared[2, 0], 0.0
+        profiles[:3, 0], profiles[3:, 0] = sheared[0, 0], pressed[0, 0]
         profiles[:3, 1], profiles[3:, 1] = sheared[1, 0], pressed[1, 0]
-        profiles[:3, 2], profiles[3:, 2] = sheared[0, 0], pressed[0, 0]
+        profiles[:3, 2], profiles[3:, 2] = sheared[2, 0], 0.0
         profiles[:3, 3], profiles[3:, 3] = sheared[0, 1], pressed[0, 1]
         return profiles
 
@@ -176,7 +175,7 @@ class SlipSignals:
         return weights, [slope * per_step for slope in slopes]
 
     def _at_depth(self, offset: Singles, profiles: Singles, force: Singles, rows: Singles) -> None:
-        """Write slopes by F_x, F_y, F_z, x, y, m, a, then values, (8, 3, n), for sites offset by (2, n) depths."""
+        """Write signals and slopes, (8, 3, n), for sites offset by (2, n) depths."""
         square = np.einsum("in,in->n", offset, offset)
         place = square + np.float32(_HALF_WAY)
         np.divide(np.float32(-_HALF_WAY * self._knots_per_share), place, out=place)
@@ -185,8 +184,8 @@ class SlipSignals:
         found = profiles.take(near, axis=2, mode="clip")
         square *= np.float32(0.5)
         square -= self._half_squares.take(near, mode="clip")
-        found[:, 2] += found[:, 3] * square
-        along, twice_turned, straight, pressed, pushed = found  # each by m, by a, itself, (1/r) d/dr
+        found[:, 0] += found[:, 3] * square
+        along, twice_turned, straight, pressed, pushed = found  # each itself, by a, by m, (1/r) d/dr
 
         projected = force[:, 0] @ offset
         normal = along * projected
@@ -195,28 +194,28 @@ class SlipSignals:
         radial += pushed
 
         # Strains are offset times `spread`, and force times `shifted`
-        spread, shifted = np.empty((8, square.size), np.float32), np.empty((5, square.size), np.float32)
-        np.multiply(offset, twice_turned[2], out=spread[:2])
-        spread[2] = pushed[2]
+        spread, shifted = np.empty((ROWS, square.size), np.float32), np.empty((5, square.size), np.float32)
+        spread[:3] = radial[:3]
         np.multiply(offset, radial[3], out=spread[3:5])
-        spread[3:5] += force * twice_turned[2]
-        spread[5:] = radial[:3]
-        np.multiply(offset, straight[3], out=shifted[:2])
-        shifted[2:] = straight[:3]
+        spread[3:5] += force * twice_turned[0]
+        np.multiply(offset, twice_turned[0], out=spread[5:7])
+        spread[7] = pushed[0]
+        shifted[:3] = straight[:3]
+        np.multiply(offset, straight[3], out=shifted[3:])
         np.multiply(spread[:, None], offset, out=rows[:, 1:])
-        rows[3:, 1:] += shifted[:, None] * force
-        diagonals = rows.reshape(24, -1)
-        diagonals[1:6:4] += straight[2]  # by F_x and F_y
-        diagonals[10:15:4] += radial[2]  # by x and y
+        rows[:5, 1:] += shifted[:, None] * force
+        diagonals = rows.reshape(3 * ROWS, -1)
+        diagonals[10:15:4] += radial[0]  # by x and y
+        diagonals[16:21:4] += straight[0]  # by F_x and F_y
 
-        np.multiply(offset, along[2], out=rows[:2, 0])
-        rows[2, 0] = pressed[2]
+        rows[:3, 0] = normal[:3]
         np.multiply(offset, normal[3], out=rows[3:5, 0])
-        rows[3:5, 0] += force * along[2]
-        rows[5:, 0] = normal[:3]
+        rows[3:5, 0] += force * along[0]
+        np.multiply(offset, along[0], out=rows[5:7, 0])
+        rows[7, 0] = pressed[0]
 
 
 @lru_cache
-def rows_of(contacts: int) -> NDArray[np.intp]:
-    """Rows that `SlipSignals.fill` writes for contacts one after the other, by parameter."""
-    return np.asarray(PARAMETERS * np.arange(contacts)[:, None] + _ROWS, np.intp).ravel()
+def slope_rows(contacts: int) -> NDArray[np.intp]:
+    """Rows that `SlipSignals.fill` writes for contacts one after the other, by parameter, (7 k,)."""
+    return np.asarray(ROWS * np.arange(contacts)[:, None] + _SLOPES, np.intp).ravel()
