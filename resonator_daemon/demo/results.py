@@ -9,6 +9,7 @@ from resonator_daemon.demo.score import FOUND_WITHIN_NS, PlateScore
 from resonator_daemon.view.words import losses_in_words
 
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
+_SKIPPED: Final = "skipped_late"  # results that newer ones took the place of: no frame is lost
 
 
 def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[str, Any]:
@@ -44,7 +45,7 @@ def percentiles(latency_ms: list[float]) -> dict[str, float] | None:
 
 def failures(plate: Mapping[str, Any]) -> list[str]:
     """Return why a plate's run is a failure, a clause each: contacts that were missed, frames that were lost."""
-    clauses = [f"{count} lost: {cause}" for cause, count in plate["lost"].items() if count]
+    clauses = [f"{count} lost: {cause}" for cause, count in plate["lost"].items() if count and cause != _SKIPPED]
     if not plate["frames"]:
         clauses.append("no frame arrived")
     if plate["decoded_frames"] == 0:

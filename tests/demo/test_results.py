@@ -6,7 +6,9 @@ import pytest
 
 from resonator_daemon.demo.results import delays, failures, in_words
 
-LOST = dict.fromkeys(("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow", "publish_dropped"), 0)
+LOST = dict.fromkeys(
+    ("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow", "publish_dropped", "skipped_late"), 0
+)
 
 
 def plate(**changes: Any) -> dict[str, Any]:
@@ -51,7 +53,13 @@ def test_what_was_missed_or_lost_is_a_failure(changes: dict[str, Any], clause: s
 
 
 def test_what_came_late_is_none() -> None:
-    late = plate(contacts_late=2, latest_contact_ms=130.4, messages_missed=5, latency_ms={"p50": 3.0, "p99": 80.2})
+    late = plate(
+        lost=LOST | {"skipped_late": 4},
+        contacts_late=2,
+        latest_contact_ms=130.4,
+        messages_missed=5,
+        latency_ms={"p50": 3.0, "p99": 80.2},
+    )
     assert failures(late) == []
     assert delays(late) == [
         "2 of 9 touches late: the onset arrived more than 50 ms after the touch, 130 ms at most",
