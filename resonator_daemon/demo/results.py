@@ -67,7 +67,7 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
             f"after the touch, {plate['latest_contact_ms']:.0f} ms at most"
         )
     if missed := plate["messages_missed"]:
-        clauses.append(f"{missed} messages missing between others: skipped under load, or lost on the way")
+        clauses.append(f"{missed} messages missing between others: skipped under load, not decoded, or lost on the way")
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
         clauses.append(f"messages late: {plate['latency_ms']['p99']:.0f} ms (99 %)")
     return clauses

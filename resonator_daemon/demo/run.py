@@ -34,7 +34,7 @@ from resonator_daemon.publishing.topics import SIGNALS, TOPICS, split_topic
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
 from resonator_daemon.view.terminal import render
 
-_START_S: Final = 60.0  # decoders of a skin are set up first
+_START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
 _TURN_S: Final = 1 / 5  # what has arrived is scored and drawn as often as maps are published for people
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter

@@ -88,7 +88,7 @@ class PlateScore:
     Attributes
     ----------
     messages_missed
-        Gaps in `seq` of `forces`, `decoded` and its summary since `begin`: skipped under load, or lost on the way.
+        Gaps in `seq` of `forces` and `decoded` since `begin`: skipped under load, not decoded, or lost on the way.
     started, ended
         A first result was received; the daemon has published that it is offline, its last message.
     """
@@ -162,7 +162,8 @@ class PlateScore:
         self._count(message["lost"])
         if path in (FORCES.path, DECODED_SUMMARY.path):
             self.started = True
-            self._count_missed(path, message["seq"])
+            if path == FORCES.path:
+                self._count_missed(path, message["seq"])
             self._waiting.append(_Waiting(path, message, arrived_ns))
         elif path == CONTACT_EVENT.path:
             if message["event"] == "onset":

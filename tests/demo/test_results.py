@@ -63,7 +63,7 @@ def test_what_came_late_is_none() -> None:
     assert failures(late) == []
     assert delays(late) == [
         "2 of 9 touches late: the onset arrived more than 50 ms after the touch, 130 ms at most",
-        "5 messages missing between others: skipped under load, or lost on the way",
+        "5 messages missing between others: skipped under load, not decoded, or lost on the way",
         "messages late: 80 ms (99 %)",
     ]
 

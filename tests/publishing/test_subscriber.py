@@ -2,8 +2,10 @@
 
 import asyncio
 import logging
+import time
 from collections.abc import AsyncIterator
 from contextlib import aclosing
+from functools import partial
 
 import aiomqtt
 import numpy as np
@@ -12,6 +14,9 @@ from mqtt_helpers import LEFT, Messages, publishing, until
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import receiver, subscriber, topics
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import Received, subscribe
 
 
@@ -109,31 +114,50 @@ async def test_a_restart_of_the_broker_is_survived(broker) -> None:
             pass
 
 
-@pytest.mark.parametrize(("setting", "value", "most"), [("STREAM_WAITING_MAX", 10, 10), ("STREAM_AGE_MAX_S", 0.0, 1)])
-async def test_a_slow_reader_loses_what_is_old_of_streams_and_no_event(
-    mosquitto, monkeypatch: pytest.MonkeyPatch, setting: str, value: float, most: int
-) -> None:
-    monkeypatch.setattr(subscriber, setting, value)
-    async with publishing(mosquitto.url) as left, aclosing(subscribe(Mqtt(url=mosquitto.url))) as received:
-        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
-        await next_of(received, "state/link")
-        async with aiomqtt.Client("127.0.0.1", Mqtt(url=mosquitto.url).port) as after:
-            await after.subscribe("resonator/left/forces")
-            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(0))
-            for number in range(100):
-                left.publish(LEFT, topics.FORCES, Messages.forces(number))
-            async with asyncio.timeout(10):
-                async for message in after.messages:
-                    if b'"seq":99,' in message.payload:
-                        break
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(100))
-        await until(lambda: left.account.waiting == 0)
-        assert (await anext(received)).message == Messages.event(0)
-        numbers = []
-        while (message := await anext(received)).path != "contacts/event":
-            numbers.append(message.message.seq)
-        assert 1 <= len(numbers) <= most
-        assert numbers == list(range(100 - len(numbers), 100))
+async def test_a_slow_reader_loses_what_is_old_of_streams_and_no_event(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All messages have arrived before the first is taken."""
+    now_ns = time.time_ns()
+    second_ns = 10**9
+
+    def arrival(topic: topics.Topic[Message], number: int, age_ns: int) -> Arrival:
+        message = Messages.event(number) if topic is topics.CONTACT_EVENT else Messages.forces(number)
+        return Arrival(f"{LEFT}/{topic.path}", encode(message), now_ns - age_ns)
+
+    arrivals = [
+        arrival(topics.CONTACT_EVENT, 0, 9 * second_ns),
+        *(arrival(topics.FORCES, number, 8 * second_ns - number) for number in range(1, 50)),
+        arrival(topics.CONTACT_EVENT, 50, second_ns),
+        *(arrival(topics.FORCES, number, -number) for number in range(51, 100)),
+    ]
+    monkeypatch.setattr(subscriber, "Receiver", partial(Replayed, arrivals))
+    assert await numbers_of(len(arrivals) - 49) == [0, 50, *range(51, 100)]
+    monkeypatch.setattr(subscriber, "STREAM_WAITING_MAX", 10)
+    assert await numbers_of(12) == [0, 50, *range(90, 100)]
+    monkeypatch.setattr(subscriber, "Receiver", partial(Replayed, arrivals[:50]))
+    assert await numbers_of(2) == [0, 49]  # the newest of a topic is delivered, however old
+
+
+class Replayed:
+    """Stands for a Receiver that received these messages at once."""
+
+    def __init__(
+        self, arrivals: list[Arrival], _broker: Mqtt, _filters: object, on_arrival: object, *_: object
+    ) -> None:
+        self._arrivals = arrivals
+        self._on_arrival = on_arrival
+
+    def start(self) -> None:
+        for arrival in self._arrivals:
+            self._on_arrival(arrival)
+
+    async def close(self) -> None:
+        pass
+
+
+async def numbers_of(count: int) -> list[int]:
+    """Return the numbers of so many messages, all that there are."""
+    async with aclosing(subscribe(Mqtt())) as received:
+        return [(await anext(received)).message.seq for _ in range(count)]
 
 
 async def test_a_defect_ends_the_subscription_instead_of_its_messages(
