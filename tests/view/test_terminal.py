@@ -181,6 +181,13 @@ def test_losses_are_told_by_cause() -> None:
     lost = Lost(link_gap=3, publish_dropped=20)
     view = quartz16(("forces", forces(seq=1, lost=lost)), ("forces", forces(seq=6, lost=lost)))
     assert "lost: link gap 3, publish dropped 20, missed by this view 4" in words(page(view))
+
+
+def test_beside_the_truth_losses_are_those_since_the_measurement_began() -> None:
+    view = quartz16(("forces", forces(lost=Lost(link_gap=3, damaged=2))))
+    began = Truth((), None, None, losses={"link_gap": 0, "damaged": 1, "parts": 0})
+    assert "lost: damaged 1" in words(page(view, truth=began))
+    assert "link gap" not in words(page(view, truth=began))
     view = quartz16(("health", health(parts_lost=2, frames_not_decoded=5)))
     assert "lost: parts 2, not decoded 5" in words(page(view))
     assert "losses unknown" in page(PlateView("left"))
