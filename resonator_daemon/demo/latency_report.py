@@ -11,6 +11,7 @@ import numpy as np
 from resonator_daemon.demo.latency_figures import LATE_MS, Latency
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.monitoring.latency import BOUNDS_MS
+from resonator_daemon.publishing.topics import DECODED
 
 _BAR_COLUMNS: Final = 40
 _EIGHTHS: Final = " ▏▎▍▌▋▊▉"
@@ -73,7 +74,7 @@ class LatencyReport:
     def in_words(self) -> str:
         latency = self.latency
         decoded = ", decoded in a process of its own" if self.apart else ""
-        unheard = "skipped by the decoder or lost on the way" if self.apart else "lost on the way"
+        unheard = "skipped by the decoder or lost on the way" if self.topic == DECODED.path else "lost on the way"
         lines = [
             f"{self.plate}, {self.topic}{decoded}: {self.seconds:.1f} s, broker {self.broker}",
             f"p50 {self._quantile_ms(0.5):g} ms, p99 {self._quantile_ms(0.99):g} ms, max {self._quantile_ms(1.0):g} ms "

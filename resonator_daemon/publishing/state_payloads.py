@@ -253,8 +253,8 @@ class DecoderHealth(Message):
     t_ns: Int64 = Field(description="UTC, when it was made")
     uptime_s: float = Field(description="since the decoder started")
     plates: dict[str, DecoderPlateHealth] = Field(description="by plate")
-    cpu_percent: Float = Field(description=_CPU)
-    rss_mb: Float = Field(description="memory of the decoder")
+    cpu_percent: Float = Field(description=_CPU + ", with its child process")
+    rss_mb: Float = Field(description="memory of the decoder, with its child process")
     latency: dict[str, LatencyInfo] = Field(
         description="of `decoded`, of all plates together: by UTC, the way from the daemon and waiting included; where "
         "daemon and decoder run on two computers, both clocks must agree, else it is off by what they differ"

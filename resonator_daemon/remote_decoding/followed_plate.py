@@ -12,7 +12,14 @@ from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition, ContactEvent, DecoderPlateHealth, Message, Signals
+from resonator_daemon.publishing.payloads import (
+    Condition,
+    ContactEvent,
+    DecoderPlateHealth,
+    DecoderProcessInfo,
+    Message,
+    Signals,
+)
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
@@ -86,6 +93,10 @@ class FollowedPlate:
             missed=plate.missed,
         )
         return {plate.name: account}
+
+    def process_info(self) -> DecoderProcessInfo | None:
+        """Return how the process fares that decodes; None while there is none."""
+        return self._decoder.info() if self._decoder is not None else None
 
     async def run(self) -> None:
         """Decode until cancelled; another `info` begins anew with another decoder."""

@@ -7,7 +7,7 @@ from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth
+from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import MessageT, Topic
 
@@ -34,6 +34,9 @@ class Mode(Protocol):
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         """Account of each plate's signals."""
+
+    def process_info(self) -> DecoderProcessInfo | None:
+        """Return how the process fares that decodes; None where this one does."""
 
     async def run(self) -> None:
         """Decode until cancelled."""

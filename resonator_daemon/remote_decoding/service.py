@@ -146,14 +146,14 @@ class DecoderProcess:
 
     def health(self) -> DecoderHealth:
         """How this process fares."""
-        held = self._process.held()
+        held, child = self._process.held(), self._mode.process_info()
         return DecoderHealth(
             decoder_id=self.decoder_id,
             t_ns=time.time_ns(),
             uptime_s=time.monotonic() - self._started_s,
             plates=self._mode.health(),
-            cpu_percent=held.cpu_percent,
-            rss_mb=held.rss_mb,
+            cpu_percent=held.cpu_percent + (child.cpu_percent if child is not None else 0.0),
+            rss_mb=held.rss_mb + (child.rss_mb if child is not None else 0.0),
             latency={DECODED.path: self._mode.latency.info()},
             messages=self._publisher.account,
         )

@@ -13,7 +13,7 @@ from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
-from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, Signals
+from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, SIGNALS, full_topic, split_topic
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
@@ -117,6 +117,10 @@ class SharedPlates:
             )
             for name, plate in self._plates.items()
         }
+
+    def process_info(self) -> DecoderProcessInfo | None:
+        """Return None: frames are decoded in this process."""
+        return None
 
     async def run(self) -> None:
         await self._stage.run()
