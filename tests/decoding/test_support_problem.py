@@ -36,6 +36,10 @@ def scene():
     return centres_m, kernel.astype(np.float32), support
 
 
+def fields(scene, sites):
+    return scene[1].reshape(3, ROWS, COLUMNS, 3, *sites)
+
+
 def dense(scene, known=None, support=None):
     """A (signals, 3 n) and the prior covariance of the traction given that all around is 0, in double precision."""
     centres_m, kernel, drawn = scene
@@ -71,7 +75,7 @@ def everywhere(problem):
 
 @pytest.mark.parametrize("shape", [None, SITES])
 def test_linear_solution_is_the_bayes_estimate(scene, shape):
-    rows = SignalRows(scene[1], shape)
+    rows = SignalRows(fields(scene, shape or (36,)))
     problem = problem_of(scene, rows)
     signals = np.random.default_rng(1).standard_normal(108).astype(np.float32) * 3.0
     matrix, prior = dense(scene)
@@ -84,7 +88,7 @@ def test_linear_solution_is_the_bayes_estimate(scene, shape):
 
 
 def test_a_problem_made_from_another_is_the_same(scene):
-    rows = SignalRows(scene[1], None)
+    rows = SignalRows(fields(scene, (36,)))
     moved = np.roll(scene[2], 1, 1)
     one = problem_of(scene, rows)
     other = problem_of(scene, rows, support=moved, before=one)
@@ -102,7 +106,7 @@ def test_a_problem_made_from_another_is_the_same(scene):
 
 
 def test_little_overlap_is_no_reason_to_take_matrices_over(scene):
-    rows = SignalRows(scene[1], None)
+    rows = SignalRows(fields(scene, (36,)))
     far = np.roll(scene[2], 2, 1)
     assert problem_of(scene, rows, support=far, before=problem_of(scene, rows)).matrices.updates == 0
 
@@ -110,7 +114,7 @@ def test_little_overlap_is_no_reason_to_take_matrices_over(scene):
 @pytest.mark.parametrize("shape", [None, SITES])
 def test_lost_signals_drop_out(scene, shape):
     rng = np.random.default_rng(2)
-    rows = SignalRows(scene[1], shape)
+    rows = SignalRows(fields(scene, shape or (36,)))
     known = rng.random(108) > 0.3
     lost = rows.whitener(known)
     problem = problem_of(scene, rows, lost)
@@ -124,7 +128,7 @@ def test_lost_signals_drop_out(scene, shape):
 
 
 def test_pixels_outside_the_mask_stay_empty(scene):
-    rows = SignalRows(scene[1], None)
+    rows = SignalRows(fields(scene, (36,)))
     problem = problem_of(scene, rows)
     inside, start = everywhere(problem)
     inside[3] = False
@@ -135,7 +139,7 @@ def test_pixels_outside_the_mask_stay_empty(scene):
 
 
 def test_chi2_counts_what_is_left(scene):
-    rows = SignalRows(scene[1], None)
+    rows = SignalRows(fields(scene, (36,)))
     problem = problem_of(scene, rows)
     traction = np.random.default_rng(5).standard_normal((3, problem.pixels.size)).astype(np.float32)
     matrix, _ = dense(scene)
@@ -145,7 +149,7 @@ def test_chi2_counts_what_is_left(scene):
 
 
 def test_net_load_scatters_as_its_standard_error_says(scene):
-    rows = SignalRows(scene[1], None)
+    rows = SignalRows(fields(scene, (36,)))
     problem = problem_of(scene, rows)
     matrix, prior = dense(scene)
     rng = np.random.default_rng(7)

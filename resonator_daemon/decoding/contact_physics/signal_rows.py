@@ -12,6 +12,7 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 _LEFT_OUT = 8e-4  # share of the power of all pixels' signals
+_SAMPLES = 24  # pixels along each axis that are enough to choose the basis
 _JITTER = 1e-6  # keeps the rows of signals that are all lost apart
 
 
@@ -21,35 +22,36 @@ class SignalRows:
     Parameters
     ----------
     kernel
-        Whitened signals under 1 Pa on each pixel: (3, pixels, 3, n).
-    shape
-        (ny, nx) of the sites where they form a grid.
+        Whitened signals under 1 Pa on each pixel, (3, py, px, 3, n), or (3, py, px, 3, ny, nx) for a grid of sites.
     """
 
-    def __init__(self, kernel: Singles, shape: tuple[int, int] | None) -> None:
-        components, pixels, channels, count = kernel.shape
-        self.kernel: Singles = kernel.reshape(components, pixels, -1)  # (3, pixels, rows)
+    def __init__(self, kernel: Singles) -> None:
+        components, py, px, channels, *shape = kernel.shape
         self._bases: tuple[Singles, Singles] | None = None
-        self._kept = np.arange(channels * count)
-        if shape is None:
+        self._kept = np.arange(channels * int(np.prod(shape)))
+        if len(shape) == 1:
+            self.kernel: Singles = kernel.reshape(components, py * px, -1)  # (3, pixels, rows)
             return
-        fields = kernel.reshape(-1, *shape)
-        along_x = sum(
-            field @ field.T for field in np.array_split(fields.transpose(2, 0, 1).reshape(shape[1], -1), 8, 1)
-        )
-        along_y = sum(
-            field @ field.T for field in np.array_split(fields.transpose(1, 0, 2).reshape(shape[0], -1), 8, 1)
-        )
-        x, y = (np.linalg.eigh(np.asarray(power, np.float64))[1] for power in (along_x, along_y))
-        self._bases = y.astype(np.float32), x.astype(np.float32)
-        rotated = np.matmul(self._bases[0].T, fields @ self._bases[1]).reshape(components, pixels, -1)
-        power = np.einsum("cpr,cpr->r", rotated, rotated, dtype=np.float64)
-        order = np.argsort(power)[::-1]
-        needed = int(np.argmax(power.sum() - np.cumsum(power[order]) <= _LEFT_OUT * power.sum())) + 1
+        step = max(min(py, px) // _SAMPLES, 1)
+        some = np.ascontiguousarray(kernel[:, ::step, ::step])
+        x, y = (_leading(fields.reshape(-1, fields.shape[-1])) for fields in (some, some.swapaxes(-1, -2)))
+        self._bases = y, x
+        power = np.sum((y.T @ (some @ x)) ** 2, axis=(0, 1, 2), dtype=np.float64)
+        order = np.argsort(power, axis=None)[::-1]
+        needed = int(np.argmax(power.sum() - np.cumsum(power.ravel()[order]) <= _LEFT_OUT * power.sum())) + 1
         self._kept = np.sort(order[:needed])
-        channel, row, column = np.unravel_index(self._kept, (channels, *shape))
-        self._places = np.ravel_multi_index((column, channel, row), (shape[1], channels, shape[0]))
-        self.kernel = np.ascontiguousarray(rotated[..., self._kept])
+        of_channel, row, column = np.unravel_index(self._kept, (channels, *shape))
+        self._places = np.ravel_multi_index((column, of_channel, row), (shape[1], channels, shape[0]))
+        self.kernel = np.empty((components, py * px, needed), np.float32)
+        end = 0
+        for channel in range(channels):
+            rows, columns = row[of_channel == channel], column[of_channel == channel]
+            begin, end = end, end + rows.size
+            height, width = rows.max(initial=0) + 1, columns.max(initial=0) + 1
+            for component in range(components):
+                fields = np.ascontiguousarray(kernel[component, :, :, channel])
+                rotated = y.T[:height] @ (fields @ x[:, :width])
+                self.kernel[component, :, begin:end] = rotated.reshape(py * px, -1).take(rows * width + columns, axis=1)
 
     def project(self, whitened: Singles) -> Singles:
         """From whitened signals (3 n,), lost ones 0, to rows."""
@@ -94,3 +96,9 @@ class LostRows:
     def back(self, rows: Singles) -> Singles:
         """Rows such that the kernel of the whole set times them is `kernel` times `rows`."""
         return self._transposed.T @ rows
+
+
+def _leading(fields: Singles) -> Singles:
+    """Eigenvectors of the power of fields (k, n) along their axis, the leading ones first, (n, n)."""
+    power = (fields.T @ fields).astype(np.float64)
+    return np.ascontiguousarray(np.linalg.eigh(power)[1][:, ::-1], np.float32)

@@ -1,11 +1,11 @@
 """Signals at sites under unit tractions on single square pixels, from the transfer matrices."""
 
-from itertools import product
-
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior
 from resonator_daemon.elastic import HalfSpace
 
@@ -13,42 +13,130 @@ Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
 _WHITE_DEPTHS = 1e-3  # correlation length over depth of a traction that is white to the signals
-_NODES = 3  # of Gauss-Legendre along each side of a pixel
+_PANEL = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # Boole's rule
+_PANEL_DEPTHS = 0.5  # widest panel
+_TAPS = 6  # of the interpolation between offsets
 _SAME = 1e-6  # of the pitch: offsets this close are one
-_CHUNK = 1 << 17
 
 
-def site_kernel(half_space: HalfSpace, positions_m: Floats, depths_m: Floats, lattice: PixelLattice) -> Singles:
-    """Signals of sites (n, 2) at depths (n,) under 1 Pa on each pixel: (3 components, pixels, 3 channels, n).
+def site_kernel(
+    half_space: HalfSpace, positions_m: Floats, depths_m: Floats, noise_std: Floats, lattice: PixelLattice
+) -> Singles:
+    """Whitened signals of sites under 1 Pa on each pixel, within 1e-4 of the largest one.
 
-    Within 1e-4 of the largest signal for pixels up to half a depth wide.
+    Parameters
+    ----------
+    half_space
+    positions_m, depths_m
+        Of the sites, (n, 2) and (n,).
+    noise_std
+        Of their signals, (3, n).
+    lattice
+
+    Returns
+    -------
+    Of shape (3 components, py, px, 3 channels, n), or (..., ny, nx) for sites that form a grid. Where pixels repeat the
+    grid and its noise is even, this is a view of a table, each entry of which stands at many places.
     """
-    centres_m = lattice.centres_m
-    kernel = np.empty((3, len(centres_m), 3, len(positions_m)), np.float32)
+    grid = as_grid(positions_m)
+    sites = grid.shape if grid else (len(positions_m),)
+    first = (lattice.origin_m - positions_m) / lattice.pitch_m  # from each site to the first pixel, in pixels
+    phases = first - np.rint(first)
+    if (
+        grid
+        and np.ptp(depths_m) == 0.0
+        and not np.ptp(noise_std, axis=1).any()
+        and np.ptp(phases, axis=0).max() < _SAME
+    ):
+        return _repeated(half_space, first, float(depths_m[0]), noise_std[:, 0], lattice, grid.shape)
+    kernel = np.empty((len(positions_m), 3, 3, *lattice.shape), np.float32)
     for depth_m in np.unique(depths_m):
-        sites = np.flatnonzero(depths_m == depth_m)
-        offsets = positions_m[sites] - centres_m[:, None]
-        distinct, place = _distinct(offsets.reshape(-1, 2), lattice.pitch_m)
-        green = _green(half_space, float(depth_m), float(np.hypot(*np.abs(distinct).max(axis=0)) + lattice.pitch_m))
-        table = np.concatenate(
-            [
-                _pixel_mean(green, part, lattice.pitch_m)
-                for part in np.array_split(distinct, len(distinct) // _CHUNK + 1)
-            ]
-        ).astype(np.float32)
-        for component, channel in product(range(3), range(3)):
-            kernel[component, :, channel, sites] = table[place, channel, component].reshape(offsets.shape[:2]).T
-    return kernel
+        members = np.flatnonzero(depths_m == depth_m)
+        table = _OffsetTable(half_space, float(depth_m), lattice, first[members])
+        for site in members:
+            kernel[site] = table.at(first[site])
+    kernel /= noise_std.T.astype(np.float32)[:, :, None, None, None]
+    return np.ascontiguousarray(kernel.transpose(2, 3, 4, 1, 0)).reshape(3, *lattice.shape, 3, *sites)
 
 
-def _distinct(offsets_m: Floats, pitch_m: float) -> tuple[Floats, NDArray[np.intp]]:
-    """Offsets without repetition (k, 2), and where each of (n, 2) is among them: on a grid few are left."""
-    steps = np.rint(offsets_m / (_SAME * pitch_m)).astype(np.int64)
-    steps -= steps.min(axis=0)
-    _, first, place = np.unique(
-        steps[:, 0] * (steps[:, 1].max() + 1) + steps[:, 1], return_index=True, return_inverse=True
+def _repeated(
+    half_space: HalfSpace,
+    first: Floats,
+    depth_m: float,
+    noise_std: Floats,
+    lattice: PixelLattice,
+    shape: tuple[int, int],
+) -> Singles:
+    """As `site_kernel`, for sites that lie to each other as the pixels do."""
+    table = _OffsetTable(half_space, depth_m, lattice, first).at_steps()
+    table /= noise_std.astype(np.float32)[:, None, None, None]
+    channel, component, down, right = table.strides
+    ny, nx = shape
+    last = table[:, :, ny - 1 :, nx - 1 :]  # offsets from the grid's first site, whose pixels lie farthest ahead
+    return as_strided(
+        last, (3, *lattice.shape, 3, ny, nx), (component, down, right, channel, -down, -right), writeable=False
     )
-    return offsets_m[first], place
+
+
+class _OffsetTable:
+    """Signals at one depth, (channel, component), over the offset from a site to a pixel, in parts of the pitch.
+
+    Parameters
+    ----------
+    half_space
+    depth_m
+    lattice
+    first
+        Offsets from the sites to the first pixel, in pixels, (n, 2).
+    """
+
+    def __init__(self, half_space: HalfSpace, depth_m: float, lattice: PixelLattice, first: Floats) -> None:
+        pitch_m = lattice.pitch_m
+        self._pixels = lattice.shape[::-1]
+        self._panels = int(np.ceil(pitch_m / (_PANEL_DEPTHS * depth_m)))
+        self._parts = parts = (_PANEL.size - 1) * self._panels  # of a pixel
+        margin = _TAPS // 2 / parts
+        self._low = first.min(axis=0) - margin
+        spans = np.ptp(first, axis=0) + np.array(self._pixels) - 1 + 2.0 * margin
+        axes = [
+            (low + (np.arange(int(np.ceil(span * parts - _SAME)) + 1 + parts) - parts / 2) / parts) * pitch_m
+            for low, span in zip(self._low, spans, strict=True)
+        ]
+        green = _green(half_space, depth_m, float(np.hypot(*(np.abs(axis).max() for axis in axes))))
+        table = green(-np.stack(np.meshgrid(*axes), axis=-1)).transpose(2, 3, 0, 1)
+        weights = np.zeros(parts + 1)
+        for panel in range(self._panels):
+            weights[4 * panel : 4 * panel + 5] += _PANEL * pitch_m / self._panels
+        for _ in range(2):  # means over a pixel, along y and then along x
+            count = table.shape[2] - parts
+            parted = [weight * table[:, :, part : part + count] for part, weight in enumerate(weights)]
+            table = np.sum(parted, axis=0).swapaxes(2, 3)
+        self._table: Singles = np.ascontiguousarray(table, np.float32)
+
+    def at_steps(self) -> Singles:
+        """Over offsets a pitch apart, from the least on, (3, 3, offsets y, offsets x)."""
+        start = _TAPS // 2
+        return np.ascontiguousarray(self._table[:, :, start :: self._parts, start :: self._parts])
+
+    def at(self, first: Floats) -> Singles:
+        """Over all pixels for the site from which the first one lies so far, (3, 3, py, px)."""
+        (x, of_x), (y, of_y) = (
+            self._interpolation(offset, count) for offset, count in zip(first - self._low, self._pixels, strict=True)
+        )
+        return of_y @ (self._table[:, :, y, x] @ of_x.T)
+
+    def _interpolation(self, offset: float, count: int) -> tuple[slice, Singles]:
+        """Entries of the table, and what they add up to for each pixel along an axis, by Lagrange's polynomials."""
+        place = offset * self._parts
+        knot = int(place)
+        nodes = np.arange(_TAPS) - (_TAPS // 2 - 1)
+        others = nodes[:, None] != nodes
+        ratios = np.where(others, (place - knot - nodes) / np.where(others, nodes[:, None] - nodes, 1), 1.0)
+        start = knot + int(nodes[0])
+        matrix = np.zeros((count, (count - 1) * self._parts + _TAPS), np.float32)
+        for tap, weight in enumerate(ratios.prod(axis=1)):
+            matrix[np.arange(count), np.arange(count) * self._parts + tap] = weight
+        return slice(start, start + matrix.shape[1]), matrix
 
 
 def _green(half_space: HalfSpace, depth_m: float, reach_m: float) -> Kernel:
@@ -56,12 +144,3 @@ def _green(half_space: HalfSpace, depth_m: float, reach_m: float) -> Kernel:
     length_m = _WHITE_DEPTHS * depth_m
     white = StationaryPrior(half_space, 1.0 / (np.sqrt(4.0 * np.pi) * length_m), length_m, 1.0)
     return white.kernel("sensor", depth_m, "traction", 0.0, reach_m)
-
-
-def _pixel_mean(green: Kernel, offsets_m: Floats, pitch_m: float) -> Floats:
-    """Integral of the point solution over the pixel, (k, 3, 3)."""
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    total = np.zeros((len(offsets_m), 3, 3))
-    for (x, x_weight), (y, y_weight) in product(zip(nodes, weights, strict=True), repeat=2):
-        total += x_weight * y_weight * green(offsets_m - np.array([x, y]) * pitch_m / 2.0)
-    return total * pitch_m**2 / 4.0

@@ -25,7 +25,6 @@ from resonator_daemon.decoding.contact_physics.support_matrices import Model
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
 from resonator_daemon.elastic import HalfSpace
@@ -151,10 +150,7 @@ class SupportSearch:
         sites, positions_m = linear.site_positions_m, linear.query_positions_m
         lattice = PixelLattice.over(sites, float(np.median(linear.depths_m)))
         noise_std = np.broadcast_to(linear.noise_std, (3, len(sites)))
-        kernel = site_kernel(linear.half_space, sites, linear.depths_m, lattice)
-        kernel /= noise_std.astype(np.float32)
-        grid = as_grid(sites)
-        self._rows = SignalRows(kernel, grid.shape if grid else None)
+        self._rows = SignalRows(site_kernel(linear.half_space, sites, linear.depths_m, noise_std, lattice))
         self._gain_floor = (GAIN_FLOOR * linear.gain_std) ** 2
         self._prior = PixelPrior(lattice, linear.correlation_length_m)
         self._tangential_ratio = linear.tangential_ratio
