@@ -7,6 +7,7 @@ import os
 import pickle
 import tempfile
 import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +21,7 @@ Built = TypeVar("Built")
 
 _KEPT = 4  # files of some 80 MB
 _LEFT_S = 3600.0
+_CHECKSUM_BYTES = 4
 _CODE = Path(__file__).parent, Path(__file__).parent.parent / "elastic"
 
 
@@ -30,11 +32,11 @@ def cached(depends_on: Any, build: Callable[[], Built]) -> Built:
     """
     path = _directory() / f"{_hash(depends_on)}.pickle"
     try:
-        built: Built = pickle.loads(path.read_bytes())
+        built: Built = _load(path)
     except FileNotFoundError:
         pass
-    except Exception as error:  # noqa: BLE001  a damaged pickle may raise anything
-        log.warning("cached set-up %s is of no use and is made anew: %s", path, error)
+    except Exception as error:  # noqa: BLE001  a pickle written by other code may raise anything
+        log.warning("cached set-up %s cannot be used and is built again: %s", path, error)
     else:
         with contextlib.suppress(OSError):  # where it may only be read
             path.touch()
@@ -57,6 +59,19 @@ def _directory() -> Path:
     return (Path(base) if os.path.isabs(base) else Path(os.path.expanduser("~/.cache"))) / "resonatord"
 
 
+def _load(path: Path) -> Any:
+    """Read a set-up; what damage does to it depends on where it is, so that a checksum is compared first."""
+    content = memoryview(path.read_bytes())
+    pickled, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
+    if _checksum(pickled) != checksum:
+        raise ValueError("its checksum does not match its content")
+    return pickle.loads(pickled)
+
+
+def _checksum(content: memoryview | bytes) -> bytes:
+    return zlib.crc32(content).to_bytes(_CHECKSUM_BYTES, "big")
+
+
 def _hash(depends_on: Any) -> str:
     digest = hashlib.sha256(pickle.dumps((depends_on, np.__version__, scipy.__version__), protocol=5))
     for path in sorted(source for folder in _CODE for source in folder.rglob("*.py")):
@@ -69,6 +84,7 @@ def _keep(path: Path, content: bytes) -> None:
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as part:
         try:
             part.write(content)
+            part.write(_checksum(content))
             part.flush()
             os.replace(part.name, path)
         except BaseException:

@@ -88,7 +88,7 @@ def test_another_process_finds_it(directory: Path) -> None:
     assert said == "101\n"
 
 
-@pytest.mark.parametrize("damage", [b"", b"not a pickle", b"\x80\x05cnowhere\nNothing\n."])
+@pytest.mark.parametrize("damage", [b"", b"abc", b"not a pickle", b"\x80\x05cnowhere\nNothing\n."])
 def test_a_damaged_file_is_replaced_and_said(directory: Path, damage: bytes, caplog: pytest.LogCaptureFixture) -> None:
     build = Builder()
     cached("key", build)
@@ -98,6 +98,17 @@ def test_a_damaged_file_is_replaced_and_said(directory: Path, damage: bytes, cap
     (warning,) = [record for record in caplog.records if record.levelno == logging.WARNING]
     assert str(file) in warning.getMessage()
     assert cached("key", build) == 102  # mended
+
+
+@pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
+def test_a_number_that_is_damaged_is_found(directory: Path, place: float) -> None:
+    """A flipped bit in an array leaves a pickle that can be read."""
+    cached("key", lambda: np.arange(1000.0))
+    (file,) = directory.iterdir()
+    content = bytearray(file.read_bytes())
+    content[int(place * len(content))] ^= 1
+    file.write_bytes(content)
+    assert cached("key", lambda: np.arange(1000.0)) == pytest.approx(np.arange(1000.0), abs=0)
 
 
 def test_where_nothing_can_be_kept_it_is_built_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

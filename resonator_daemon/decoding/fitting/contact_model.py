@@ -16,7 +16,7 @@ Profile = Literal["hertz", "flat"]
 
 _FADED = 40.0  # spatial frequency times depth at which signals have faded to exp(-40)
 _PANEL_NODES = 16
-_PANEL_PHASE = 8.0  # of the fastest oscillation, that one panel of Gauss-Legendre may span
+_PANEL_PHASE = 20.0  # of the fastest oscillation, that one panel of Gauss-Legendre may span: error 1e-12
 _DISTANCE_STEP = 0.1  # depths; the table is good to about 1e-5 of the peak
 _WIDEST = 200.0  # depths from one end of the sites to the other: beyond it tables take minutes
 _BLOCK = 1_000_000  # entries of an array of quadrature nodes and distances

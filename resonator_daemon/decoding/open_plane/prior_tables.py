@@ -26,7 +26,7 @@ Field = Literal["sensor", "traction", "displacement"]
 
 _FADED = 40.0  # omega times depth at which signals have faded to exp(-40)
 _PANEL_NODES = 16
-_PANEL_PHASE = 8.0  # omega times distance that one panel of Gauss-Legendre may span
+_PANEL_PHASE = 20.0  # omega times distance that one panel of Gauss-Legendre may span: error 1e-12
 _KNOTS_PER_DEPTH = 20.0
 _PHASES = 2_000_000  # arguments of Bessel functions at a time
 _SHALLOWEST = 1.0 / 400.0
