@@ -111,32 +111,35 @@ class _OffsetTable:
             count = table.shape[2] - parts
             parted = [weight * table[:, :, part : part + count] for part, weight in enumerate(weights)]
             table = np.sum(parted, axis=0).swapaxes(2, 3)
-        self._table: Singles = np.ascontiguousarray(table, np.float32)
+        # Rows a pitch apart lie together.
+        self._rows = [np.ascontiguousarray(table[:, :, part::parts], np.float32) for part in range(parts)]
 
     def at_steps(self) -> Singles:
         """Over offsets a pitch apart, from the least on, (3, 3, offsets y, offsets x)."""
-        start = _TAPS // 2
-        return np.ascontiguousarray(self._table[:, :, start :: self._parts, start :: self._parts])
+        row, part = divmod(_TAPS // 2, self._parts)
+        return np.ascontiguousarray(self._rows[part][:, :, row:, _TAPS // 2 :: self._parts])
 
     def at(self, first: Floats) -> Singles:
         """Over all pixels for the site from which the first one lies so far, (3, 3, py, px)."""
-        (x, of_x), (y, of_y) = (
-            self._interpolation(offset, count) for offset, count in zip(first - self._low, self._pixels, strict=True)
-        )
-        return of_y @ (self._table[:, :, y, x] @ of_x.T)
+        nx, ny = self._pixels
+        (x, of_x), (y, of_y) = (_interpolation(place) for place in (first - self._low) * self._parts)
+        columns = slice(x, x + (nx - 1) * self._parts + _TAPS)
+        total = np.zeros((3, 3, ny, columns.stop - x), np.float32)
+        for tap, weight in enumerate(of_y):
+            row, part = divmod(y + tap, self._parts)
+            total += weight * self._rows[part][:, :, row : row + ny, columns]
+        along_x = np.zeros((total.shape[-1], nx), np.float32)
+        for tap, weight in enumerate(of_x):
+            along_x[np.arange(nx) * self._parts + tap, np.arange(nx)] = weight
+        return total @ along_x
 
-    def _interpolation(self, offset: float, count: int) -> tuple[slice, Singles]:
-        """Entries of the table, and what they add up to for each pixel along an axis, by Lagrange's polynomials."""
-        place = offset * self._parts
-        knot = int(place)
-        nodes = np.arange(_TAPS) - (_TAPS // 2 - 1)
-        others = nodes[:, None] != nodes
-        ratios = np.where(others, (place - knot - nodes) / np.where(others, nodes[:, None] - nodes, 1), 1.0)
-        start = knot + int(nodes[0])
-        matrix = np.zeros((count, (count - 1) * self._parts + _TAPS), np.float32)
-        for tap, weight in enumerate(ratios.prod(axis=1)):
-            matrix[np.arange(count), np.arange(count) * self._parts + tap] = weight
-        return slice(start, start + matrix.shape[1]), matrix
+
+def _interpolation(place: float) -> tuple[int, Singles]:
+    """First of the entries around a place, and what each counts by Lagrange's polynomials."""
+    nodes = np.arange(_TAPS) + int(place) - (_TAPS // 2 - 1)
+    others = nodes[:, None] != nodes
+    ratios = np.where(others, (place - nodes) / np.where(others, nodes[:, None] - nodes, 1), 1.0)
+    return int(nodes[0]), ratios.prod(axis=1).astype(np.float32)
 
 
 def _green(half_space: HalfSpace, depth_m: float, reach_m: float) -> Kernel:
