@@ -55,13 +55,19 @@ def products(bases: Bases, index: int):
     return fields.reshape(-1, channel.size)
 
 
-@pytest.mark.parametrize("shape", [(10, 12), (9, 11)])
-def test_reduced_modes_solve_the_dense_system(shape: tuple[int, int]):
+@pytest.mark.parametrize(
+    ("grid", "noise_std"),
+    [
+        (Grid((10, 12), 4e-4, 3.5e-4), NOISE),
+        (Grid((9, 11), 4e-4, 3.5e-4), NOISE),
+        (Grid((10, 10), 4e-4, 4e-4), NOISE[[0, 1, 1]]),  # exchanging x and y changes nothing
+    ],
+)
+def test_reduced_modes_solve_the_dense_system(grid: Grid, noise_std):
     """Any signals, also rough ones, at a scale for which the bases were made."""
-    grid = Grid(shape, 4e-4, 3.5e-4)
-    modes = GridModes(GridCovariance(PRIOR, grid, DEPTH, NOISE, SCALES[-1]), LEVELS[-1])
-    count = shape[0] * shape[1]
-    noise = np.repeat(NOISE, count)
+    modes = GridModes(GridCovariance(PRIOR, grid, DEPTH, noise_std, SCALES[-1]), LEVELS[-1])
+    count = grid.shape[0] * grid.shape[1]
+    noise = np.repeat(noise_std, count)
     signals, traction, displacement = (
         covariance(grid).signals(),
         covariance(grid).surface("traction", positions(grid)),

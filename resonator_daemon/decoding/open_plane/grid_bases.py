@@ -18,6 +18,13 @@ _FEWEST = 150  # products of a class: fewer save no time
 # Parts of what may be left out that each axis' vectors may lose, before the products are chosen.
 _AXIS_PART: dict[Field, float] = {"sensor": 0.1, "traction": 0.2, "displacement": 0.2}
 
+# Which channel each becomes where x and y are exchanged.
+_EXCHANGED: dict[Field, tuple[int, int, int]] = {
+    "sensor": (0, 2, 1),
+    "traction": (1, 0, 2),
+    "displacement": (1, 0, 2),
+}
+
 
 class Bases:
     """Even and odd vectors along both axes, as many of each, and the products of them that each class keeps.
@@ -26,8 +33,8 @@ class Bases:
     ----------
     grid
     field
-    power
-        Of the estimate along x and along y, see `EstimatePower.by_channel`.
+    along_x, along_y
+        Power of the estimate, see `EstimatePower.by_channel`; None along y where exchanging x and y changes nothing.
     left_out
         Share of it that may be lost.
 
@@ -37,14 +44,17 @@ class Bases:
         Vectors as columns of (sites of the axis, 2 k), even ones first.
     places
         Of what each class keeps, in (2 kx, 3, 2 ky): two plain products lead there and back. (4, kept).
+    exchanged
+        Where exchanging x and y changes nothing: which product of class (0, 1) each one of class (1, 0) is then.
     """
 
-    def __init__(self, grid: Grid, field: Field, power: tuple[AxisPower, AxisPower], left_out: float) -> None:
+    def __init__(
+        self, grid: Grid, field: Field, along_x: AxisPower, along_y: AxisPower | None, left_out: float
+    ) -> None:
         self.field: Field = field
-        vectors = [
-            _leading(count, of_axis, _AXIS_PART[field] * left_out)
-            for count, of_axis in zip(grid.shape[::-1], power, strict=True)
-        ]
+        power = along_x, along_y or [along_x[channel] for channel in _EXCHANGED[field]]
+        vectors = [_leading(grid.shape[1], along_x, _AXIS_PART[field] * left_out)]
+        vectors.append(_leading(grid.shape[0], along_y, _AXIS_PART[field] * left_out) if along_y else vectors[0])
         self.x, self.y = (np.hstack(both) for both in vectors)
         kx, ky = vectors[0][0].shape[1], vectors[1][0].shape[1]
         carried = np.array(
@@ -62,6 +72,12 @@ class Bases:
         ranks = np.argsort(-carried, axis=1)
         by_rank = np.take_along_axis(carried, ranks, axis=1).sum(axis=0)
         kept = np.sort(ranks[:, : max(_FEWEST, _needed(by_rank, left_out))], axis=1)
+        self.exchanged: NDArray[np.intp] | None = None
+        if not along_y:
+            channel, row, column = np.unravel_index(kept[CLASSES.index((0, 1))], (3, ky, kx))
+            there = np.ravel_multi_index((np.array(_EXCHANGED[field])[channel], column, row), (3, ky, kx))
+            self.exchanged = np.argsort(there)
+            kept[CLASSES.index((1, 0))] = there[self.exchanged]
         channel, row, column = np.unravel_index(kept, (3, ky, kx))
         odd_x, odd_y = np.array([parities(field, parity) for parity in CLASSES]).transpose(2, 0, 1)
         x = np.take_along_axis(odd_x, channel, axis=1) * kx + column

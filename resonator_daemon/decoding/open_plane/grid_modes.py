@@ -104,12 +104,17 @@ class GridCovariance:
         ny, nx = grid.shape
         self.mean_power = float(np.einsum("cc->", self.tables["sensor"][..., ny - 1, nx - 1])) / 3.0
         self._along_x = EstimatePower(prior, grid, depth_m, noise_std, 0)
-        self._along_y = EstimatePower(prior, grid, depth_m, noise_std, 1)
+        is_square = ny == nx and np.isclose(grid.pitch_x_m, grid.pitch_y_m) and noise_std[1] == noise_std[2]
+        self._along_y = None if is_square else EstimatePower(prior, grid, depth_m, noise_std, 1)
 
     def bases(self, scale: float, left_out: dict[Field, float]) -> dict[Field, Bases]:
         """Bases that lose no more than a share of each field's estimate at a scale of the prior."""
-        along_x, along_y = self._along_x.by_channel(scale), self._along_y.by_channel(scale)
-        return {field: Bases(self.grid, field, (along_x[field], along_y[field]), left_out[field]) for field in left_out}
+        along_x = self._along_x.by_channel(scale)
+        along_y = self._along_y.by_channel(scale) if self._along_y else {}
+        return {
+            field: Bases(self.grid, field, along_x[field], along_y.get(field), share)
+            for field, share in left_out.items()
+        }
 
 
 class GridModes(Modes):
@@ -130,7 +135,13 @@ class GridModes(Modes):
         reductions = {
             field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
         }
-        for index in range(len(CLASSES)):
+        for index, parity in enumerate(CLASSES):
+            if parity == (1, 0) and bases["sensor"].exchanged is not None:
+                values_of_class.append(values_of_class[-1])
+                rotations.append(rotations[-1][bases["sensor"].exchanged])
+                for field, blocks in surface.items():
+                    blocks.append(blocks[-1][bases[field].exchanged])
+                continue
             values, rotation = np.linalg.eigh(reductions["sensor"].block(index))
             values_of_class.append(np.maximum(values, 0.0))
             rotations.append(rotation)
