@@ -16,7 +16,7 @@ import tempfile
 import threading
 import time
 from collections import defaultdict
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -74,19 +74,27 @@ def fields_of(path: str, payload: bytes) -> dict[str, Any]:
     return fields
 
 
+def renice(pid: int, niceness: int) -> None:
+    """Set the niceness of a process: of its threads, and of its session where the kernel shares out by sessions."""
+    if niceness:
+        for thread in os.listdir(f"/proc/{pid}/task"):
+            os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
+        with suppress(OSError):
+            Path(f"/proc/{pid}/autogroup").write_text(str(niceness))
+
+
 def run(plate: str, busy: int, seconds: float, nice: int, folder: Path) -> dict[str, Any]:
     """Run everything for a time; return what came of it."""
     truth, port, config = folder / "truth.jsonl", free_port(), folder / "bench.toml"
     environment = os.environ | {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder), "OMP_NUM_THREADS": "1"}
     with ExitStack() as stack:
 
-        def start(*command: str, niceness: int = 0) -> None:
+        def start(*command: str) -> int:
             # Sessions of their own, as of programs that have nothing to do with each other.
-            process = subprocess.Popen(
-                ["nice", "-n", str(niceness), *command], env=environment, stderr=log, start_new_session=True
-            )
+            process = subprocess.Popen(command, env=environment, stderr=log, start_new_session=True)
             stack.callback(process.wait)
             stack.callback(process.terminate)
+            return process.pid
 
         log = stack.enter_context((folder / "log").open("w"))
         start(*mosquitto_command(port, folder))
@@ -97,10 +105,11 @@ def run(plate: str, busy: int, seconds: float, nice: int, folder: Path) -> dict[
         time.sleep(0.5)
         subscriber = Subscriber(port, "bench")
         stack.callback(subscriber.close)
-        start(sys.executable, "-m", "resonator_daemon.cli", "run", "--config", str(config), niceness=nice)
+        daemon = start(sys.executable, "-m", "resonator_daemon.cli", "run", "--config", str(config))
         if not subscriber.first.wait(_FIRST_S):
             raise SystemExit(f"no message within {_FIRST_S:g} s: {(folder / 'log').read_text()}")
         time.sleep(_SETTLED_S)
+        renice(daemon, nice)
         begin_ns = time.time_ns()
         spinning = [subprocess.Popen([sys.executable, "-c", _SPIN], start_new_session=True) for _ in range(busy)]
         time.sleep(seconds)

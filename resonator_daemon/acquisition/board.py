@@ -261,6 +261,9 @@ class BoardReader:
                     course.apply(Locate(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
                 pieces = self._read(link, course.due_ns())
+                now = read_host_time()
+                if not pieces and (data := link.read(0.0)):  # silence ends before a thread that was kept waiting looks
+                    pieces = [Received(read_host_time(), data)]
                 if link.overruns != overruns:
                     overruns = link.overruns
                     course.apply(Overrun(read_host_time()))
@@ -268,7 +271,8 @@ class BoardReader:
                     course.apply(piece)
                 if self._ring.newest is not None:
                     self._pacing.has_read(self._ring.newest)
-                now = read_host_time()
+                if pieces:
+                    now = read_host_time()
                 course.apply(Tended(now, idle=not pieces))
                 if pieces and len(pieces[-1].data) < _FEW_BYTES and course.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.

@@ -144,7 +144,7 @@ class Lost(Message):
     skipped_late: int = Field(
         0,
         description="messages of `forces`, `contacts` and `signals` that were not made, as they would have been late: "
-        "more than 100 ms after the window, while newer frames waited to be measured",
+        "more than 100 ms after the window while newer frames waited to be measured, or more than 400 ms",
     )
 
 

@@ -53,8 +53,8 @@ class BoardCourse:
     make_decoding
         Makes what decodes the frames of a skin.
     is_late
-        Decides whether a message about a window that ends at this instant would come too late, while newer frames wait;
-        it is skipped then. Live only: what is replayed has no age.
+        Decides whether a message about a window that ends at this instant would come too late; it is skipped then.
+        Live only: what is replayed has no age.
 
     Attributes
     ----------

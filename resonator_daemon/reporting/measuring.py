@@ -48,7 +48,7 @@ class Measuring:
     make_decoding
         Makes what decodes the frames of a skin.
     is_late
-        Decides whether a message about a window that ends at this instant would come too late, while newer frames wait.
+        Decides whether a message about a window that ends at this instant would come too late.
 
     Attributes
     ----------

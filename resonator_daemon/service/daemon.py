@@ -66,6 +66,7 @@ _TOGETHER = 50  # arrivals
 _FRAMES_WAITING_S = 2.0
 _FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
 _LATE_NS = 100_000_000  # after its window, a message is skipped if a newer one can be made
+_TOO_LATE_NS = 400_000_000  # in any case
 
 
 async def serve(store: ConfigStore) -> None:
@@ -316,10 +317,12 @@ class Service:
             handled += len(arrival) if isinstance(arrival, list) else 1
 
     def _is_late(self, gate_middle: Instant) -> bool:
-        """Return whether a message about this instant is late, and a newer one can be made from frames that wait."""
-        if self._reader.replays or self._reader.newest_monotonic_ns - gate_middle.monotonic_ns < self._step_ns:
+        """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""
+        if self._reader.replays:
             return False
-        return time.monotonic_ns() - gate_middle.monotonic_ns > _LATE_NS
+        newer_ns = self._reader.newest_monotonic_ns - gate_middle.monotonic_ns
+        limit_ns = _LATE_NS if newer_ns >= self._step_ns else _TOO_LATE_NS
+        return time.monotonic_ns() - gate_middle.monotonic_ns > limit_ns
 
     def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
         match arrival:
