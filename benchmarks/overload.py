@@ -1,6 +1,7 @@
 """Age of what a subscriber receives while other programs keep the computer busy, and what was skipped for it.
 
-Run it with `python benchmarks/overload.py [--plate quartz16|skin32] [--busy N] [--seconds 30] [--nice N] [--json]`.
+Run it with `python benchmarks/overload.py [--plate quartz16|skin32] [--busy N] [--seconds 30] [--nice N] [--real-time]
+[--own-core] [--json]`.
 An emulated board, Mosquitto and the daemon run as processes of their own beside N processes that compute without end
 (default: two for each processor). Age counts from the end of a window's last gate, by the emulator's clock, to the
 subscriber's callback. Exit code 1 where an age exceeds the limits, 150 ms for 99 % and 500 ms for all, a frame was
@@ -17,6 +18,7 @@ import threading
 import time
 from collections import defaultdict
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -36,6 +38,7 @@ ONSET_NEWTON = 0.02
 FOUND_WITHIN_NS = 50_000_000
 _SETTLED_S = 10.0  # the board's clock is known
 _FIRST_S = 120.0
+_REAL_TIME_PRIORITY = 10
 _SPIN = "while True: pass"
 
 
@@ -74,16 +77,34 @@ def fields_of(path: str, payload: bytes) -> dict[str, Any]:
     return fields
 
 
-def renice(pid: int, niceness: int) -> None:
-    """Set the niceness of a process: of its threads, and of its session where the kernel shares out by sessions."""
-    if niceness:
-        for thread in os.listdir(f"/proc/{pid}/task"):
-            os.setpriority(os.PRIO_PROCESS, int(thread), niceness)
-        with suppress(OSError):
-            Path(f"/proc/{pid}/autogroup").write_text(str(niceness))
+@dataclass(frozen=True)
+class Share:
+    """What the daemon is given of the processors."""
+
+    niceness: int = 0
+    real_time: bool = False
+    own_core: bool = False
+
+    def give(self, pid: int) -> None:
+        """Give it to all threads of a process, and to its session where the kernel shares out by sessions."""
+        for thread in map(int, os.listdir(f"/proc/{pid}/task")):
+            if self.niceness:
+                os.setpriority(os.PRIO_PROCESS, thread, self.niceness)
+            if self.real_time:
+                os.sched_setscheduler(thread, os.SCHED_RR, os.sched_param(_REAL_TIME_PRIORITY))
+            if self.own_core:
+                os.sched_setaffinity(thread, {max(os.sched_getaffinity(0))})
+        if self.niceness:
+            with suppress(OSError):
+                Path(f"/proc/{pid}/autogroup").write_text(str(self.niceness))
+
+    def leave(self, pid: int) -> None:
+        """Keep another process off the daemon's core."""
+        if self.own_core:
+            os.sched_setaffinity(pid, os.sched_getaffinity(0) - {max(os.sched_getaffinity(0))})
 
 
-def run(plate: str, busy: int, seconds: float, nice: int, folder: Path) -> dict[str, Any]:
+def run(plate: str, busy: int, seconds: float, share: Share, folder: Path) -> dict[str, Any]:
     """Run everything for a time; return what came of it."""
     truth, port, config = folder / "truth.jsonl", free_port(), folder / "bench.toml"
     environment = os.environ | {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder), "OMP_NUM_THREADS": "1"}
@@ -109,9 +130,11 @@ def run(plate: str, busy: int, seconds: float, nice: int, folder: Path) -> dict[
         if not subscriber.first.wait(_FIRST_S):
             raise SystemExit(f"no message within {_FIRST_S:g} s: {(folder / 'log').read_text()}")
         time.sleep(_SETTLED_S)
-        renice(daemon, nice)
+        share.give(daemon)
         begin_ns = time.time_ns()
         spinning = [subprocess.Popen([sys.executable, "-c", _SPIN], start_new_session=True) for _ in range(busy)]
+        for process in spinning:
+            share.leave(process.pid)
         time.sleep(seconds)
         end_ns = time.time_ns()
         for process in spinning:
@@ -177,16 +200,19 @@ def main() -> int:
     options.add_argument("--plate", default="quartz16")
     options.add_argument("--busy", type=int, default=2 * (os.cpu_count() or 1))
     options.add_argument("--seconds", type=float, default=30.0)
-    options.add_argument("--nice", type=int, default=0, help="of the daemon")
+    options.add_argument("--nice", type=int, default=0, help="niceness of the daemon")
+    options.add_argument("--real-time", action="store_true", help="the daemon under SCHED_RR")
+    options.add_argument("--own-core", action="store_true", help="the last processor for the daemon alone")
     options.add_argument("--json", action="store_true")
     chosen = options.parse_args()
+    share = Share(chosen.nice, chosen.real_time, chosen.own_core)
     with tempfile.TemporaryDirectory() as folder:
-        found = run(chosen.plate, chosen.busy, chosen.seconds, chosen.nice, Path(folder))
+        found = run(chosen.plate, chosen.busy, chosen.seconds, share, Path(folder))
     log = found.pop("log")
     if chosen.json:
         print(json.dumps(found))
     else:
-        print(f"{chosen.plate} beside {chosen.busy} busy processes for {chosen.seconds:g} s, niceness {chosen.nice}")
+        print(f"{chosen.plate} beside {chosen.busy} busy processes for {chosen.seconds:g} s, {share}")
         for path, age in found["age_ms"].items():
             figures = ", ".join(f"{key} {age[key]:.1f}" for key in ("p50", "p99", "max"))
             print(f"  {path:9s} {age['messages']:6d} messages, age in ms: {figures}")

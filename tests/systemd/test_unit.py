@@ -92,6 +92,15 @@ def test_restarts_never_reach_systemds_limit(name: str) -> None:
 
 
 @each_unit
+def test_a_busy_processor_goes_to_the_units_first_and_to_the_daemon_before_the_decoder(name: str) -> None:
+    usual_weight, usual_nice = 100, 0  # man systemd.resource-control, systemd.exec
+    daemon = "resonatord@.service"
+    weight, nice = int(setting(name, "CPUWeight")), int(setting(name, "Nice"))
+    assert usual_weight < weight <= int(setting(daemon, "CPUWeight")) <= 10_000
+    assert usual_nice > nice >= int(setting(daemon, "Nice")) >= -20
+
+
+@each_unit
 def test_the_user_is_one_that_sysusers_makes(name: str) -> None:
     made = re.findall(r"^u (\S+)", (DIRECTORY / "resonatord.sysusers").read_text(), re.MULTILINE)
     groups = re.findall(r"^g (\S+)", (DIRECTORY / "resonatord.sysusers").read_text(), re.MULTILINE)
