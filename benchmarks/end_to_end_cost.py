@@ -14,13 +14,14 @@ from plate_bench import SETTLED_S, PlateBench
 from resonator_daemon.measurement import comb_chain, single_tone_chain
 from resonator_daemon.measurement.baseline import CommonMode
 from resonator_daemon.measurement.comb_chain import CombChain
+from resonator_daemon.measurement.few_gates import FewGates
 from resonator_daemon.measurement.force_tones import ForceTones
 from resonator_daemon.measurement.matching import Matcher
 from resonator_daemon.measurement.plate_drift import PlateDrift
 from resonator_daemon.measurement.single_tone_chain import SingleToneChain
 from resonator_daemon.measurement.site_errors import SiteErrors
 from resonator_daemon.measurement.spread import SpreadFit
-from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows
+from resonator_daemon.measurement.tone_windows import ToneWindows
 from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
@@ -36,7 +37,7 @@ STAGES: dict[str, Sequence[tuple[object, str]]] = {
     WHOLE: ((SingleToneChain, "push"), (CombChain, "push")),
     "counting": (
         (ToneWindows, "push"),
-        (GateBlock, "windows"),
+        (FewGates, "windows"),
         (single_tone_chain, "count_tone"),
         (comb_chain, "merge_tones"),
         (ForceTones, "shifts"),

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.measurement.counting import counter_std, frequency_hz, oscillator_std
+from resonator_daemon.measurement.gate_block import GateBlock
 from resonator_daemon.measurement.single_tone_chain import BAND_MARGIN, PILOT_TOLERANCE
-from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows
+from resonator_daemon.measurement.tone_windows import ToneWindows
 from resonator_daemon.plate import Plate
 
 Floats = NDArray[np.float64]

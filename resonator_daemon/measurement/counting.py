@@ -129,7 +129,7 @@ def frequency_hz(sums: Sums, reference_hz: float) -> float:
     stamps = sums.stamps
     edges = sums.stride_edges * stamps * (stamps * stamps - 1)
     ticks = 6 * (2 * sums.s2_ticks - (stamps - 1) * sums.s1_ticks)
-    return reference_hz * (edges / ticks)
+    return reference_hz * (float(edges) / float(ticks))  # as arrays of doubles would have it
 
 
 def stamp_std_ticks(sums: Sums) -> float:

@@ -10,7 +10,7 @@ beat's phase: third differences of the gates' frequencies see that and no ramp o
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, TypeVar
 
 from resonator_daemon.measurement.force import FloatArray
 
@@ -19,9 +19,10 @@ GATES_MIN: Final = 4  # for a third difference
 WHITE_GAIN: Final = 20.0  # of variance by third differences of white noise: 1 + 9 + 9 + 1
 
 
-def end_residual_ticks2(
-    stamps: FloatArray, span_ticks: FloatArray, s1_ticks: FloatArray, slope_ticks: FloatArray
-) -> FloatArray:
+_Number = TypeVar("_Number", float, FloatArray)
+
+
+def end_residual_ticks2(stamps: _Number, span_ticks: _Number, s1_ticks: _Number, slope_ticks: _Number) -> _Number:
     """Mean square of what the regression line, of `slope_ticks` per stamp, leaves of the first and the last stamp."""
     middle, half = s1_ticks / stamps, slope_ticks * (stamps - 1) / 2
     return ((middle - half) ** 2 + (span_ticks - middle - half) ** 2) / 2

@@ -1,12 +1,13 @@
 """Records of a single-tone counter to what each gate tells; or why it tells nothing: no tone has such sums."""
 
+import math
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag
-from resonator_daemon.measurement.counting import FREQUENCY_JUMP, QUANTISATION_TICKS2
+from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag, SingleToneRecord
+from resonator_daemon.measurement.counting import FREQUENCY_JUMP, QUANTISATION_TICKS2, Sums
 from resonator_daemon.measurement.force import FloatArray
 
 STAMPS_MIN: Final = 3  # two give a slope but say nothing about their noise
@@ -40,6 +41,7 @@ _UNUSABLE: Final = sum(map(int, _FLAGS))
 _FAULT_OF_FLAGS: Final = np.array(
     [next((code for code, flag in enumerate(_FLAGS, 1) if flags & flag), 0) for flags in range(_UNUSABLE + 1)], np.int8
 )
+_FAULT_CODES: Final[list[int]] = _FAULT_OF_FLAGS.tolist()
 _EXACT: Final = (
     "first_edge",
     "first_ticks",
@@ -50,6 +52,14 @@ _EXACT: Final = (
     "s2_ticks",
     "q2_ticks2",
 )
+
+
+class Gate(NamedTuple):
+    """What one record tells: its sums, the regression's frequency, and its slope in ticks per stamp."""
+
+    sums: Sums
+    frequency_hz: float
+    slope_ticks: float
 
 
 class Gates(NamedTuple):
@@ -109,3 +119,45 @@ def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[fl
         ).astype(np.int8)
         frequency_hz[fault != 0] = np.nan
     return Gates(sums, fault, slope, frequency_hz)
+
+
+def read_gate(record: SingleToneRecord, reference_hz: float, band_hz: tuple[float, float]) -> Gate | int:
+    """Return what one record tells, or the code of its fault: bit by bit as `read_gates` does.
+
+    Arrays of a few records take longer than plain floats, which are rounded alike.
+    """
+    first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, _, flags = record
+    if code := _FAULT_CODES[flags & _UNUSABLE]:
+        return code
+    if stamps < STAMPS_MIN or stride_edges == 0 or span_ticks < stamps - 1:
+        return IMPOSSIBLE_COUNTS
+    count, span, s1, s2, q2 = float(stamps), float(span_ticks), float(s1_ticks), float(s2_ticks), float(q2_ticks2)
+    steps, line = count - 1.0, count * span
+    slope_numerator = 6.0 * (2.0 * s2 - steps * s1)
+    if slope_numerator <= 0.0:
+        return IMPOSSIBLE_COUNTS
+    slope_denominator = count * (count * count - 1.0)
+    slope = slope_numerator / slope_denominator
+    interval = span / steps
+    stamp_variance = q2 / (6.0 * (count - 2.0))
+    slack = count * (span / LINE_TOLERANCE + 1.0)
+    if (
+        abs(2.0 * s1 - line) > 2.0 * slack
+        or abs(6.0 * s2 - (count + steps) * line) > 3.0 * steps * slack
+        or stamp_variance > interval * interval / 2.0
+    ):
+        return IMPOSSIBLE_COUNTS
+    off = abs(slope / interval - 1.0)
+    if off > FREQUENCY_JUMP:
+        noise_ticks = math.sqrt(2.0 * max(stamp_variance, QUANTISATION_TICKS2))
+        if off > FREQUENCY_JUMP + NOISE_SIGMAS * noise_ticks / span:
+            return IMPOSSIBLE_COUNTS
+    frequency_hz = reference_hz * (stride_edges * slope_denominator / slope_numerator)
+    if not band_hz[0] <= frequency_hz <= band_hz[1]:
+        return IMPOSSIBLE_FREQUENCY
+    new_tuple = tuple.__new__  # four times a frame: without the detour of the classes
+    sums = new_tuple(
+        Sums,
+        (first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2),
+    )
+    return new_tuple(Gate, (sums, frequency_hz, slope))

@@ -10,15 +10,16 @@ import numpy as np
 from resonator_daemon.measurement.baseline import CommonMode
 from resonator_daemon.measurement.contacts import ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.measurement.counting import Sums, oscillator_std
-from resonator_daemon.measurement.force import FloatArray, cell_std_m, hidden_fraction
+from resonator_daemon.measurement.force import cell_std_m, hidden_fraction
 from resonator_daemon.measurement.force_sites import ForceSites
+from resonator_daemon.measurement.gate_block import GateBlock, WindowSums
 from resonator_daemon.measurement.matching import Match, Matcher, SiteForce
 from resonator_daemon.measurement.overload_latch import OverloadLatch
 from resonator_daemon.measurement.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.measurement.record_checks import CAPTURE_SWITCH
 from resonator_daemon.measurement.site_errors import SiteErrors
 from resonator_daemon.measurement.tone_count import UNHEARD, ToneCount, count_tone
-from resonator_daemon.measurement.tone_windows import GateBlock, ToneWindows, WindowSums
+from resonator_daemon.measurement.tone_windows import ToneWindows
 
 PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
 BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
@@ -147,56 +148,74 @@ class SingleToneChain:
             self._windows.restart()
         block = self._windows.push(payload)
         crowded = self._note(block)
-        at_step = [(first_sequence + 1 + gate) % self._step_frames == 0 for gate in range(len(block))]
         changed, others = self._tone_has_changed(block), self._other_tone_heard(block)
-        gates = [gate for gate, asked in enumerate(zip(at_step, changed, others, strict=True)) if any(asked)]
-        self._last = first_sequence + len(block) - 1, board_ticks[-1]
+        step, count = self._step_frames, len(block)
+        self._last = first_sequence + count - 1, board_ticks[-1]
+        steps = range(-(first_sequence + 1) % step, count, step)
+        windows = self._windows_at(block, sorted({*steps, *changed}))
+        between: dict[int, _Window] = {}  # of gates that may tell of an onset: made where one is asked for
+        readings = []
+        for gate in range(count):
+            at_step = gate in steps
+            something_new = gate in (changed if self._tracker.any_open else others)
+            if not (at_step or (something_new and self._common_mode.known)):
+                continue
+            window = windows.get(gate) or between.get(gate)
+            if window is None:
+                between = self._windows_at(block, [later for later in others if later >= gate])
+                window = between[gate]
+            window.crowded = crowded[gate]
+            reading = self._read(first_sequence + gate, board_ticks[gate], window, at_step=at_step)
+            if at_step or reading.events:
+                readings.append(reading)
+        return readings
+
+    def _windows_at(self, block: GateBlock, gates: Sequence[int]) -> "dict[int, _Window]":
+        """Return the windows that end with these gates, by gate."""
         if not gates:
-            return []
+            return {}
         # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
+        most, onset = self._window_frames, self._onset_frames
         frames = [
-            min((count for count in block.held[gate] if count >= self._onset_frames), default=self._window_frames)
-            for gate in gates
+            most if min(held) == most else min([count for count in held if count >= onset], default=most)
+            for held in [block.held[gate] for gate in gates]
         ]
         sums = block.windows(gates, frames)
-        readings = []
-        for index, gate in enumerate(gates):
-            something_new = changed[gate] if self._tracker.any_open else self._common_mode.known and others[gate]
-            if at_step[gate] or something_new:
-                window = _Window(block, gate, frames[index], sums, index, crowded[gate])
-                reading = self._read(first_sequence + gate, board_ticks[gate], window, at_step=at_step[gate])
-                if at_step[gate] or reading.events:
-                    readings.append(reading)
-        return readings
+        return {
+            gate: _Window(block, gate, length, sums, index)
+            for index, (gate, length) in enumerate(zip(gates, frames, strict=True))
+        }
 
     def _note(self, block: GateBlock) -> list[list[int]]:
         """Count unusable records; return for how many frames in a row each channel has heard no strongest tone."""
-        if not block.fault.any():
+        if not block.faults:
             self._crowded = self._quiet
             return [self._quiet] * len(block)
         self.unusable.update(block.count_faults())
         rows = []
-        for faults in block.fault.tolist():
+        for faults in block.faults:
             self._crowded = [
                 count + 1 if fault == CAPTURE_SWITCH else 0 for count, fault in zip(self._crowded, faults, strict=True)
             ]
             rows.append(self._crowded)
         return rows
 
-    def _tone_has_changed(self, block: GateBlock) -> list[bool]:
-        """Tell, by gate, whether a channel hears a new tone, or its own anew, for just as long as a touch needs."""
+    def _tone_has_changed(self, block: GateBlock) -> list[int]:
+        """Return the gates at which a channel hears a new tone, or its own anew, for just as long as a touch needs."""
         first, second = self._onset_frames, self._onset_frames + 1
-        return [first in held or second in held for held in block.held]
+        if block.steady and self._window_frames > second:
+            return []
+        return [gate for gate, held in enumerate(block.held) if first in held or second in held]
 
-    def _other_tone_heard(self, block: GateBlock) -> list[bool]:
-        """Tell, by gate, whether two channels at least hear another tone than the pilot, long enough for an onset."""
-        other = np.abs(block.frequency_hz / self._pilot_hz - 1.0) >= PILOT_TOLERANCE
-        if not other.any():
-            return [False] * len(block)
+    def _other_tone_heard(self, block: GateBlock) -> list[int]:
+        """Return the gates at which two channels at least hear another tone than the pilot, for long enough."""
         onset = self._onset_frames
         return [
-            sum([off and count >= onset for off, count in zip(row, held, strict=True)]) >= 2
-            for row, held in zip(other.tolist(), block.held, strict=True)
+            gate
+            for gate, (off, held) in enumerate(
+                zip(block.other_tones(self._pilot_hz, PILOT_TOLERANCE), block.held, strict=False)
+            )
+            if sum([other and count >= onset for other, count in zip(off, held, strict=True)]) >= 2
         ]
 
     def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
@@ -268,13 +287,13 @@ class SingleToneChain:
     def _counted(self, window: "_Window", pilot: Sequence[float]) -> list[ToneCount]:
         """Tell what the channels that hear another tone than the pilot count, and how well."""
         counts = [UNHEARD] * len(pilot)
-        gate_hz, residual_ticks2 = (rows.T.tolist() for rows in window.gates)
-        attenuation_db = window.attenuation_db
+        attenuation_db, heard_hz = window.attenuation_db, window.frequency_hz
+        gate_hz, residual_ticks2 = window.gates
         for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
             if sums is not None and math.isnan(g):
                 counts[channel] = count_tone(
                     sums,
-                    window.frequency_hz[channel],
+                    heard_hz[channel],
                     gate_hz[channel],
                     residual_ticks2[channel],
                     reference_hz=self._reference_hz,
@@ -365,22 +384,23 @@ class SingleToneChain:
 class _Window:
     """What the channels have counted in the last gates of a block, up to one of them."""
 
-    def __init__(
-        self, block: GateBlock, gate: int, frames: int, sums: WindowSums, index: int, crowded: list[int]
-    ) -> None:
+    def __init__(self, block: GateBlock, gate: int, frames: int, sums: WindowSums, index: int) -> None:
         self.frames = frames
         self.held = block.held[gate]
-        self.frequency_hz = sums.frequency_hz[index]
-        self.crowded = crowded
+        self.crowded: Sequence[int] = ()
         self._block, self._gate = block, gate
         self._sums, self._index = sums, index
+
+    @property
+    def frequency_hz(self) -> list[float]:
+        return self._sums.frequency_hz(self._index)
 
     @property
     def sums(self) -> list[Sums | None]:
         return self._sums.sums(self._index)
 
     @property
-    def gates(self) -> tuple[FloatArray, FloatArray]:
+    def gates(self) -> tuple[list[list[float]], list[list[float]]]:
         return self._block.last(self._gate, self.frames)
 
     @property

@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.frames import BoardRefused, SingleToneFrame, in_blocks
+from resonator_daemon.acquisition.frames import Arrival, BoardRefused, SingleToneFrame, in_blocks
 from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.acquisition.link_course import LinkCourse
 from resonator_daemon.acquisition.recording_file import Mark, Recording
@@ -67,7 +67,7 @@ class Playback:
         self._link = LinkCourse(config.plate, self._ring, lambda _: None)
         self._replay = Replay(recording, self._link)
         self._board = BoardCourse(config, daemon_boot_id, self._publish)
-        self._waiting: list[tuple[HostTime, list[SingleToneFrame]]] = []  # events of which nothing but frames came
+        self._waiting: list[tuple[HostTime, list[Arrival]]] = []  # events of which nothing but frames came
         self._waiting_frames: list[SingleToneFrame] = []  # of all of these: they are adjacent
         self.refused: tuple[str, ...] = ()
 
@@ -98,48 +98,58 @@ class Playback:
                 if isinstance(entry, Mark):
                     yield from self._measured()
                     yield Moment(entry.now, mark=entry.text)
-                else:
-                    self._replay.apply(entry)
-                    yield from self._after(entry)
-            yield from self._after(self._replay.end())
+                    continue
+                self._replay.apply(entry)
+                arrivals = self._ring.take()
+                if arrivals and not self._keep(arrivals):
+                    yield from self._measured()
+                    yield from self._taken(entry, arrivals)
+                    continue
+                self._waiting.append((entry.now, arrivals))
+                if len(self._waiting) >= _BLOCK_EVENTS:
+                    yield from self._measured()
             yield from self._measured()
+            yield from self._taken(self._replay.end(), self._ring.take())
 
-    def _after(self, event: WireEvent) -> Iterator[Moment]:
-        """Give what follows from the event, or keep its frames to be measured with those of later events."""
-        arrivals = self._ring.take()
+    def _keep(self, arrivals: list[Arrival]) -> bool:
+        """Keep frames to be measured with those of later events; return False where these do not merely adjoin."""
         frames = [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame)]
-        adjoins = not frames or not self._waiting_frames or frames[0].index == self._waiting_frames[-1].index + 1
-        if len(frames) < len(arrivals) or not adjoins:
-            yield from self._measured()
-            for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
-                if isinstance(arrival, BoardRefused):
-                    self.refused = arrival.problems
-                self._board.take(arrival)
-            yield from self._at(event.now)
-        else:
-            self._waiting.append((event.now, frames))
-            self._waiting_frames += frames
-            if len(self._waiting) >= _BLOCK_EVENTS:
-                yield from self._measured()
+        kept = self._waiting_frames
+        if len(frames) < len(arrivals) or (kept and frames[0].index != kept[-1].index + 1):
+            return False
+        kept += frames
+        return True
+
+    def _taken(self, event: WireEvent, arrivals: list[Arrival]) -> Iterator[Moment]:
+        """Give what follows from an event and its arrivals, measured by themselves."""
+        for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
+            if isinstance(arrival, BoardRefused):
+                self.refused = arrival.problems
+            self._board.take(arrival)
+        yield from self._at(event.now)
 
     def _measured(self) -> Iterator[Moment]:
         """Measure the frames that wait, together; give what follows from each of their events."""
         waiting, self._waiting = self._waiting, []
         frames, self._waiting_frames = self._waiting_frames, []
         readings = deque(self._board.measure(frames) if frames else ())
-        for now, arrived in waiting:
-            if arrived:
+        start = 0
+        for now, arrivals in waiting:
+            if arrivals:
+                arrived = frames[start : start + len(arrivals)]
+                start += len(arrivals)
                 told = []
                 while readings and readings[0].sequence <= arrived[-1].index:
                     told.append(readings.popleft())
                 self._board.report(arrived, told)
             yield from self._at(now)
 
-    def _at(self, now: HostTime) -> Iterator[Moment]:
+    def _at(self, now: HostTime) -> Sequence[Moment]:
         self._board.pass_time(now.utc_ns)
-        if self._messages:
-            messages, self._messages = self._messages, []
-            yield Moment(now, messages)
+        if not self._messages:
+            return ()
+        messages, self._messages = self._messages, []
+        return (Moment(now, messages),)
 
     def _publish(self, topic: Topic[Any], message: Any) -> None:
         self._messages.append(Published(topic, message))

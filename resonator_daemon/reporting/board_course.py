@@ -145,10 +145,10 @@ class BoardCourse:
         first, start = frames[0].index, 0
         for reading in readings:
             end = reading.sequence - first + 1
-            self._arrive_all(frames[start:end])
-            self.measuring.publish(reading, frames[end - 1].gate_middle)
+            self.measuring.publish(reading, self._arrive_all(frames[start:end]))
             start = end
-        self._arrive_all(frames[start:])
+        if start < len(frames):
+            self._arrive_all(frames[start:])
         self.frames += len(frames)
 
     def pass_time(self, utc_ns: int) -> None:
@@ -160,14 +160,14 @@ class BoardCourse:
             self._day = day
             self._sensor.calibration(self._plate.calibration.expiry_note(utc_day(utc_ns)), utc_ns)
 
-    def _arrive_all(self, frames: Sequence[SingleToneFrame]) -> None:
-        if not frames:
-            return
-        last_ns = frames[-1].gate_middle.utc_ns
-        if last_ns // _DAY_NS != self._day:
+    def _arrive_all(self, frames: Sequence[SingleToneFrame]) -> Instant:
+        """Let the time of adjacent frames pass; return the middle of the last gate."""
+        middle = frames[-1].gate_middle
+        if middle.utc_ns // _DAY_NS != self._day:
             for frame in frames[:-1]:
                 self._arrive(frame.gate_middle.utc_ns)
-        self._arrive(last_ns)
+        self._arrive(middle.utc_ns)
+        return middle
 
     def _arrive(self, utc_ns: int) -> None:
         self._arrived_utc_ns = utc_ns
