@@ -53,6 +53,9 @@ class Client:
 
     def announce(self, note: str) -> None: ...
 
+    def lost(self, _origin: float) -> Lost:
+        return Lost()
+
     def contacts_header(self, _origin: float) -> MeasuredFields:
         return header(0)
 

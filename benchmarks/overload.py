@@ -166,7 +166,7 @@ def outcome(subscriber: Subscriber, truth: Path, begin_ns: int, end_ns: int, rep
         for (_, before), (_, after) in pairwise(messages):
             missing = after["seq"] - before["seq"] - 1
             counted = sum(after["lost"][key] - before["lost"][key] for key in ("skipped_late", "publish_dropped"))
-            uncounted += path != "decoded" and missing > counted
+            uncounted += missing > counted
     events = [json.loads(payload) for _, payload in subscriber.arrivals["contacts/event"]]
     onsets = [
         (int(event["contact"]["since_t_ns"]), event["contact"]["site"]) for event in events if event["event"] == "onset"

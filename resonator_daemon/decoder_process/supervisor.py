@@ -95,6 +95,11 @@ class DecoderSupervisor(Generic[Origin]):
         return self.skipped.total()
 
     @property
+    def frames_late(self) -> int:
+        """Frames that came to their turn too late, or never."""
+        return self.skipped["newer_frame"] + self.skipped["too_old"] + self.skipped["decoder_ended"]
+
+    @property
     def last_contact_id(self) -> int:
         """The highest number of a contact so far."""
         return self._contacts.last_id
@@ -221,6 +226,7 @@ class DecoderSupervisor(Generic[Origin]):
         elif self._newest is not None:
             (origin, work), self._newest = self._newest, None
             self._present = self._last = origin
+            work.frame.header["lost"] = self._client.lost(origin)  # with the frames skipped since it was offered
             self._connection.send(work)
         else:
             return

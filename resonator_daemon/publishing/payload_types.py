@@ -143,8 +143,9 @@ class Lost(Message):
     )
     skipped_late: int = Field(
         0,
-        description="messages of `forces`, `contacts` and `signals` that were not made, as they would have been late: "
-        "more than 100 ms after the window while newer frames waited to be measured, or more than 400 ms",
+        description="messages of what was measured or decoded that were not published, as they were late: "
+        "more than 75 ms after the window while newer frames waited to be measured, or more than 400 ms; "
+        "of a skin also those of frames that the decoder skipped for newer ones",
     )
 
 

@@ -17,6 +17,7 @@ from resonator_daemon.publishing.payloads import (
     ContactEvent,
     DecoderPlateHealth,
     DecoderProcessInfo,
+    Lost,
     Message,
     Signals,
 )
@@ -167,6 +168,10 @@ class FollowedPlate:
         """Report what is being set up, or why nothing is decoded."""
         self._note = note
         self._is_set_up = not note
+
+    def lost(self, origin: Signals) -> Lost:
+        """Return the daemon's losses, as of the signals."""
+        return origin.lost
 
     def contacts_header(self, origin: Signals) -> MeasuredFields:
         """Return the header of one more message on `contacts`."""

@@ -18,8 +18,8 @@ from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import ContactEvent as EventMessage
-from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, FORCES, SIGNALS, Topic
+from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, FORCES, SIGNALS, Topic
 from resonator_daemon.reporting.chains import Chain, make_chain
 from resonator_daemon.reporting.reports import Reporter
 from resonator_daemon.reporting.sensor_state import SensorState
@@ -28,6 +28,7 @@ from resonator_daemon.reporting.surface_reports import MeasuredFields
 from resonator_daemon.reporting.surface_stream import SurfaceSettings
 
 _ONSET_S = 0.005  # that an onset may wait for the frames after it
+_TOPICS_OF_SURFACE = 3  # decoded, decoded/summary, contacts
 _ANEW = "the board started anew"
 
 Origin = tuple[SkinReading, Instant]
@@ -54,8 +55,6 @@ class Measuring:
     ----------
     latencies
         Of the messages of forces, and of decoded maps.
-    skipped_late
-        Messages that were not made as they would have been late.
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Measuring:
         self._sensor = sensor
         self._publish = publish
         self._is_late = is_late
-        self.skipped_late = 0
+        self._skipped_late = 0
         self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._chain: Chain | None = None
         self._decoding = self._make(make_decoding)
@@ -91,6 +90,12 @@ class Measuring:
     @property
     def frames_not_decoded(self) -> int:
         return self._decoding.frames_skipped if self._decoding is not None else 0
+
+    @property
+    def skipped_late(self) -> int:
+        """Messages that were not made as they would have been late, those of frames not decoded in time included."""
+        frames = self._decoding.frames_late if self._decoding is not None else 0
+        return self._skipped_late + _TOPICS_OF_SURFACE * frames
 
     @property
     def records_unusable(self) -> dict[str, int]:
@@ -173,6 +178,8 @@ class Measuring:
         self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
         if self._is_late(frame.gate_middle):
             self._skip(SIGNALS)
+            if self._decoding is not None and reading.status == "ok":
+                self._skip(DECODED, DECODED_SUMMARY, CONTACTS)
             return
         self._publish(SIGNALS, self._reporter.signals(reading, frame.gate_middle))
         if self._decoding is not None and reading.status == "ok":
@@ -221,13 +228,17 @@ class Measuring:
         """Report how it goes with decoding in the sensor's state."""
         self._sensor.explain(note)
 
+    def lost(self, _origin: Origin) -> Lost:
+        """Return the losses up to now."""
+        return self._reporter.lost()
+
     def contacts_header(self, origin: Origin) -> MeasuredFields:
         """Return the header of one more message on `contacts` about a frame."""
         return self._reporter.contacts_header(*origin)
 
     def _skip(self, *topics: Topic[Any]) -> None:
         self._reporter.skip(*topics)
-        self.skipped_late += len(topics)
+        self._skipped_late += len(topics)
 
     def _count_latency(self, topic: Topic[Any], gate_middle: Instant) -> None:
         if not isinstance(self._config.link, ReplayLink):  # whose clock is that of the recording

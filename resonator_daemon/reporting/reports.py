@@ -84,7 +84,7 @@ class Reporter:
         self._daemon_boot_id = daemon_boot_id
         self.measurement = config.measurement
         self.allowed: Collection[str] = config.commands.allow
-        self._lost = lost
+        self.lost = lost
         self._seq: Counter[str] = Counter()
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts on force sites, by id
         self.board_boot_id: str | None = None
@@ -274,7 +274,7 @@ class Reporter:
             board_boot_id=self.board_boot_id,
             t_ns=utc_ns,
             t_unc_ns=uncertainty_ns,
-            lost=self._lost(),
+            lost=self.lost(),
         )
 
     def _next_seq(self, topic: Topic[Any]) -> int:

@@ -7,7 +7,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from resonator_daemon.decoding.streaming import UndecodableError
 from resonator_daemon.publishing.codec import Encoded
-from resonator_daemon.publishing.payloads import ContactEvent, Message
+from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.reporting.surface_reports import MeasuredFields
 from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
@@ -33,6 +33,9 @@ class SurfaceClient(Protocol[TakenOrigin]):
     def contacts_header(self, origin: TakenOrigin) -> MeasuredFields:
         """Return the header of one more message on `contacts`."""
 
+    def lost(self, origin: TakenOrigin) -> Lost:
+        """Return the losses for the header of a frame whose decoding begins now."""
+
 
 class SurfaceDecoding(Protocol[TakenOrigin]):
     """Decodes the frames of one skin."""
@@ -40,6 +43,10 @@ class SurfaceDecoding(Protocol[TakenOrigin]):
     @property
     def frames_skipped(self) -> int:
         """Frames that were offered and will never be decoded."""
+
+    @property
+    def frames_late(self) -> int:
+        """Of those: frames that came to their turn too late, or never, because of the time that decoding takes."""
 
     def offer(self, origin: TakenOrigin, frame: SurfaceFrame) -> None:
         """Decode a frame, or skip it; never waits."""
@@ -61,6 +68,8 @@ class SequentialDecoding(Generic[Origin]):
     ----------
     frames_skipped
         The noise of a channel was not known, or the sites cannot be decoded.
+    frames_late
+        Always 0.
     """
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin]) -> None:
@@ -70,6 +79,7 @@ class SequentialDecoding(Generic[Origin]):
         self._origin: Origin | None = None
         self._undecodable = False
         self.frames_skipped = 0
+        self.frames_late = 0
 
     async def run(self) -> None:
         """Return at once: all is done when it is offered."""

@@ -409,7 +409,7 @@ class Service:
         link, health = self._course.link, self._health
         said = f"link {link.state}: {link.reason}" if link is not None else "starting"
         if link is not None and link.state == "online" and health is not None:
-            lost = sum(dict(health.lost).values())
+            lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
             said = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
         return "; ".join(filter(None, (f"{self._name or self._instance}: {said}", self._in_use.remark)))
 

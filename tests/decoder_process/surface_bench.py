@@ -61,6 +61,9 @@ class Client:
     def announce(self, note: str) -> None:
         self.announced.append(note)
 
+    def lost(self, _origin: int) -> Lost:
+        return Lost(link_gap=3, skipped_late=3 * self.supervisor.frames_late)
+
     def contacts_header(self, origin: int) -> MeasuredFields:
         return header(origin) | {"seq": 5000}  # type: ignore[return-value]
 
@@ -76,8 +79,9 @@ class Client:
         before = self.supervisor.decoded
         while self.supervisor.decoded == before:
             self.offer(values)
-            await until(lambda: self.supervisor.waiting == 0 or self.supervisor.info().pid is None)
-            await asyncio.sleep(0.01)
+            async with asyncio.timeout(120):  # a process starts, on a busy computer
+                while self.supervisor.waiting:  # noqa: ASYNC110  there is no event for it
+                    await asyncio.sleep(0.005)
         await until(lambda: len(self.on("contacts")) >= len(self.on("decoded")))
 
     async def touch(self) -> None:

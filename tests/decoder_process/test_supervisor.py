@@ -4,6 +4,7 @@ import asyncio
 import os
 import signal
 import sys
+from itertools import pairwise
 
 import numpy as np
 import psutil
@@ -43,6 +44,9 @@ async def test_while_the_process_is_busy_the_newest_frame_waits_and_the_others_a
         await until(lambda: client.supervisor.waiting == 0)
         assert client.supervisor.skipped["newer_frame"] == skipped + 28
         await until(lambda: client.on("contacts")[-1].seq == 1000 + client.offered - 1)
+    for path in ("decoded", "decoded/summary", "contacts"):
+        for before, after in pairwise(client.on(path)):
+            assert 3 * (after.seq - before.seq - 1) == after.lost.skipped_late - before.lost.skipped_late
 
 
 async def test_an_interruption_releases_contacts_for_its_reason_and_only_then() -> None:
@@ -178,7 +182,7 @@ async def test_the_process_ends_with_a_daemon_that_is_killed() -> None:
     program = DAEMON.format(paths=sys.path)
     daemon = await asyncio.create_subprocess_exec(sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE)
     assert daemon.stdout is not None
-    pid = int(await asyncio.wait_for(daemon.stdout.readline(), 60))
+    pid = int(await asyncio.wait_for(daemon.stdout.readline(), 120))
     os.kill(pid, signal.SIGSTOP)
     daemon.kill()
     await daemon.wait()

@@ -22,6 +22,8 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
     path = CORPUS / case / "recording.mcap"
     with open_playback(path) as playback:
         config = playback.config
+    undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
+    config = config.model_copy(update={"decoding": undecoded})
     said: list[tuple[str, Any]] = []
     course = BoardCourse(config, "9f3c", lambda topic, message: said.append((topic.path, message)), is_late=is_late)
     ring = Ring(1 << 30, lambda: None, ())
