@@ -180,11 +180,13 @@ def outcome(subscriber: Subscriber, truth: Path, begin_ns: int, end_ns: int, rep
     health = [json.loads(payload) for at_ns, payload in subscriber.arrivals["health"] if at_ns >= begin_ns]
     first, last = health[0]["lost"], health[-1]["lost"]
     lost = {cause: last[cause] - first[cause] for cause in last}
+    not_decoded = health[-1]["frames_not_decoded"] - health[0]["frames_not_decoded"]
     account = MessageAccount.model_validate(health[-1]["messages"])
     settled = account.acknowledged + account.handed_to_socket + sum(account.dropped.values())
     return {
         "age_ms": ages,
         "lost": lost,
+        "frames_not_decoded": not_decoded,
         "dropped": account.dropped,
         "dropped_by_board": report["frames_dropped"],
         "touches": len(true),
@@ -218,6 +220,7 @@ def main() -> int:
             print(f"  {path:9s} {age['messages']:6d} messages, age in ms: {figures}")
         for key in (
             "lost",
+            "frames_not_decoded",
             "dropped",
             "dropped_by_board",
             "touches",

@@ -101,7 +101,7 @@ class _Families:
         bytes_waiting = health.bytes_by_fate.get(_WAITING, 0)
         yield self._counter("resonatord_frames", "Frames that arrived", health.frames)
         yield self._counters("resonatord_frames_lost", "Frames lost", "cause", lost)
-        yield self._counter("resonatord_messages_late", "Messages not made, being late", health.lost.skipped_late)
+        yield self._counter("resonatord_messages_late", "Messages not published, being late", health.lost.skipped_late)
         yield self._counter("resonatord_frame_parts_lost", "Parts of frames lost", health.parts_lost)
         yield self._counter("resonatord_frames_not_decoded", "Frames the decoder skipped", health.frames_not_decoded)
         if (decoder := health.decoder) is not None:

@@ -65,7 +65,7 @@ _WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
 _TOGETHER = 50  # arrivals
 _FRAMES_WAITING_S = 2.0
 _FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
-_LATE_NS = 100_000_000  # after its window, a message is skipped if a newer one can be made
+_LATE_NS = 75_000_000  # after its window, a message is skipped if a newer one can be made
 _TOO_LATE_NS = 400_000_000  # in any case
 
 

@@ -18,7 +18,7 @@ CORPUS = Path(__file__).parents[1] / "corpus"
 
 
 def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, Any]]:
-    """Return topic and message of all that follows from a recording."""
+    """Return topic and message of all that follows from a recording, but for decoding."""
     path = CORPUS / case / "recording.mcap"
     with open_playback(path) as playback:
         config = playback.config
