@@ -176,3 +176,20 @@ def test_net_load_scatters_as_its_standard_error_says(scene):
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     # Shear of real contacts scatters 1.2 times as much as the prior's loads.
     np.testing.assert_allclose(rms, 1.0 / np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2]), rtol=0.2)
+
+
+def test_contacts_that_share_a_blob_divide_its_load(scene):
+    problem = problem_of(scene, SignalRows(fields(scene, (36,))))
+    sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
+    x_m = scene[0][problem.pixels, 0]
+    left, right = problem.pixels[x_m < x_m.mean()], problem.pixels[x_m > x_m.mean()]
+    right_side = problem.right_side(np.random.default_rng(8).standard_normal(108).astype(np.float32))
+    (whole,) = sums.loads([problem.pixels], right_side, 1.0, (0.0, 0.0))
+    one, other = sums.loads([left, right], right_side, 1.0, (0.0, 0.0))
+    swapped = sums.loads([right, left], right_side, 1.0, (0.0, 0.0))
+    for quantity in ("force_newton", "moment_newton_m"):
+        parts = [getattr(load, quantity) for load in (one, other)]
+        expected = getattr(whole, quantity)
+        np.testing.assert_allclose(sum(parts), expected, atol=1e-3 * np.abs(expected).max())
+        np.testing.assert_array_equal([getattr(load, quantity) for load in reversed(swapped)], parts)
+    assert sums.loads([np.flatnonzero(~scene[2].ravel())], right_side, 1.0, (0.0, 0.0)) == [None]

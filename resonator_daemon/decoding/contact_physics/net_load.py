@@ -16,7 +16,9 @@ from resonator_daemon.decoding.patches import NetLoad
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Pixels = NDArray[np.intp]
 
+_DIVIDED_ANEW = 0.03  # of the pixels: how many may change sides before a blob is divided anew
 _F_Z, _M_X, _M_Y, _M_Z = 2, 3, 4, 5
 # Of forces x, y, z and moments x, y, z; both to fit closed-form contacts.
 _STD_FACTOR = np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2])  # of the posterior's: contacts are not drawn from the prior
@@ -27,7 +29,7 @@ class LoadSums:
     """How the right sides of a problem add up to the loads of contacts; as good for any frame as the problem.
 
     A contact bears the load of all blobs of pixels that it touches. A blob that several contacts touch is divided
-    between them by distance, once: the division holds while each of them stays in its own part.
+    between them by distance; a division holds while few pixels change sides.
 
     Parameters
     ----------
@@ -57,12 +59,11 @@ class LoadSums:
         self._answers = _answers(problem, sums)
         self._whole: dict[tuple[int, ...], _ContactSum] = {}
         self._problem = problem
-        self._parts = np.zeros(0, np.intp)  # of the lattice's pixels, where a blob is divided
-        self._part_count = 0
+        self._parts = np.zeros(0, np.intp)  # which contact each pixel is nearest to, where a blob is divided, (n,)
         self._divided: dict[tuple[int, tuple[int, ...], tuple[int, ...]], _ContactSum] = {}
 
     def loads(
-        self, places: Sequence[NDArray[np.intp]], right_side: Singles, noise_std: float, about_m: tuple[float, float]
+        self, places: Sequence[Pixels], right_side: Singles, noise_std: float, about_m: tuple[float, float]
     ) -> list[NetLoad | None]:
         """Return the loads of contacts in a frame; None for one that touches no blob.
 
@@ -98,7 +99,7 @@ class LoadSums:
             return self._whole[blobs]
         key = part, blobs, divided
         if key not in self._divided:
-            own = ~np.isin(self._blob_of, divided) | (self._parts[self._pixels] == part)
+            own = ~np.isin(self._blob_of, divided) | (self._parts == part)
             chosen = np.isin(self._blob_of, blobs) & own
             sums = self._sums.reshape(-1, 6, 3 * chosen.size).sum(axis=0) * np.tile(chosen, 3)
             self._divided[key] = self._contact_sum(chosen, sums, _answers(self._problem, sums))
@@ -113,16 +114,17 @@ class LoadSums:
             self._area_m2,
         )
 
-    def _parts_of(self, places: Sequence[NDArray[np.intp]]) -> list[int]:
-        """Which part of the divided blobs belongs to each contact."""
-        if self._parts.size:
-            parts = [int(np.bincount(self._parts[pixels]).argmax()) if pixels.size else -1 for pixels in places]
-            if sorted(parts) == list(range(self._part_count)):
-                return parts
-        owner = np.repeat(np.arange(len(places)), [pixels.size for pixels in places])
+    def _parts_of(self, places: Sequence[Pixels]) -> list[int]:
+        """Divide the problem's pixels between contacts; return the part that belongs to each."""
         members_m = self._centres_m[np.concatenate(places)]
-        self._parts = owner[cKDTree(members_m).query(self._centres_m)[1]]
-        self._part_count = len(places)
+        contact = np.repeat(np.arange(len(places)), [pixels.size for pixels in places])
+        nearest = contact[cKDTree(members_m).query(self._centres_m[self._pixels])[1]]
+        if self._parts.size:
+            votes = [np.bincount(self._parts[nearest == index], minlength=1) for index in range(len(places))]
+            parts = np.array([int(vote.argmax()) for vote in votes])
+            if np.unique(parts).size == parts.size and np.mean(parts[nearest] != self._parts) < _DIVIDED_ANEW:
+                return [int(part) for part in parts]
+        self._parts = nearest
         self._divided = {}
         return list(range(len(places)))
 
