@@ -25,6 +25,9 @@ _EXCHANGED: dict[Field, tuple[int, int, int]] = {
     "displacement": (1, 0, 2),
 }
 
+_EXCHANGED_CLASSES = [CLASSES.index((y, x)) for x, y in CLASSES]
+_OWN_PARTNERS = [index for index, there in enumerate(_EXCHANGED_CLASSES) if index == there]
+
 
 class Bases:
     """Even and odd vectors along both axes, as many of each, and the products of them that each class keeps.
@@ -45,7 +48,7 @@ class Bases:
     places
         Of what each class keeps, in (2 kx, 3, 2 ky): two plain products lead there and back. (4, kept).
     exchanged
-        Where exchanging x and y changes nothing: which product of class (0, 1) each one of class (1, 0) is then.
+        Where exchanging x and y changes nothing: for each class, which product of the exchanged class each one is then.
     """
 
     def __init__(
@@ -69,15 +72,24 @@ class Bases:
                 for parity in CLASSES
             ]
         ).reshape(len(CLASSES), -1)
-        ranks = np.argsort(-carried, axis=1)
-        by_rank = np.take_along_axis(carried, ranks, axis=1).sum(axis=0)
-        kept = np.sort(ranks[:, : max(_FEWEST, _needed(by_rank, left_out))], axis=1)
-        self.exchanged: NDArray[np.intp] | None = None
+        places = np.arange(3 * ky * kx)
+        partners = places
         if not along_y:
-            channel, row, column = np.unravel_index(kept[CLASSES.index((0, 1))], (3, ky, kx))
-            there = np.ravel_multi_index((np.array(_EXCHANGED[field])[channel], column, row), (3, ky, kx))
-            self.exchanged = np.argsort(there)
-            kept[CLASSES.index((1, 0))] = there[self.exchanged]
+            channel, row, column = np.unravel_index(places, (3, ky, kx))
+            partners = np.ravel_multi_index((np.array(_EXCHANGED[field])[channel], column, row), (3, ky, kx))
+            carried = (carried + carried[_EXCHANGED_CLASSES][:, partners]) / 2.0
+        ranks = np.array([np.lexsort((np.minimum(places, partners), -of_class)) for of_class in carried])
+        by_rank = np.take_along_axis(carried, ranks, axis=1).sum(axis=0)
+        needed = min(max(_FEWEST, _needed(by_rank, left_out)), places.size)
+        while not all(np.isin(partners[ranks[index, :needed]], ranks[index, :needed]).all() for index in _OWN_PARTNERS):
+            needed += 1
+        kept = np.sort(ranks[:, :needed], axis=1)
+        self.exchanged: list[NDArray[np.intp]] | None = None
+        if not along_y:
+            kept[CLASSES.index((1, 0))] = np.sort(partners[kept[CLASSES.index((0, 1))]])
+            self.exchanged = [
+                np.searchsorted(kept[there], partners[kept[index]]) for index, there in enumerate(_EXCHANGED_CLASSES)
+            ]
         channel, row, column = np.unravel_index(kept, (3, ky, kx))
         odd_x, odd_y = np.array([parities(field, parity) for parity in CLASSES]).transpose(2, 0, 1)
         x = np.take_along_axis(odd_x, channel, axis=1) * kx + column

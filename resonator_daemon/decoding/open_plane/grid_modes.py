@@ -136,13 +136,17 @@ class GridModes(Modes):
             field: Reduction(table, bases[field], bases["sensor"]) for field, table in covariance.tables.items()
         }
         for index, parity in enumerate(CLASSES):
-            if parity == (1, 0) and bases["sensor"].exchanged is not None:
+            partners = bases["sensor"].exchanged
+            if partners and parity == (1, 0):
                 values_of_class.append(values_of_class[-1])
-                rotations.append(rotations[-1][bases["sensor"].exchanged])
+                rotations.append(rotations[-1][partners[index]])
                 for field, blocks in surface.items():
-                    blocks.append(blocks[-1][bases[field].exchanged])
+                    exchanged = bases[field].exchanged or []
+                    blocks.append(blocks[-1][exchanged[index]])
                 continue
-            values, rotation = np.linalg.eigh(reductions["sensor"].block(index))
+            block = reductions["sensor"].block(index)
+            halved = partners and parity in ((0, 0), (1, 1))
+            values, rotation = _eigenvectors(block, partners[index]) if partners and halved else np.linalg.eigh(block)
             values_of_class.append(np.maximum(values, 0.0))
             rotations.append(rotation)
             for field, blocks in surface.items():
@@ -192,3 +196,20 @@ class GridModes(Modes):
         of_class = coefficients.reshape(signals.size, -1)[:, self._sensor.places].swapaxes(0, 1)
         rows: Floats = (of_class @ self._rotation).swapaxes(0, 1).reshape(signals.size, -1)
         return rows
+
+
+def _eigenvectors(matrix: Floats, partners: NDArray[np.intp]) -> tuple[Floats, Floats]:
+    """Solve the eigenproblem of a matrix that is the same after rows and columns trade places with their partners."""
+    places = np.arange(partners.size)
+    first, alone = np.flatnonzero(places < partners), np.flatnonzero(places == partners)
+    second = partners[first]
+    same, across = matrix[np.ix_(first, first)], matrix[np.ix_(first, second)]
+    beside = np.sqrt(2.0) * matrix[np.ix_(first, alone)]
+    even, even_vectors = np.linalg.eigh(np.block([[same + across, beside], [beside.T, matrix[np.ix_(alone, alone)]]]))
+    odd, odd_vectors = np.linalg.eigh(same - across)
+    vectors = np.zeros_like(matrix)
+    vectors[first, : even.size] = vectors[second, : even.size] = even_vectors[: first.size] / np.sqrt(2.0)
+    vectors[alone, : even.size] = even_vectors[first.size :]
+    vectors[first, even.size :] = odd_vectors / np.sqrt(2.0)
+    vectors[second, even.size :] = -odd_vectors / np.sqrt(2.0)
+    return np.concatenate([even, odd]), vectors
