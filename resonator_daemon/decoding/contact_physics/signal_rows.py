@@ -48,10 +48,12 @@ class SignalRows:
             rows, columns = row[of_channel == channel], column[of_channel == channel]
             begin, end = end, end + rows.size
             height, width = rows.max(initial=0) + 1, columns.max(initial=0) + 1
-            for component in range(components):
-                fields = np.ascontiguousarray(kernel[component, :, :, channel])
+            places = rows * width + columns
+            for component, line in np.ndindex(components, py):  # few fields at a time stay in the processor's cache
+                fields = np.ascontiguousarray(kernel[component, line, :, channel])
                 rotated = y.T[:height] @ (fields @ x[:, :width])
-                self.kernel[component, :, begin:end] = rotated.reshape(py * px, -1).take(rows * width + columns, axis=1)
+                pixels = slice(line * px, (line + 1) * px)
+                self.kernel[component, pixels, begin:end] = rotated.reshape(px, -1).take(places, axis=1)
 
     def project(self, whitened: Singles) -> Singles:
         """From whitened signals (3 n,), lost ones 0, to rows."""
