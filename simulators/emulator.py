@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from firmware_protocol.layouts import PROTOCOL_MINOR
 from firmware_protocol.messages import Identity, ResetCause
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
-from simulators.board import Board
+from simulators.board import Board, MadeFrame
 from simulators.comb_plate import CombPlate
 from simulators.faults import FaultPlan
 from simulators.faults.misbehaviour import Misbehaviour
@@ -40,6 +40,7 @@ CHANNELISED_QUEUE_BYTES = 16 * 1024 * 1024  # 1.1 s of 147 kB frames at 100 Hz
 CREDIT_BYTES = 512  # a dozen requests
 
 _SPEED_MAX = 100.0
+_TRUTH_DELAY_NS = 10_000_000  # lines wait so long for others: a write costs as much as ten lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +118,8 @@ class Emulator:
         )
         self._tick_rate_hz = plate.counter.reference_hz * (1.0 + scenario.physics.reference_error)
         self._ticks_per_ns = self._tick_rate_hz * options.speed * 1e-9
+        self._truth_delay_ticks = _TRUTH_DELAY_NS * self._ticks_per_ns
+        self._made: list[MadeFrame] = []  # whose truth has not been written
         self._script = Script(faults, seed)
         self._stopping = False
         self.environment: dict[str, str] = {}  # what a host must be started with to see the link
@@ -141,12 +144,14 @@ class Emulator:
                     self._follow_script(self._now_ticks())
                 data = self.link.read() if readable else b""
                 now_ticks = self._now_ticks()  # when the request came, whatever is to be done before it is answered
-                self._advance(now_ticks)
+                self._made += self._board.advance(now_ticks)
+                self._write_truth()
                 if data:
                     self._receive(data, now_ticks)
                 self._output.send(time.monotonic_ns() - self._origin_ns, self._elapsed_s(now_ticks))
                 self._board.count_ahead()
                 readable = self._wait()
+            self._write_truth()
 
     def stop(self) -> None:
         """End `run`; from any thread or signal handler."""
@@ -262,13 +267,20 @@ class Emulator:
         if self._board.times_located > located:
             sys.stderr.write(f"board {self._board.identity.serial_number} blinks\n")
 
-    def _advance(self, now_ticks: int) -> None:
-        frames = self._board.advance(now_ticks)
-        if self._truth is not None and frames:
-            utc_less_monotonic_ns = time.time_ns() - time.monotonic_ns()
-            for frame in frames:
-                end_ns = self._origin_ns + round(frame.end_ticks / self._ticks_per_ns)
-                self._truth.write(truth_line(frame, end_ns + utc_less_monotonic_ns))
+    def _write_truth(self) -> None:
+        """Write the truth of the frames made, unless another frame's comes within the delay."""
+        made, next_ticks = self._made, self._board.next_frame_ticks
+        if not made:
+            return
+        wait_ticks = made[0].end_ticks + self._truth_delay_ticks
+        if next_ticks is not None and next_ticks < wait_ticks and not self._stopping:
+            return
+        self._made = []
+        if self._truth is None:
+            return
+        to_utc_ns = self._origin_ns + time.time_ns() - time.monotonic_ns()
+        lines = [truth_line(frame, round(frame.end_ticks / self._ticks_per_ns) + to_utc_ns) for frame in made]
+        self._truth.write("".join(lines))
 
     def _wait(self) -> bool:
         """Wait for what is due next, for the link or for `stop`; tell whether the link has something to read."""

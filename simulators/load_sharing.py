@@ -50,8 +50,9 @@ def site_loads(pressing: Pressing, plate: Plate, whole_plate: BoolArray) -> Site
     # A touch of the whole plate has an id for each site.
     touch_id = pressing.ids[moment, touch] + site * whole_plate[touch]
     touch_id[untouched] = 0
-    contact_kelvin = pressing.contact_kelvin[moment, touch]
-    if not np.isnan(contact_kelvin).all():
+    contact_kelvin = np.full(shape, np.nan)
+    if not np.isnan(pressing.contact_kelvin).all():
+        contact_kelvin = pressing.contact_kelvin[moment, touch]
         warmed = loads >= _UNDER_THE_FINGER * loads.max(axis=2, keepdims=True)
         contact_kelvin[untouched | ~warmed[moment, hardest, site]] = np.nan
     return SiteLoads(force, contact_kelvin, touch_id)

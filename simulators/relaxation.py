@@ -26,6 +26,8 @@ class Relaxation:
 
     def advance(self, dt_s: float, target: FloatArray) -> FloatArray:
         """Return x (n, k) in the middle of each of n gates, for the targets (n, k) in them."""
+        if not target.any() and not self._now.any():  # at rest
+            return np.zeros_like(target)
         half = math.exp(-0.5 * dt_s / self._time_s)
         decay = half * half
         gain = -math.expm1(-dt_s / self._time_s)

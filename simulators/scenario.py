@@ -93,27 +93,32 @@ class Scenario:
         pressing = np.flatnonzero(((since_s > 0.0) & (since_s < self._duration_s)).any(axis=0))
         if len(pressing):
             force_newton[:, pressing] = self._force_newton(since_s[:, pressing], pressing)
-        held = np.minimum(np.maximum((since_s - self._rise_s) / self._hold_s, 0.0), 1.0)
-        return Pressing(
-            self._first_ids + round_number.astype(np.int64) * self._ids_per_round,
-            force_newton,
-            self.positions_m + held[..., np.newaxis] * self._path_m,
-            np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan),
-        )
+        position_m = np.broadcast_to(self.positions_m, (*since_s.shape, 2))
+        kelvin = np.broadcast_to(np.nan, since_s.shape)
+        if self._path_m.any():
+            position_m = self.positions_m + self._held(since_s)[..., np.newaxis] * self._path_m
+        if not np.isnan(self._kelvin).all():
+            kelvin = np.where(force_newton[..., 2] > 0.0, self._kelvin, np.nan)
+        ids = self._first_ids + round_number.astype(np.int64) * self._ids_per_round
+        return Pressing(ids, force_newton, position_m, kelvin)
 
     def _force_newton(self, since_s: FloatArray, touch: npt.NDArray[np.intp]) -> FloatArray:
         """Return the force (n, k, 3) of touches (k,) at times (n, k) since their start."""
-        held_s = since_s - self._rise_s[touch]
         rise = _ramp(since_s / self._rise_s[touch])
-        fall = _ramp((held_s - self._hold_s[touch]) / self._fall_s[touch])
-        normal = self.peak_newton[touch] * rise * (1.0 - fall)
-        held = np.minimum(np.maximum(held_s / self._hold_s[touch], 0.0), 1.0)
-        # A ramp up and down again over the hold is the square of a sine.
-        ratio = self._shear_peak[touch] * np.sin(np.pi * held) ** 2
-        tangential = ratio * FRICTION_COEFFICIENT * normal
-        return np.concatenate(
-            [tangential[..., np.newaxis] * self._shear_direction[touch], normal[..., np.newaxis]], axis=-1
-        )
+        fall = _ramp((since_s - self._rise_s[touch] - self._hold_s[touch]) / self._fall_s[touch])
+        force_newton = np.zeros((*since_s.shape, 3))
+        force_newton[..., 2] = normal = self.peak_newton[touch] * rise * (1.0 - fall)
+        if self._shear_peak[touch].any():
+            # A ramp up and down again over the hold is the square of a sine.
+            ratio = self._shear_peak[touch] * np.sin(np.pi * self._held(since_s, touch)) ** 2
+            tangential = ratio * FRICTION_COEFFICIENT * normal
+            force_newton[..., :2] = tangential[..., np.newaxis] * self._shear_direction[touch]
+        return force_newton
+
+    def _held(self, since_s: FloatArray, touch: npt.NDArray[np.intp] | slice = slice(None)) -> FloatArray:
+        """Return which share of their holds has passed for touches (k,) at times (n, k) since their start."""
+        held: FloatArray = np.minimum(np.maximum((since_s - self._rise_s[touch]) / self._hold_s[touch], 0.0), 1.0)
+        return held
 
     def contacts(self, pressing: Pressing) -> list[list[Contact]]:
         """Return what touches at each of the moments of `pressing`.
@@ -139,6 +144,8 @@ class Scenario:
 
     def environment_kelvin(self, times_s: FloatArray) -> FloatArray:
         """Return the temperature around the plate at times (n,)."""
+        if len(self._environment_kelvin) == 1:
+            return np.full(times_s.shape, self._environment_kelvin[0])
         kelvin: FloatArray = np.interp(times_s, self._environment_s, self._environment_kelvin)
         return kelvin
 

