@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import aiomqtt
 import psutil
 from rich.console import Console, RenderableType
 from rich.live import Live
@@ -25,10 +24,11 @@ from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, start_daemon, start_emulator
 from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
+from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.publishing.receiver import Arrival, Receiver
+from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
 from resonator_daemon.publishing.topics import SIGNALS, TOPICS, split_topic
 from resonator_daemon.view.plate_view import PlateView, TrueContact, Truth
@@ -92,9 +92,7 @@ class _Demo:
             self._broker = await stack.enter_async_context(local_broker(folder))
             url = self._broker.url
             self._report(f"broker at {url}; watch it too: resonatord watch --url {url}")
-            receiver = self._receiver(Mqtt(url=url, prefix=self._prefix))
-            receiver.start()
-            stack.push_async_callback(receiver.close)
+            stack.callback(Subscription(url, self._filters(), self._arrivals.append).close)
             for name, plate in self._plates.items():
                 stack.push_async_callback((await self._start(name, plate, url, folder)).emulator.stop)
             try:
@@ -105,12 +103,12 @@ class _Demo:
             result = await self._evaluate(seconds)
         return self._conclude(result)
 
-    def _receiver(self, broker: Mqtt) -> Receiver:
-        filters = topic_filters(broker.prefix, SCORED, full_rate=True)
+    def _filters(self) -> dict[str, int]:
+        """Return what is scored at its full rate, and for the page the copies for people."""
+        filters = topic_filters(self._prefix, SCORED, full_rate=True)
         if not self._options.headless:
-            filters |= topic_filters(broker.prefix, _SHOWN, full_rate=False)
-        # Of MQTT 5 nothing is used here, and reading its properties costs as much as all else of a message.
-        return Receiver(broker, filters, self._arrivals.append, version=aiomqtt.ProtocolVersion.V311)
+            filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)
+        return filters
 
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path) -> _Station:
         self._report(f"starting emulated board and daemon: {name}")

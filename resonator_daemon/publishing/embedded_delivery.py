@@ -116,7 +116,7 @@ class Connection:
     def _sort(self, data: bytes) -> int:
         """Forward or hand over all whole packets; return the bytes used up."""
         start = 0
-        while (ends := _packet(data, start)) is not None:
+        while (ends := packet_ends(data, start)) is not None:
             body, end = ends
             if data[start] == _STREAM and self._accepted:
                 topic_end = body + 2 + int.from_bytes(data[body : body + 2], "big")
@@ -127,7 +127,7 @@ class Connection:
         return start
 
 
-def _packet(data: bytes, start: int) -> tuple[int, int] | None:
+def packet_ends(data: bytes, start: int) -> tuple[int, int] | None:
     """Return where the body of the packet at `start` begins and ends; None where it is not whole yet."""
     length = 0
     for place in range(_LENGTH_BYTES_MAX):

@@ -37,8 +37,6 @@ class Receiver:
         Called in the receiving thread with each message. It must return at once.
     on_end
         Called in the receiving thread when that ends without `close`, which is a defect; `close` raises it.
-    version
-        Of the protocol; None: MQTT 5 where the broker has it. Version 3.1.1 costs less per message.
     """
 
     def __init__(
@@ -47,13 +45,11 @@ class Receiver:
         filters: Mapping[str, int],
         on_arrival: Callable[[Arrival], None],
         on_end: Callable[[], None] = lambda: None,
-        version: aiomqtt.ProtocolVersion | None = None,
     ) -> None:
         self._broker = broker
         self._filters = filters
         self._on_arrival = on_arrival
         self._on_end = on_end
-        self._version = version
         self._loop: asyncio.AbstractEventLoop | None = None
         self._closing: asyncio.Future[None] | None = None
         self._defect: BaseException | None = None
@@ -88,7 +84,7 @@ class Receiver:
         await keep_connected(self._broker, self._make_client, self._serve, self._closing)
 
     def _make_client(self, version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(self._broker, self._version or version, on_message=self._received)
+        return BrokerClient(self._broker, version, on_message=self._received)
 
     def _received(self, message: Incoming) -> None:
         self._on_arrival(Arrival(message.topic, message.payload, time.time_ns()))

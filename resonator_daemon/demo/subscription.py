@@ -1,0 +1,89 @@
+"""Subscription to the demo's own broker, in a thread that reads whole packets of MQTT 3.1.1 and nothing of them.
+
+A client library takes as much processor time for a message as all that the demo does with it.
+"""
+
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Final
+from urllib.parse import urlsplit
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.publishing.embedded_delivery import packet_ends
+from resonator_daemon.publishing.receiver import Arrival
+
+_CONNECT, _PUBLISH, _PUBACK, _SUBSCRIBE = b"\x10", 3, b"\x40\x02", b"\x82"
+_CONNACK: Final = b"\x20\x02\x00\x00"
+_PROTOCOL: Final = b"\x00\x04MQTT\x04\x02\x00\x00"  # version 3.1.1, a clean session, no keep-alive
+_READ_BYTES: Final = 256 * 1024
+_TIMEOUT_S: Final = 5.0
+
+
+class Subscription:
+    """Calls `on_arrival` in its own thread with each message, from the construction to `close`.
+
+    Raises
+    ------
+    OperatorError
+        The broker refuses the connection.
+    """
+
+    def __init__(self, url: str, filters: Mapping[str, int], on_arrival: Callable[[Arrival], None]) -> None:
+        parts = urlsplit(url)
+        self._on_arrival = on_arrival
+        self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.sendall(_packet(_CONNECT, _PROTOCOL + _text("demo")))
+        if self._socket.recv(len(_CONNACK), socket.MSG_WAITALL) != _CONNACK:
+            raise OperatorError(f"the broker at {url} refuses the connection of the demo")
+        self._socket.settimeout(None)
+        wanted = b"".join(_text(topic_filter) + bytes([qos]) for topic_filter, qos in filters.items())
+        self._socket.sendall(_packet(_SUBSCRIBE, b"\x00\x01" + wanted))
+        self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        with suppress(OSError):  # the broker was first
+            self._socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._socket.close()
+
+    def _receive(self) -> None:
+        waiting = b""
+        try:
+            while data := self._socket.recv(_READ_BYTES):
+                arrived_ns = time.time_ns()
+                waiting = self._take(waiting + data, arrived_ns)
+        except OSError:
+            pass  # the broker has ended; the demo notices that by its process
+
+    def _take(self, data: bytes, arrived_ns: int) -> bytes:
+        """Pass on the messages of all whole packets; return what is left."""
+        start = 0
+        while (ends := packet_ends(data, start)) is not None:
+            body, end = ends
+            if data[start] >> 4 == _PUBLISH:
+                topic_end = body + 2 + int.from_bytes(data[body : body + 2], "big")
+                payload = topic_end
+                if data[start] & 0b110:
+                    payload += 2
+                    self._socket.sendall(_PUBACK + data[topic_end:payload])
+                self._on_arrival(Arrival(data[body + 2 : topic_end].decode(), data[payload:end], arrived_ns))
+            start = end
+        return data[start:]
+
+
+def _packet(kind: bytes, body: bytes) -> bytes:
+    length, head = len(body), bytearray(kind)
+    while length > 127:
+        head.append(length % 128 | 128)
+        length //= 128
+    return bytes(head) + bytes([length]) + body
+
+
+def _text(words: str) -> bytes:
+    return struct.pack(">H", len(words.encode())) + words.encode()

@@ -1,0 +1,28 @@
+"""The demo's own subscription: all messages in order, whole and acknowledged, from either broker."""
+
+import asyncio
+from queue import Queue
+
+import aiomqtt
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.demo.subscription import Subscription
+from resonator_daemon.publishing.receiver import Arrival
+
+
+async def test_messages_of_all_sizes_arrive_whole_and_in_order(broker) -> None:
+    arrivals: Queue[Arrival] = Queue()
+    sent = [
+        (topic, bytes([number]) * size)
+        for number, size in enumerate((0, 1, 127, 128, 20_000, 300_000))
+        for topic in ("a/x", "b")
+    ]
+    subscription = await asyncio.to_thread(Subscription, broker.url, {"a/+": 0, "b": 1}, arrivals.put)
+    async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as client:
+        for topic, payload in sent:
+            await client.publish(topic, payload, qos=1)
+    received = [await asyncio.to_thread(arrivals.get, timeout=20) for _ in sent]
+    for topic in ("a/x", "b"):
+        assert [each.payload for each in received if each.topic == topic] == [p for t, p in sent if t == topic]
+    assert [each.arrived_ns for each in received] == sorted(each.arrived_ns for each in received)
+    await asyncio.to_thread(subscription.close)
