@@ -7,7 +7,7 @@ from resonator_daemon.acquisition.frames import ChannelisedFrame, SingleToneFram
 
 _EARLY_NS: Final = 60_000  # by which the lag grows after a read that came too early
 _RIGHT_NS: Final = 3_000  # by which it shrinks after a read that found the whole step
-_LAG_MAX_NS: Final = 1_500_000
+_LAG_MAX_NS: Final = 500_000
 _SLEEP_MAX_NS: Final = 5_500_000
 _SLEEP_BYTES_MAX: Final = 2048  # half of what a pseudo-terminal holds
 
