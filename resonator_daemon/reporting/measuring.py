@@ -217,7 +217,7 @@ class Measuring:
     def deliver(self, origin: Origin, topic: Topic[Any], message: Message | Encoded) -> None:
         """Publish a message about a decoded frame, unless that took too long."""
         if self._is_late(origin[1]):
-            self.skipped_late += 1  # it has its number already
+            self._skipped_late += 1  # it has its number already
             return
         if topic is DECODED:
             self._count_latency(DECODED, origin[1])
