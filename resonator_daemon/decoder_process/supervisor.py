@@ -9,7 +9,7 @@ import socket
 import sys
 import time
 from asyncio.subprocess import DEVNULL, Process
-from collections import Counter
+from collections import Counter, deque
 from dataclasses import replace
 from typing import Final, Generic, Literal, TypeVar
 
@@ -30,6 +30,7 @@ HUNG_S: Final = 5.0  # for one frame: hundreds of times what it takes
 SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up
 RESTART_FIRST_S: Final = 0.5
 RESTART_LONGEST_S: Final = 30.0
+WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
 SOUND_S: Final = 60.0  # after which the next restart is as soon as the first
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
@@ -46,7 +47,8 @@ log = logging.getLogger(__name__)
 class DecoderSupervisor(Generic[Origin]):
     """Has frames decoded by a child process; to be used from the event loop's thread only.
 
-    At most one frame is with the process. While it is there the newest one waits; the one that it replaces is skipped.
+    At most one frame is with the process; the next ones wait in order. A frame that has waited for more than 30 ms is
+    skipped if there is a newer one.
     At any instant, frames offered = `decoded` + sum of `skipped` + `waiting`.
 
     Parameters
@@ -76,7 +78,7 @@ class DecoderSupervisor(Generic[Origin]):
         self._is_idle = False
         self._present: Origin | None = None  # of the frame that the process has, until its map is there
         self._last: Origin | None = None  # of the frame that the process got last
-        self._newest: tuple[Origin, Work] | None = None
+        self._waiting: deque[tuple[Origin, Work]] = deque()
         self._interruption: str | None = None
         self._undecodable = False
         self._ending: asyncio.Future[Ending | None] | None = None
@@ -88,7 +90,7 @@ class DecoderSupervisor(Generic[Origin]):
     @property
     def waiting(self) -> int:
         """Frames that are being decoded, or are next."""
-        return (self._present is not None) + (self._newest is not None)
+        return (self._present is not None) + len(self._waiting)
 
     @property
     def frames_skipped(self) -> int:
@@ -118,12 +120,12 @@ class DecoderSupervisor(Generic[Origin]):
         )
 
     def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
-        """Have a frame decoded, or skipped when a newer one comes first."""
+        """Have a frame decoded, or skipped when it waits for too long."""
         if self._undecodable:
             self.skipped["undecodable"] += 1
             return
-        self.skipped["newer_frame"] += self._newest is not None
-        self._newest = (origin, Work(frame, time.monotonic_ns()))
+        self._waiting.append((origin, Work(frame, time.monotonic_ns())))
+        self._skip_old()
         self._send_next()
 
     def interrupt(self, reason: str) -> None:
@@ -158,9 +160,8 @@ class DecoderSupervisor(Generic[Origin]):
                 await asyncio.sleep(pause_s)
                 self.restarts[ending] += 1
         finally:
-            if self._newest is not None:
-                self._newest = None
-                self.skipped["undecodable" if self._undecodable else "decoder_ended"] += 1
+            self.skipped["undecodable" if self._undecodable else "decoder_ended"] += len(self._waiting)
+            self._waiting.clear()
 
     async def _run_process(self) -> tuple[Ending | None, str]:
         """Start a process; return how it ended, None where it cannot decode the sites, with details."""
@@ -216,6 +217,13 @@ class DecoderSupervisor(Generic[Origin]):
         self._connection = self._ending = self._present = self._usage = self._interruption = None
         self._is_idle = False
 
+    def _skip_old(self) -> None:
+        """Skip frames that have waited for too long, but for the newest."""
+        oldest_ns = time.monotonic_ns() - WAIT_MAX_NS
+        while len(self._waiting) > 1 and self._waiting[0][1].offered_ns < oldest_ns:
+            self._waiting.popleft()
+            self.skipped["newer_frame"] += 1
+
     def _send_next(self) -> None:
         if self._connection is None or not self._is_idle:
             return
@@ -223,8 +231,9 @@ class DecoderSupervisor(Generic[Origin]):
             reason, self._interruption = self._interruption, None
             header = self._client.contacts_header(self._last) if self._contacts and self._last is not None else None
             self._connection.send(EndContacts(header, reason))
-        elif self._newest is not None:
-            (origin, work), self._newest = self._newest, None
+        elif self._waiting:
+            self._skip_old()
+            origin, work = self._waiting.popleft()
             self._present = self._last = origin
             work.frame.header["lost"] = self._client.lost(origin)  # with the frames skipped since it was offered
             self._connection.send(work)

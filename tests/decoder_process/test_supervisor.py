@@ -32,7 +32,23 @@ async def test_frames_become_messages_of_their_topics_under_their_own_numbers() 
     assert [contact.id for contact in client.on("contacts")[-2].contacts] == [1]
 
 
-async def test_while_the_process_is_busy_the_newest_frame_waits_and_the_others_are_counted() -> None:
+async def test_frames_wait_in_order_while_the_process_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 10**12)
+    client = Client()
+    async with client.running():
+        await client.read(NOTHING)
+        first = client.offered
+        for _ in range(3):
+            client.offer(NOTHING)
+        assert client.supervisor.waiting == 3
+        assert client.is_exact
+        await until(lambda: client.supervisor.waiting == 0)
+        await until(lambda: client.on("contacts")[-1].seq == 1000 + client.offered - 1)
+    assert [message.seq for message in client.on("decoded")][-3:] == list(range(first, first + 3))
+
+
+async def test_of_frames_that_have_waited_for_too_long_the_newest_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
     client = Client()
     async with client.running():
         await client.read(NOTHING)
@@ -104,7 +120,7 @@ async def test_a_process_that_stops_is_killed_and_restarted(monkeypatch: pytest.
         os.kill(pid, signal.SIGSTOP)
         for _ in range(3):
             client.offer()
-        assert client.supervisor.waiting == 2
+        assert client.supervisor.waiting == 3
         await until(lambda: len(client.events) == 2)
         assert not psutil.pid_exists(pid)
         monkeypatch.undo()
