@@ -115,7 +115,10 @@ class MessageCounts:
     unknown: int = 0
 
 
-_FRAME = int(MessageType.FRAME)  # compared with every packet: a plain integer
+_FRAME = int(MessageType.FRAME)  # compared with every packet: a plain integer, as the next two
+_FRAME_PART = int(MessageType.FRAME_PART)
+_TONE_12 = int(BlockEncoding.TONE_12)
+_TONE_BYTES, _BLOCK_BYTES = TONE_STRUCT.size, BLOCK_STRUCT.size
 _FRAME_BYTES = CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
 _FRAME_PACKET_BYTES = PACKET_OVERHEAD_BYTES + _FRAME_BYTES
 _HANDSHAKE: Mapping[tuple[int, int], Cue] = {
@@ -240,16 +243,15 @@ class HostSession:
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):
                 message_type, sequence, board_ticks, boot_id, payload = found
-                if (
-                    message_type == _FRAME
-                    and self.state is HostState.RUNNING
-                    and boot_id == self._boot_id
-                    and len(payload) == _FRAME_BYTES
-                ):
+                counted = boot_id == self._boot_id and self.state is HostState.RUNNING
+                if counted and message_type == _FRAME and len(payload) == _FRAME_BYTES:
                     events.append(new_tuple(Frame, (sequence, board_ticks, _FRAME_PACKET_BYTES, payload)))
                     continue
                 try:
-                    self._interpret(found, events)
+                    if counted and message_type == _FRAME_PART:
+                        self._take_part(found, events)
+                    else:
+                        self._interpret(found, events)
                 except MalformedMessageError:
                     self.messages.malformed += 1
             elif isinstance(found, Damage) or found.type & FROM_BOARD:
@@ -289,10 +291,7 @@ class HostSession:
             case MessageType.FRAME:
                 raise MalformedMessageError(f"a frame has {_FRAME_BYTES} bytes, got {len(packet.payload)}")
             case MessageType.FRAME_PART:
-                if (part := _frame_part(packet)) is None:
-                    self.messages.unknown += 1
-                else:
-                    events.append(part)
+                self._take_part(packet, events)
             case MessageType.STATUS:
                 events.append(decode_message(BoardStatus, packet.payload))
             case MessageType.LOG:
@@ -304,6 +303,22 @@ class HostSession:
                 self._take_answer(packet, events)
             case _:
                 self.messages.unknown += 1
+
+    def _take_part(self, packet: Packet, events: list[HostEvent]) -> None:
+        """Read a part of a channelised frame: some thousands a second, each of many tones."""
+        _, sequence, board_ticks, _, payload = packet
+        size = len(payload)
+        if size < _BLOCK_BYTES:
+            raise MalformedMessageError(f"a frame part begins with {_BLOCK_BYTES} bytes, got {size}")
+        block: Block = tuple.__new__(Block, BLOCK_STRUCT.unpack_from(payload))
+        channel, encoding, _, tones, number, parts = block
+        if encoding != _TONE_12:
+            self.messages.unknown += 1
+            return
+        if size != _BLOCK_BYTES + tones * _TONE_BYTES or channel >= CHANNEL_COUNT or number >= parts:
+            raise MalformedMessageError(f"channel {channel} with {tones} tones in {size - _BLOCK_BYTES} bytes")
+        size_bytes = PACKET_OVERHEAD_BYTES + size
+        events.append(tuple.__new__(FramePart, (sequence, board_ticks, size_bytes, block, payload[_BLOCK_BYTES:])))
 
     def _take_answer(self, packet: Packet, events: list[HostEvent]) -> None:
         answered = self._requests.answered(packet.sequence)
@@ -336,15 +351,3 @@ class HostSession:
                 events.append(decode_message(Refusal, packet.payload))
         self._forget_pending()
         self._move(cue)
-
-
-def _frame_part(packet: Packet) -> FramePart | None:
-    if len(packet.payload) < BLOCK_STRUCT.size:
-        raise MalformedMessageError(f"a frame part begins with {BLOCK_STRUCT.size} bytes, got {len(packet.payload)}")
-    block = Block._make(BLOCK_STRUCT.unpack_from(packet.payload))
-    if block.encoding != BlockEncoding.TONE_12:
-        return None
-    tones = packet.payload[BLOCK_STRUCT.size :]
-    if len(tones) != block.tones * TONE_STRUCT.size or block.channel >= CHANNEL_COUNT or block.part >= block.parts:
-        raise MalformedMessageError(f"channel {block.channel} with {block.tones} tones in {len(tones)} bytes")
-    return FramePart(packet.sequence, packet.board_ticks, packet.size_bytes, block, tones)

@@ -6,29 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.host import FramePart
-from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, ToneFlag
+from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, TONE_STRUCT, ToneFlag
 
-_TONE = np.dtype([(field.name, "<" + field.code) for field in TONE_FIELDS])
+Tones = NDArray[np.void]
+TONE = np.dtype([(field.name, "<" + field.code) for field in TONE_FIELDS])
 _UNUSABLE = ToneFlag.NO_SIGNAL | ToneFlag.SATURATED | ToneFlag.OUT_OF_BAND
+_BLANK = TONE_STRUCT.pack(0, 0, 0, 0, ToneFlag.NO_SIGNAL)
 
 
 @dataclass(slots=True)
 class AssembledFrame:
-    """Arrays (4, tones) in the wire's units and what is known of them."""
+    """Tones (4, tones) as records of the wire; those that did not arrive have no signal."""
 
     sequence: int
     board_ticks: int
     parts: int
-    phase_turn32: NDArray[np.int32]
-    offset_hz16: NDArray[np.int32]
-    sigma_code: NDArray[np.uint8]
-    known: NDArray[np.bool_]
+    records: bytearray
+    tones: Tones
     seen: set[int] = field(default_factory=set)
     size_bytes: int = 0
 
     @property
     def parts_seen(self) -> int:
         return len(self.seen)
+
+
+def known_tones(tones: Tones) -> NDArray[np.bool_]:
+    """Return which records hold a usable frequency; shape as `tones`."""
+    flags: NDArray[np.uint8] = tones["flags"]
+    known: NDArray[np.bool_] = (flags & _UNUSABLE) == 0
+    return known
 
 
 class FrameAssembler:
@@ -42,6 +49,7 @@ class FrameAssembler:
 
     def __init__(self, tones: int) -> None:
         self._tones = tones
+        self._blank = _BLANK * (CHANNEL_COUNT * tones)
         self._open: AssembledFrame | None = None
         self.misfits = 0
 
@@ -71,28 +79,16 @@ class FrameAssembler:
         return [frame] if frame else []
 
     def _begin(self, part: FramePart) -> AssembledFrame:
-        shape = (CHANNEL_COUNT, self._tones)
-        return AssembledFrame(
-            sequence=part.sequence,
-            board_ticks=part.board_ticks,
-            parts=part.block.parts,
-            phase_turn32=np.zeros(shape, np.int32),
-            offset_hz16=np.zeros(shape, np.int32),
-            sigma_code=np.zeros(shape, np.uint8),
-            known=np.zeros(shape, np.bool_),
-        )
+        records = bytearray(self._blank)
+        tones = np.frombuffer(records, TONE).reshape(CHANNEL_COUNT, self._tones)
+        return AssembledFrame(part.sequence, part.board_ticks, part.block.parts, records, tones)
 
     def _fill(self, frame: AssembledFrame, part: FramePart) -> None:
-        block = part.block
-        end = block.first_tone + block.tones
-        if end > self._tones or block.part in frame.seen:
+        channel, _, first_tone, tones, number, _ = part.block
+        if first_tone + tones > self._tones or number in frame.seen:
             self.misfits += 1
             return
-        tones = np.frombuffer(part.tones, _TONE)
-        where = (block.channel, slice(block.first_tone, end))
-        frame.phase_turn32[where] = tones["phase_turn32"]
-        frame.offset_hz16[where] = tones["offset_hz16"]
-        frame.sigma_code[where] = tones["sigma_code"]
-        frame.known[where] = (tones["flags"] & _UNUSABLE) == 0
-        frame.seen.add(block.part)
+        start = (channel * self._tones + first_tone) * TONE_STRUCT.size
+        frame.records[start : start + len(part.tones)] = part.tones
+        frame.seen.add(number)
         frame.size_bytes += part.size_bytes

@@ -1,5 +1,7 @@
 """One opening of a link: the handshake with the board, its clock, its frames, and the timers that keep it going."""
 
+from itertools import groupby
+
 from firmware_protocol.host import Described, Frame, FramePart, HostEvent, HostSession, Located, Pong, Rebooted, Started
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
@@ -92,15 +94,14 @@ class Connection:
             The board is not what it was: it must be asked anew.
         """
         self._now = now
-        frames: list[Frame] = []  # that came one after the other
-        for event in self._session.receive(data):
-            if isinstance(event, Frame):
-                frames.append(event)
+        for kind, events in groupby(self._session.receive(data), type):
+            if kind is Frame:
+                self._take_frames([event for event in events if isinstance(event, Frame)])
+            elif kind is FramePart:
+                self._take_parts([event for event in events if isinstance(event, FramePart)])
             else:
-                self._take_frames(frames)
-                frames = []
-                self._handle(event)
-        self._take_frames(frames)
+                for event in events:
+                    self._handle(event)
 
     def data_to_send(self) -> bytes:
         """Return and clear the bytes that the board must get, at once."""
@@ -250,9 +251,6 @@ class Connection:
 
     def _handle(self, event: HostEvent) -> None:
         match event:
-            case FramePart():
-                if self.clock is not None and self.described is not None:
-                    self._frames_came(self._intake.take_part(event, self.clock, self.described.boot_id, self._now))
             case Pong():
                 if self._session.state is HostState.RUNNING:  # else a request of the handshake may be lost all the same
                     self._next_ask_ns = self._now.monotonic_ns + _ASK_AGAIN_NS
@@ -288,6 +286,14 @@ class Connection:
             start += 1
         if start < len(frames):
             self._frames_came(self._intake.take_frames(frames[start:], self.clock, boot_id, self._now))
+
+    def _take_parts(self, parts: list[FramePart]) -> None:
+        if self.clock is None or self.described is None:
+            return
+        for frame in self._intake.assemble(parts):
+            taken = self._intake.take_assembled(frame, self.clock.scale, self.described.boot_id, self._now)
+            if taken is not None:
+                self._frames_came([taken])
 
     def _flush_intake(self) -> None:
         if self.clock is not None and self.described is not None:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.acquisition.account import FrameLoss
+from resonator_daemon.acquisition.assembly import Tones, known_tones
 from resonator_daemon.acquisition.clock import Instant, TickScale
 
 _SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
-_CHANNELISED_BYTES = 1400  # beside its arrays
+_CHANNELISED_BYTES = 1400  # beside its records
 
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: a thousand a second
@@ -40,22 +41,35 @@ class SingleToneFrame:
         return _SINGLE_TONE_BYTES
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ChannelisedFrame:
-    """One gate of a channelised counter: arrays (4, tones) in the wire's units; `known` tells what arrived."""
+    """One gate of a channelised counter; all arrays are (4, tones), in the wire's units."""
 
     index: int
     board_ticks: int  # at the end of the gate
     gate_middle: Instant
-    phase_turn32: NDArray[np.int32]
-    offset_hz16: NDArray[np.int32]
-    sigma_code: NDArray[np.uint8]
-    known: NDArray[np.bool_]
+    tones: Tones
+
+    @property
+    def phase_turn32(self) -> NDArray[np.int32]:
+        return self.tones["phase_turn32"]
+
+    @property
+    def offset_hz16(self) -> NDArray[np.int32]:
+        return self.tones["offset_hz16"]
+
+    @property
+    def sigma_code(self) -> NDArray[np.uint8]:
+        return self.tones["sigma_code"]
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which tones arrived with a usable frequency."""
+        return known_tones(self.tones)
 
     @property
     def memory_bytes(self) -> int:
-        arrays = (self.phase_turn32, self.offset_hz16, self.sigma_code, self.known)
-        return _CHANNELISED_BYTES + sum(array.nbytes for array in arrays)
+        return _CHANNELISED_BYTES + self.tones.nbytes
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,30 +84,38 @@ class FrameIntake:
             start = end
         return begun
 
-    def take_part(
-        self, part: FramePart, clock: BoardClock, boot_id: int, now: HostTime
-    ) -> list[tuple[Accepted, Instant]]:
-        """Take a part of a channelised frame; return which frames are complete now, with the middle of their gates.
+    def assemble(self, parts: Sequence[FramePart]) -> list[AssembledFrame]:
+        """Put parts of channelised frames together; return the frames that are over."""
+        if self._single_tone:
+            self._account.messages_malformed += len(parts)
+            return []
+        return [frame for part in parts for frame in self._assembler.add(part)]
+
+    def take_assembled(
+        self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
+    ) -> tuple[Accepted, Instant] | None:
+        """Take a channelised frame; return its number and the middle of its gate, None where it cannot be.
 
         Raises
         ------
         BoardRefusedError, LinkLostError
             As of `take_frames`.
         """
-        if self._single_tone:
-            self._account.messages_malformed += 1
-            return []
-        scale = clock.scale
-        return [
-            taken for frame in self._assembler.add(part) if (taken := self._put(frame, scale, boot_id, now)) is not None
-        ]
+        taken = self._accept(frame, scale, boot_id, now)
+        if taken is None:
+            return None
+        accepted, middle = taken
+        self._account.parts_lost += frame.parts - frame.parts_seen
+        self._account.frames_incomplete += frame.parts_seen < frame.parts
+        self._ring.put_frames([ChannelisedFrame(accepted.index, frame.board_ticks, middle, frame.tones)])
+        return taken
 
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
         """Take the frame that has begun as it is: no more of it will come. Raises nothing."""
         taken = []
         for frame in self._assembler.flush():
             try:
-                taken.append(self._put(frame, clock.scale, boot_id, now))
+                taken.append(self.take_assembled(frame, clock.scale, boot_id, now))
             except (BoardRefusedError, LinkLostError):  # its connection, or its boot, is over anyway
                 self._account.messages_malformed += 1
         return [one for one in taken if one is not None]
@@ -159,30 +167,6 @@ class FrameIntake:
             boot.lost += gap.loss
             self._ring.put(gap)
         return accepted, middle
-
-    def _put(
-        self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
-    ) -> tuple[Accepted, Instant] | None:
-        taken = self._accept(frame, scale, boot_id, now)
-        if taken is None:
-            return None
-        accepted, middle = taken
-        self._account.parts_lost += frame.parts - frame.parts_seen
-        self._account.frames_incomplete += frame.parts_seen < frame.parts
-        self._ring.put_frames(
-            [
-                ChannelisedFrame(
-                    accepted.index,
-                    frame.board_ticks,
-                    middle,
-                    frame.phase_turn32,
-                    frame.offset_hz16,
-                    frame.sigma_code,
-                    frame.known,
-                )
-            ]
-        )
-        return taken
 
     def _number(self, frame: Frame | AssembledFrame, boot_id: int, middle: Instant) -> Accepted | None:
         try:

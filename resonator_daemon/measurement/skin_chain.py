@@ -13,7 +13,7 @@ from resonator_daemon.measurement.skin_tones import TONES_MIN, ToneArray
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 COMMON_MODE_NOISE: Final = 1e-9  # of one frame, relative: the median of a thousand tones
-SIGMA_HZ: Final[FloatArray] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
+VARIANCE_HZ2: Final[FloatArray] = np.exp2((np.arange(256) - 128) / 8) ** 2  # by sigma_code
 
 
 class SkinChain:
@@ -32,6 +32,7 @@ class SkinChain:
     ) -> None:
         """Take a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
         self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
+        self._offset_hz, self._variance_hz2 = (np.empty((4, len(f0_hz))) for _ in range(2))
         self._gate_s = gate_s
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
 
@@ -51,13 +52,15 @@ class SkinChain:
         shape = (4, self._tones.tones)
         if offset_hz16.shape != shape or sigma_code.shape != shape or known.shape != shape:
             raise ValueError(f"shapes {offset_hz16.shape}, {sigma_code.shape} and {known.shape} must be {shape}")
-        shifts = self._tones.shifts(offset_hz16.astype(np.float64) * 2.0**-16, SIGMA_HZ[sigma_code], known)
+        np.multiply(offset_hz16, 2.0**-16, out=self._offset_hz)
+        np.take(VARIANCE_HZ2, sigma_code, out=self._variance_hz2, mode="clip")  # other modes copy first
+        shifts = self._tones.shifts(self._offset_hz, self._variance_hz2, known)
         untouched = self._tones.untouched_common_mode(shifts)
         self._common_mode.update([math.nan if untouched is None else untouched], self._gate_s)
         (common_mode,) = self._common_mode.value
         # Without a common mode every signal is NaN, like the common mode itself.
         signals, noise_std = self._tones.signals(shifts, common_mode)
-        status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.weight.any(axis=0))))
+        status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.information)))
         return SkinReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
 
     def _status(self, untouched: bool, heard: int) -> tuple[SensorStatus, str]:

@@ -16,10 +16,14 @@ RESIDUAL_CLIP: Final = 25.0  # so that a few bad tones do not pass for a touch
 
 
 class Shifts(NamedTuple):
-    """Relative shift 1 - f0/f of every tone on every channel, (4, t), and its inverse variance, 0 where not known."""
+    """Relative shift 1 - f0/f of every tone on every channel, (4, t), and its inverse variance, 0 where not known.
+
+    `information` (t,) is the inverse variance of each tone, its corners combined. The next frame overwrites all three.
+    """
 
     shift: FloatArray
     weight: FloatArray
+    information: FloatArray
 
 
 class ToneArray:
@@ -73,11 +77,19 @@ class ToneArray:
         unit = np.where(signal_index == 0, 2.0 * youngs_modulus_pascal / 3.0, 1.0)
         self._sensitivity = np.ascontiguousarray(sensitivity.T) * unit
         self._sensitivity_squared = self._sensitivity**2
+        # The same memory for every frame: fresh arrays of 100 kB each would have to come into the cache.
+        self._shift, self._weight, self._product = (np.empty((4, tones)) for _ in range(3))
 
-    def shifts(self, offset_hz: FloatArray, sigma_hz: FloatArray, known: NDArray[np.bool_]) -> Shifts:
-        """Shift of each tone from its offset against the board's oscillator; all (4, t)."""
-        shift = (offset_hz + self._detuning_hz) / (offset_hz + self._oscillator_hz)
-        return Shifts(shift, np.where(known, self._f0_squared / sigma_hz**2, 0.0))
+    def shifts(self, offset_hz: FloatArray, variance_hz2: FloatArray, known: NDArray[np.bool_]) -> Shifts:
+        """Shift of each tone from its offset against the board's oscillator and that offset's variance; all (4, t)."""
+        shift, weight, frequency_hz = self._shift, self._weight, self._product
+        np.add(offset_hz, self._detuning_hz, out=shift)
+        np.add(offset_hz, self._oscillator_hz, out=frequency_hz)
+        np.divide(shift, frequency_hz, out=shift)
+        np.divide(self._f0_squared, variance_hz2, out=weight)
+        if not known.all():
+            weight[~known] = 0.0
+        return Shifts(shift, weight, weight.sum(axis=0))
 
     def untouched_common_mode(self, shifts: Shifts) -> float | None:
         """Relative frequency error g common to all tones, or None where the plate may be touched.
@@ -86,15 +98,21 @@ class ToneArray:
         more than its noise: mean of the squares, each clipped, within six standard deviations of a chi-square's. A
         touch that moves most tones alike and the others not at all is told; one that moves all tones alike is not.
         """
-        weight = shifts.weight.sum(axis=0)
-        heard = np.flatnonzero(weight)
-        if len(heard) < TONES_MIN:
+        weight = shifts.information
+        shift = np.multiply(shifts.weight, shifts.shift, out=self._product).sum(axis=0)
+        if not weight.all():
+            heard = np.flatnonzero(weight)
+            weight, shift = weight[heard], shift[heard]
+        tones = len(weight)
+        if tones < TONES_MIN:
             return None
-        weight = weight[heard]
-        shift = (shifts.weight * shifts.shift).sum(axis=0)[heard] / weight
-        middle = float(np.median(shift))
-        spread = float(np.minimum(weight * (shift - middle) ** 2, RESIDUAL_CLIP).mean())
-        if spread > NOISE_TOLERANCE + UNTOUCHED_SIGMAS * math.sqrt(2.0 / len(heard)):
+        shift /= weight
+        middle = _median(shift)
+        shift -= middle
+        shift *= shift
+        shift *= weight
+        spread = float(np.minimum(shift, RESIDUAL_CLIP, out=shift).mean())
+        if spread > NOISE_TOLERANCE + UNTOUCHED_SIGMAS * math.sqrt(2.0 / tones):
             return None
         return middle / (1.0 - middle)
 
@@ -104,12 +122,24 @@ class ToneArray:
         Each corner's shift, freed of the common mode and divided by its signed sensitivity, weighs by its inverse
         variance. NaN where no corner is known or the plate has no such tone.
         """
-        weighted = shifts.weight * self._sensitivity
+        product = self._product
+        common = np.multiply(shifts.weight, self._sensitivity, out=product).sum(axis=0)
         # f over (1 + g) shifts by (1 + g) y - g.
-        total = (1.0 + common_mode) * (weighted * shifts.shift).sum(axis=0) - common_mode * weighted.sum(axis=0)
-        information = (shifts.weight * self._sensitivity_squared).sum(axis=0)
-        heard = np.flatnonzero(information)
+        total = (1.0 + common_mode) * np.multiply(product, shifts.shift, out=product).sum(axis=0) - common_mode * common
+        information = np.multiply(shifts.weight, self._sensitivity_squared, out=product).sum(axis=0)
+        slot = self._slot
+        if not information.all():
+            heard = np.flatnonzero(information)
+            slot, total, information = slot[heard], total[heard], information[heard]
         signals, noise_std = np.full(self.shape, np.nan), np.full(self.shape, np.nan)
-        signals.ravel()[self._slot[heard]] = total[heard] / information[heard]
-        noise_std.ravel()[self._slot[heard]] = 1.0 / np.sqrt(information[heard])
+        signals.ravel()[slot] = total / information
+        noise_std.ravel()[slot] = 1.0 / np.sqrt(information)
         return signals, noise_std
+
+
+def _median(values: FloatArray) -> float:
+    """Return the median of finite values."""
+    upper = len(values) // 2
+    lower = upper if len(values) % 2 else upper - 1
+    ordered = np.partition(values, (lower, upper))
+    return float(ordered[lower] + ordered[upper]) / 2.0

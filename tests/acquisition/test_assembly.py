@@ -4,7 +4,7 @@ import numpy as np
 
 from firmware_protocol.host import FramePart
 from firmware_protocol.layouts import TONE_STRUCT, Block, BlockEncoding, ToneFlag
-from resonator_daemon.acquisition.assembly import FrameAssembler
+from resonator_daemon.acquisition.assembly import FrameAssembler, known_tones
 
 TONES = 6
 
@@ -27,10 +27,10 @@ def test_a_complete_frame() -> None:
     frames = [frame for one in all_parts(7) for frame in assembler.add(one)]
     (frame,) = frames
     channel, tone = np.mgrid[:4, :TONES]
-    np.testing.assert_array_equal(frame.offset_hz16, 1000 * channel - tone)
-    np.testing.assert_array_equal(frame.phase_turn32, 7 * tone)
-    np.testing.assert_array_equal(frame.sigma_code, 100 + tone)
-    assert frame.known.all()
+    np.testing.assert_array_equal(frame.tones["offset_hz16"], 1000 * channel - tone)
+    np.testing.assert_array_equal(frame.tones["phase_turn32"], 7 * tone)
+    np.testing.assert_array_equal(frame.tones["sigma_code"], 100 + tone)
+    assert known_tones(frame.tones).all()
     assert (frame.sequence, frame.board_ticks, frame.parts, frame.parts_seen) == (7, 70, 8, 8)
     assert frame.size_bytes == 8 * 72
 
@@ -45,7 +45,7 @@ def test_a_lost_part_leaves_its_tones_unknown_and_keeps_the_frame() -> None:
     assert rest == []
     expected = np.ones((4, TONES), bool)
     expected[1, 3:] = False
-    np.testing.assert_array_equal(first.known, expected)
+    np.testing.assert_array_equal(known_tones(first.tones), expected)
     assert (first.parts_seen, first.parts) == (7, 8)
 
 
@@ -54,7 +54,7 @@ def test_the_last_part_lost_before_a_lost_link() -> None:
     for one in all_parts(1)[:-1]:
         assembler.add(one)
     (frame,) = assembler.flush()
-    assert not frame.known[3, 3:].any()
+    assert not known_tones(frame.tones)[3, 3:].any()
     assert assembler.flush() == []
 
 
@@ -63,7 +63,7 @@ def test_flagged_tones_are_unknown() -> None:
     for flag in ToneFlag:
         assembler.add(part(flag, 0, 0, flags=flag))
         (frame,) = assembler.flush()
-        assert not frame.known.any()
+        assert not known_tones(frame.tones).any()
 
 
 def test_parts_beyond_the_plate_are_counted() -> None:
@@ -71,7 +71,7 @@ def test_parts_beyond_the_plate_are_counted() -> None:
     assembler.add(part(1, 0, 0, first=4))
     assert assembler.misfits == 1
     (frame,) = assembler.flush()
-    assert not frame.known.any()
+    assert not known_tones(frame.tones).any()
 
 
 def test_a_repeated_part_does_not_complete_a_frame() -> None:

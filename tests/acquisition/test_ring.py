@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.acquisition.account import FrameLoss
+from resonator_daemon.acquisition.assembly import TONE
 from resonator_daemon.acquisition.clock import Instant, Line, TickScale
 from resonator_daemon.acquisition.frames import BoardSays, ChannelisedFrame, Gap, SingleToneFrame
 from resonator_daemon.acquisition.ring import Ring
@@ -86,15 +87,12 @@ def fresh_single_tone(index: int) -> SingleToneFrame:
 
 
 def fresh_channelised(index: int) -> ChannelisedFrame:
-    big, shape = 2**40 + index, (4, 300)
+    big = 2**40 + index
     return ChannelisedFrame(
         2**30 + index,
         big,
         Instant(big + 1, 2**31 + index, big + 2),
-        np.zeros(shape, np.int32),
-        np.zeros(shape, np.int32),
-        np.zeros(shape, np.uint8),
-        np.zeros(shape, np.bool_),
+        np.zeros((4, 300), TONE),
     )
 
 

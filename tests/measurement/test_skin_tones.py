@@ -3,7 +3,7 @@ import pytest
 from small_skin import SITES, TONES, Comb, dimensionless, some_signals
 
 ALL = np.ones((4, TONES), dtype=bool)
-EVEN = np.full((4, TONES), 0.03)
+EVEN = np.full((4, TONES), 0.03**2)
 
 
 @pytest.mark.parametrize("common_mode", [0.0, 3e-5, -4e-5])
@@ -20,13 +20,13 @@ def test_stated_noise_is_the_spread_and_no_corner_alone_does_better():
     offset = comb.offset_hz(some_signals())
     draws = []
     for _ in range(400):
-        shifts = array.shifts(offset + sigma * rng.normal(size=sigma.shape), sigma, ALL)
+        shifts = array.shifts(offset + sigma * rng.normal(size=sigma.shape), sigma**2, ALL)
         signals, noise_std = array.signals(shifts, 0.0)
         draws.append(signals)
     assert np.mean(np.std(draws, axis=0) / noise_std) == pytest.approx(1.0, abs=0.01)
     one = np.zeros((4, TONES), dtype=bool)
     one[0] = True
-    assert (array.signals(array.shifts(offset, sigma, one), 0.0)[1] > noise_std).all()
+    assert (array.signals(array.shifts(offset, sigma**2, one), 0.0)[1] > noise_std).all()
 
 
 def test_corners_that_are_not_known_are_left_out_and_tones_without_any_are_nan():
