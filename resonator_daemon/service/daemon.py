@@ -292,29 +292,33 @@ class Service:
         return self._course.reporter.daemon_state(standing, now_ns)
 
     def _consume(self) -> None:
-        """Do what follows from what has arrived; where it is much, messages and signals have their turn in between."""
-        if not self._arrivals:  # else it goes on by itself
-            self._go_on()
+        """Handle what has arrived, in parts, between which the event loop serves messages and signals."""
+        if not self._arrivals:  # else the next part is scheduled already
+            self._handle_next()
 
-    def _go_on(self) -> None:
-        if not self._arrivals:
-            self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
+    def _handle_next(self) -> None:
         try:
             with self._outlet.together():
-                self._handle_some()
+                finished = self._handle_part()
         except Exception as error:  # noqa: BLE001 - `run` raises it
             if not self._over.done():
                 self._over.set_exception(error)
         else:
-            if self._arrivals and not self._over.done():
-                self._loop.call_soon(self._go_on)
+            if not (finished or self._over.done()):
+                self._loop.call_soon(self._handle_next)
 
-    def _handle_some(self) -> None:
+    def _handle_part(self) -> bool:
+        """Handle up to 50 arrivals; return whether none was left."""
         handled = 0
-        while self._arrivals and handled < _TOGETHER and not self._over.done():
+        while handled < _TOGETHER and not self._over.done():
+            if not self._arrivals:  # also after the last one: `_consume` ignores what comes while others are handled
+                self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
+                if not self._arrivals:
+                    return True
             arrival = self._arrivals.popleft()
             self._handle(arrival)
             handled += len(arrival) if isinstance(arrival, list) else 1
+        return False
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""

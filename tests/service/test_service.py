@@ -3,17 +3,22 @@
 import asyncio
 import threading
 import time
+from collections.abc import Callable
 from itertools import pairwise
+from logging import INFO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
+from decoder_bench import until
 from observer import observe
 from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
+from resonator_daemon.acquisition.board import BoardReader
+from resonator_daemon.acquisition.frames import Arrival, BoardSays
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError
 from resonator_daemon.service.daemon import Service
 from simulators.faults import parse_faults
@@ -296,6 +301,35 @@ async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
             turns += time.monotonic() < give_up_s
     assert turns == 10
     assert time.monotonic() < give_up_s
+
+
+class BusyReader(BoardReader):
+    """A reader without a thread: more arrivals than are handled in one part, and one that comes meanwhile."""
+
+    def __init__(self, target: Any, plate: Any, wake: Callable[[], None], **options: Any) -> None:
+        super().__init__(target, plate, wake, **options)
+        self._wake_consumer = wake
+        self._batches: list[list[Arrival]] = [[BoardSays(INFO, str(number)) for number in range(60)]]
+
+    def start(self) -> None:
+        self._wake_consumer()
+
+    def take(self) -> list[Arrival]:
+        batch = self._batches.pop() if self._batches else []
+        if len(batch) > 1:
+            self._batches.append([BoardSays(INFO, "meanwhile")])
+            self._wake_consumer()
+        return batch
+
+
+async def test_what_arrives_while_others_are_handled_needs_no_later_arrival(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(INFO)
+    monkeypatch.setattr("resonator_daemon.service.daemon.BoardReader", BusyReader)
+    async with bench.running(bench.service(link="tcp://127.0.0.1:1")):
+        await until(lambda: "board: meanwhile" in caplog.messages)
+    assert [text for text in caplog.messages if text.startswith("board: ")][-2:] == ["board: 59", "board: meanwhile"]
 
 
 async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
