@@ -83,6 +83,7 @@ class CombChain:
                 for share_error in (SHARE_ERROR, UNLAWFUL_SHARE_ERROR)
             )
             reach_m = REACH_PITCHES * _pitch_m(sites.positions_m)
+        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._reach_m = reach_m
         self._told_m: list[tuple[float, float]] = []  # places of the touches of the last reading
@@ -198,7 +199,7 @@ class CombChain:
         if self._drifted is not None:
             drift = self._follow(shifts, before, forces, load, pressed, elapsed_s)
         if self._spread is None:
-            positions_m, covariance_m2 = self._sites.positions_m, self._covariance_m2
+            positions_m, covariance_m2 = self._positions_m, self._covariance_m2
             touches = [
                 touch_of(self._site_force(forces, site), positions_m[site], covariance_m2[site])
                 for site in np.flatnonzero(drift.in_contact)

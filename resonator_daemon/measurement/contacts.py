@@ -29,12 +29,11 @@ class Touch:
     at_least_newton: float | None = None
 
 
-def touch_of(force: SiteForce, position_m: FloatArray, covariance_m2: FloatArray) -> Touch:
-    """Return the touch of a site that is touched by itself: its place (2,) is the site's."""
-    x, y = position_m.tolist()
+def touch_of(force: SiteForce, position_m: tuple[float, float], covariance_m2: FloatArray) -> Touch:
+    """Return the touch of a site that is touched by itself: its place is the site's."""
     return Touch(
         force.site,
-        (x, y),
+        position_m,
         covariance_m2,
         force.force_newton,
         force.noise_newton,

@@ -71,11 +71,14 @@ def excess_bound_of_one(interval_ticks: float, jitter_ticks: float, stamps: int)
         return float(excess_bound(interval_ticks, jitter_ticks, stamps))
     jitter_ticks2 = jitter_ticks * jitter_ticks
     steepest, slowest = stamps * stamps - 1.0, WORST_TURN / stamps
+    scale = 3.0 / (stamps * steepest)
     excess_ticks2 = 0.0
     for harmonic, line_ticks2, damping in _FEW_LINES[: 1 + int(HARMONICS_REACH / jitter_ticks)]:
         turns = harmonic * interval_ticks
-        sine2 = math.sin(math.pi * max(abs(turns - round(turns)), slowest)) ** 2
-        gain = (1.0 / sine2 + steepest) / sine2 * (3.0 / (stamps * steepest))
+        off = abs(turns - round(turns))
+        sine = math.sin(math.pi * (off if off > slowest else slowest))
+        sine2 = sine * sine
+        gain = (1.0 / sine2 + steepest) / sine2 * scale
         excess_ticks2 += line_ticks2 * math.exp(damping * jitter_ticks2) * (gain - 1.0)
     return excess_ticks2 / (jitter_ticks2 + QUANTISATION_TICKS2)
 
@@ -95,13 +98,18 @@ def stamp_jitter_ticks(sums: Sums) -> float:
     """
     count = sums.second_differences
     least_ticks2 = sums.q2_ticks2 / (6 * count) * max(1.0 - Q2_SIGMAS * math.sqrt(140.0 / 36.0 / count), 0.0)
-    part = sums.span_ticks % (sums.stamps - 1) / (sums.stamps - 1)
-    surplus_ticks2 = max(min(part, 1.0 - part) / 3.0 - QUANTISATION_TICKS2, 0.0)
     surely_ticks2 = least_ticks2 - QUANTISATION_TICKS2
+    if surely_ticks2 <= 0.0:
+        return 0.0
+    part = sums.span_ticks % (sums.stamps - 1) / (sums.stamps - 1)
+    surplus_ticks2 = (part if part < 0.5 else 1.0 - part) / 3.0 - QUANTISATION_TICKS2
+    if surplus_ticks2 <= 0.0:
+        return math.sqrt(surely_ticks2)
     jitter_ticks2 = 0.0
     for _ in range(JITTER_STEPS):
         before_ticks2 = jitter_ticks2
-        jitter_ticks2 = max(surely_ticks2 - surplus_ticks2 * math.exp(_FIRST_LINE_DAMPING * jitter_ticks2), 0.0)
+        explained_ticks2 = surely_ticks2 - surplus_ticks2 * math.exp(_FIRST_LINE_DAMPING * jitter_ticks2)
+        jitter_ticks2 = explained_ticks2 if explained_ticks2 > 0.0 else 0.0
         if jitter_ticks2 == before_ticks2:
             break
     return math.sqrt(jitter_ticks2)

@@ -75,15 +75,17 @@ class SingleToneChain:
         self._apart_hz: list[float] = (apart_hz - shifted_hz).tolist()
         self._latch = OverloadLatch()
         self._errors = SiteErrors(sites)
+        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
+        self._unheard = (math.nan,) * channels
         self._pilot_attenuation_db = [math.nan] * channels
         self._told_sites: set[int] = set()  # by the last reading
         self._quiet = [0] * channels
         self._crowded = self._quiet  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
-        self._pilot: tuple[float, ...] = (math.nan,) * channels  # g by the pilot in the last reading
+        self._pilot: tuple[float, ...] = self._unheard  # g by the pilot in the last reading
         self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
         self._measure_over(window_frames, step_frames)
 
@@ -100,7 +102,7 @@ class SingleToneChain:
         self._latch.release()
         self._crowded = self._quiet
         self._last = self._evaluated_ticks = None
-        self._pilot = (math.nan,) * self._windows.channels
+        self._pilot = self._unheard
         return events
 
     def tare(self) -> str:
@@ -220,8 +222,9 @@ class SingleToneChain:
 
     def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
         frames, heard_hz = window.frames, window.frequency_hz
-        off = [f / self._pilot_hz - 1 for f in heard_hz]
-        pilot = tuple([g if abs(g) < PILOT_TOLERANCE else math.nan for g in off])
+        pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
+        off = [f / pilot_hz - 1 for f in heard_hz]
+        pilot = tuple([g if -tolerance < g < tolerance else unknown for g in off])
         silent, others = sum(map(math.isnan, heard_hz)), sum(map(math.isnan, pilot))
         pilots, tones = len(pilot) - others, others - silent
         untouched = tones == 0 and pilots >= 2
@@ -237,7 +240,7 @@ class SingleToneChain:
         elif tones and not self._common_mode.known:
             status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
         elif tones >= 2:
-            counts = self._counted(window, pilot)
+            counts = self._counted(window, heard_hz, pilot)
             beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
             match = self._latch.apply(self._match(counts, frames))
             status, reason, forces = match.status, match.reason, match.forces
@@ -248,10 +251,12 @@ class SingleToneChain:
         else:
             status, reason = self._silent(tones, pilots, window)
 
-        time_s = board_ticks / self._reference_hz
-        forces = tuple([self._complete(force, time_s, status) for force in forces])
-        positions_m, covariance_m2 = self._sites.positions_m, self._covariance_m2
-        touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
+        touches: list[Touch] = []
+        if forces:
+            time_s = board_ticks / self._reference_hz
+            forces = tuple([self._complete(force, time_s, status) for force in forces])
+            positions_m, covariance_m2 = self._positions_m, self._covariance_m2
+            touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
         touches = self._confirmed(touches, frames)
         unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
         events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
@@ -275,19 +280,20 @@ class SingleToneChain:
         self._evaluated_ticks = board_ticks
         elapsed_s = max(board_ticks - before, 0) / self._reference_hz
         # Channels without a signal stay out of it: a touch would have taken the pilot's place on the others, too.
-        self._common_mode.update(pilot if untouched else (math.nan,) * len(pilot), elapsed_s)
+        self._common_mode.update(pilot if untouched else self._unheard, elapsed_s)
         self._pilot = pilot
         if untouched:
             self._latch.release()
             self._errors.silence(board_ticks / self._reference_hz)
-            for channel, g in enumerate(pilot):
-                if not math.isnan(g):
-                    self._pilot_attenuation_db[channel] = window.attenuation_db[channel]
+            self._pilot_attenuation_db = [
+                before if math.isnan(g) else now
+                for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
+            ]
 
-    def _counted(self, window: "_Window", pilot: Sequence[float]) -> list[ToneCount]:
+    def _counted(self, window: "_Window", heard_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
         """Tell what the channels that hear another tone than the pilot count, and how well."""
         counts = [UNHEARD] * len(pilot)
-        attenuation_db, heard_hz = window.attenuation_db, window.frequency_hz
+        attenuation_db = window.attenuation_db
         gate_hz, residual_ticks2 = window.gates
         for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
             if sums is not None and math.isnan(g):
@@ -335,8 +341,10 @@ class SingleToneChain:
         While a tone takes over a corner, a window of two gates may say anything.
         """
         before, self._told_sites = self._told_sites, {touch.site for touch in touches}
+        if frames > self._onset_frames:
+            return touches
         known = before | {contact.touch.site for contact in self._tracker.contacts}
-        return touches if frames > self._onset_frames else [touch for touch in touches if touch.site in known]
+        return [touch for touch in touches if touch.site in known]
 
     def _compensation(self, *, untouched: bool) -> Compensation:
         common_mode = self._common_mode

@@ -60,6 +60,7 @@ class SiteErrors:
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
         self._since_s = np.full(count, math.nan)
         self._silent = np.zeros(count, dtype=bool)
+        self._all_silent = False
         self._unproven = np.zeros(count, dtype=bool)
 
     def rest(self, time_s: float) -> None:
@@ -73,11 +74,11 @@ class SiteErrors:
 
     def silence(self, time_s: float) -> None:
         """Take that nothing presses any site, and none is heard, until they are pressed again."""
-        if self._silent.all():
+        if self._all_silent:
             return
         if self._inverse is not None:
             self._inverse.release(np.flatnonzero(~self._silent), time_s)
-        self._silent[:] = True
+        self._silent[:] = self._all_silent = True
         self._since_s[:] = math.nan
 
     def press(
@@ -102,7 +103,7 @@ class SiteErrors:
         since_s = float(self._since_s[site])
         if math.isnan(since_s):
             self._since_s[site] = since_s = time_s
-        self._silent[site] = False
+        self._silent[site] = self._all_silent = False
         untold = self.untold_newton(force) if self._inverse is None else self._unknown_rest(site, force)
         warmth = self._sites.warmth
         held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
@@ -132,7 +133,7 @@ class SiteErrors:
         sites = np.arange(len(felt_newton))
         since_s = np.where(np.isnan(self._since_s), time_s, self._since_s)
         self._since_s = np.where(touched, since_s, math.nan)
-        self._silent[:] = False
+        self._silent[:] = self._all_silent = False
         force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
         if self._inverse is None:
             untold = self._untold_all(force)
