@@ -12,17 +12,17 @@ _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15  # linux/prctl.h
 
 
 def main() -> None:
-    """Decode until the daemon ends or closes the socket; signals that are for the daemon are ignored."""
+    """Decode until the daemon ends or closes the socket; ignore signals that address the daemon."""
     name, descriptor = sys.argv[1:]
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     libc = ctypes.CDLL(None)
-    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also where a frame never ends; the daemon's end closes the socket
+    libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also ends a frame that never ends; else the closed socket does
     libc.prctl(_PR_SET_NAME, b"resonatord-dec")  # 15 bytes at most
     set_up_logging()
     name_lines(name)
     connection = socket.socket(fileno=int(descriptor))
-    from resonator_daemon.decoder_process.worker import work  # what takes long, when signals are ignored already
+    from resonator_daemon.decoder_process.worker import work  # a slow import: signals are ignored by now
 
     with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the daemon has gone
         work(connection)

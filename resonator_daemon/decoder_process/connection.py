@@ -1,4 +1,4 @@
-"""The daemon's end of the socket to a decoder process: requests out, replies in, on the event loop."""
+"""The daemon's end of the socket to a decoder process: sends requests and receives replies on the event loop."""
 
 import asyncio
 import pickle
@@ -8,7 +8,7 @@ from resonator_daemon.decoder_process.messages import LENGTH, Reply, Request, pa
 
 
 class WorkerConnection(asyncio.Protocol):
-    """Writes requests without waiting, and takes replies apart.
+    """Protocol that writes requests without waiting and splits what it reads into replies.
 
     Parameters
     ----------
@@ -29,11 +29,12 @@ class WorkerConnection(asyncio.Protocol):
             self._transport = transport
 
     def send(self, request: Request) -> None:
+        """Write a request; ignored after `close`."""
         if self._transport is not None:
             self._transport.write(packed(request))
 
     def close(self) -> None:
-        """Close the connection at once; no reply comes any more."""
+        """Close the connection at once; neither `on_reply` nor `on_lost` is called any more."""
         if self._transport is not None:
             self._transport.abort()
             self._transport = None

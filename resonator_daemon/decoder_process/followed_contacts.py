@@ -1,4 +1,4 @@
-"""Contacts that a decoder process follows, as its messages show them, so that they can be released if it dies."""
+"""Contacts of a decoder process, as its messages show them, so that the daemon can release them when it ends."""
 
 from collections.abc import Iterator
 
@@ -25,7 +25,7 @@ class FollowedContacts:
         return bool(self._last_event)
 
     def add_event(self, event: ContactEvent) -> None:
-        """Follow the contact of an onset; forget that of a release."""
+        """Add the contact of an onset, remove that of a release."""
         contact = event.contact.id
         self.last_id = max(self.last_id, contact)
         if event.event == "release":
@@ -34,11 +34,11 @@ class FollowedContacts:
             self._last_event[contact] = event
 
     def add_contacts(self, payload: bytes) -> None:
-        """Keep the last message of `contacts`: it has the present state of most contacts."""
+        """Store the last message of `contacts`: it has the present state of most contacts."""
         self._last_contacts = payload
 
     def release(self, header: MeasuredFields, reason: str) -> Iterator[ContactEvent]:
-        """Return the release of each contact, with its last state; events are still to be numbered."""
+        """Yield the release of each contact with its last state, and remove them all; `seq` is that of the header."""
         last = decode(Contacts, self._last_contacts).contacts if self._last_contacts else ()
         latest = {contact.id: contact.model_dump() for contact in last}
         ended, self._last_event, self._last_contacts = self._last_event, {}, b""

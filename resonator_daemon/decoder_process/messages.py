@@ -1,4 +1,4 @@
-"""Messages between a daemon and its decoder process, and their form on the socket: pickled, after their length."""
+"""Messages between a daemon and its decoder process; on the socket each is pickled, after its length."""
 
 import pickle
 import struct
@@ -11,7 +11,7 @@ from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSetti
 
 Outcome = Literal["ready", "decoded", "too_old", "no_noise"]
 
-LENGTH: Final = struct.Struct("<I")
+LENGTH: Final = struct.Struct("<I")  # bytes
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Work:
 
 @dataclass(frozen=True)
 class EndContacts:
-    """Contacts are to be released; `header` is that of the message on `contacts`, None where there are no contacts."""
+    """Request to release all contacts; `header` is that of the message on `contacts`, None if there are no contacts."""
 
     header: MeasuredFields | None
     reason: str
@@ -41,7 +41,7 @@ class Published:
 
 @dataclass(frozen=True)
 class Results:
-    """What a request led to; the last ones of a request have its outcome."""
+    """Messages that follow from a request; the last `Results` of a request have its outcome."""
 
     messages: tuple[Published | ContactEvent, ...]
     outcome: Outcome | None
@@ -49,14 +49,14 @@ class Results:
 
 @dataclass(frozen=True)
 class SetUpStep:
-    """A step of a set-up that begins; "" where the set-up is done."""
+    """A step of a set-up begins; "" when the set-up is done."""
 
     step: str
 
 
 @dataclass(frozen=True)
 class Undecodable:
-    """The sites cannot be decoded, for a reason; the process ends."""
+    """The sites cannot be decoded, for the given reason; the process ends."""
 
     reason: str
 
@@ -66,6 +66,6 @@ Reply = Results | SetUpStep | Undecodable
 
 
 def packed(message: Request | Reply) -> bytes:
-    """Return a message as it goes over the socket."""
+    """Return a message in its form on the socket."""
     content = pickle.dumps(message, protocol=5)
     return LENGTH.pack(len(content)) + content

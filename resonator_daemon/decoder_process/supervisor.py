@@ -1,4 +1,4 @@
-"""Runs a decoder in a process of its own: one frame at a time to it, its messages to the client, restarts it."""
+"""Supervisor of a decoder process: sends it one frame at a time, delivers its messages, restarts it."""
 
 import asyncio
 import contextlib
@@ -26,12 +26,12 @@ from resonator_daemon.publishing.topics import CONTACTS, DECODED, TOPICS
 from resonator_daemon.reporting.surface_decoding import SurfaceClient
 from resonator_daemon.reporting.surface_stream import SurfaceFrame, SurfaceSettings
 
-HUNG_S: Final = 5.0  # for one frame: hundreds of times what it takes
+HUNG_S: Final = 5.0  # without a reply about a frame, which takes some ms
 SET_UP_MAX_S: Final = 600.0  # of a start, or of one step of a set-up
 RESTART_FIRST_S: Final = 0.5
 RESTART_LONGEST_S: Final = 30.0
 WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebuild lasts some 10 ms
-SOUND_S: Final = 60.0  # after which the next restart is as soon as the first
+SOUND_S: Final = 60.0  # of running, after which the back-off starts from the beginning
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
 Skipped = Literal["newer_frame", "too_old", "no_noise", "decoder_ended", "undecodable"]
@@ -45,7 +45,7 @@ log = logging.getLogger(__name__)
 
 
 class DecoderSupervisor(Generic[Origin]):
-    """Has frames decoded by a child process; to be used from the event loop's thread only.
+    """Decoding by a child process; to be used from the event loop's thread only.
 
     At most one frame is with the process; the next ones wait in order. A frame that has waited for more than 30 ms is
     skipped if there is a newer one.
@@ -54,18 +54,20 @@ class DecoderSupervisor(Generic[Origin]):
     Parameters
     ----------
     name
-        Of the plate, shown by `ps`.
+        Name of the plate, an argument of the process and in its log.
     settings
+        Sent to each process that is started.
     client
+        Receives the messages.
 
     Attributes
     ----------
     decoded
-        Frames whose map was delivered.
+        Number of frames whose map was delivered.
     skipped
-        Frames that were not decoded, by cause.
+        Number of frames that were not decoded, by cause.
     restarts
-        By what ended the process before.
+        Number of restarts, by what ended the process before.
     """
 
     def __init__(self, name: str, settings: SurfaceSettings, client: SurfaceClient[Origin]) -> None:
@@ -89,16 +91,17 @@ class DecoderSupervisor(Generic[Origin]):
 
     @property
     def waiting(self) -> int:
-        """Frames that are being decoded, or are next."""
+        """Number of frames that are being decoded, or wait."""
         return (self._present is not None) + len(self._waiting)
 
     @property
     def frames_skipped(self) -> int:
+        """Number of frames that were not decoded."""
         return self.skipped.total()
 
     @property
     def frames_late(self) -> int:
-        """Frames that came to their turn too late, or never."""
+        """Number of frames that were not decoded in time."""
         return self.skipped["newer_frame"] + self.skipped["too_old"] + self.skipped["decoder_ended"]
 
     @property
@@ -107,7 +110,7 @@ class DecoderSupervisor(Generic[Origin]):
         return self._contacts.last_id
 
     def info(self) -> DecoderProcessInfo:
-        """Return how the process fares."""
+        """Return the counters of frames and restarts, and what the process uses."""
         held = self._usage.held() if self._usage is not None else None
         return DecoderProcessInfo(
             pid=self._usage.pid if self._usage is not None else None,
@@ -120,7 +123,7 @@ class DecoderSupervisor(Generic[Origin]):
         )
 
     def offer(self, origin: Origin, frame: SurfaceFrame) -> None:
-        """Have a frame decoded, or skipped when it waits for too long."""
+        """Queue a frame for decoding; it is skipped when it waits for too long."""
         if self._undecodable:
             self.skipped["undecodable"] += 1
             return
@@ -129,12 +132,12 @@ class DecoderSupervisor(Generic[Origin]):
         self._send_next()
 
     def interrupt(self, reason: str) -> None:
-        """Release all contacts, because frames have stopped coming."""
+        """Release all contacts, because frames have stopped arriving."""
         self._interruption = reason
         self._send_next()
 
     def release_contacts(self, reason: str) -> None:
-        """Release the contacts of a process that follows them no longer."""
+        """Release the contacts of a process that has ended, and publish that there are none."""
         if not self._contacts or self._last is None:
             return
         header = self._client.contacts_header(self._last)
@@ -164,7 +167,7 @@ class DecoderSupervisor(Generic[Origin]):
             self._waiting.clear()
 
     async def _run_process(self) -> tuple[Ending | None, str]:
-        """Start a process; return how it ended, None where it cannot decode the sites, with details."""
+        """Run a process to its end; return what ended it, None if it cannot decode the sites, and details."""
         ending = self._ending = asyncio.get_running_loop().create_future()
         process: Process | None = None
         try:
@@ -180,7 +183,7 @@ class DecoderSupervisor(Generic[Origin]):
             self._disconnect()
             if process is not None and process.returncode is None:
                 with contextlib.suppress(ProcessLookupError):
-                    process.kill()  # it holds nothing that is not made again
+                    process.kill()  # it has nothing to save
                 await process.wait()
         return how, f"no result for {HUNG_S:g} s" if how == "hung" else _in_words(process.returncode)
 

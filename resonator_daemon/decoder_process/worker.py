@@ -1,4 +1,4 @@
-"""The decoder process: decodes one frame at a time, encodes what it gives, and follows contacts meanwhile."""
+"""The decoder process: decodes one frame at a time and encodes the messages about it."""
 
 import gc
 import pickle
@@ -27,11 +27,11 @@ from resonator_daemon.reporting.surface_reports import MeasuredFields
 from resonator_daemon.reporting.surface_stream import SurfaceSettings, SurfaceStream
 
 AGE_MAX_NS: Final = 100_000_000  # of a frame that is decoded, since it was offered
-_REST: Final = 2.4  # times as long as a rebuild took: rebuilds take at most 30 % of a core
+_PAUSE: Final = 2.4  # between rebuilds, times as long as one took: rebuilds take at most 30 % of a core
 
 
 def work(connection: socket.socket) -> None:
-    """Decode what comes over a blocking stream socket until the daemon closes it, or the sites cannot be decoded."""
+    """Serve the requests on a blocking stream socket until it is closed, or the sites cannot be decoded."""
     with connection, connection.makefile("rb") as requests:
 
         def receive() -> Request | None:
@@ -54,13 +54,13 @@ def work(connection: socket.socket) -> None:
 
 
 class _Worker:
-    """Serves one request after the other."""
+    """Server of one request after the other."""
 
     def __init__(self, connection: socket.socket, settings: SurfaceSettings) -> None:
         self._connection = connection
         self._stream = SurfaceStream(settings, self._publish, self._report_step)
         self._messages: list[Published | ContactEvent] = []
-        self._rested_ns = 0  # by when the next rebuild may begin
+        self._rebuild_from_ns = 0  # monotonic time from which the next rebuild may begin
         self._reply("ready")
 
     def serve(self, request: Request) -> None:
@@ -68,12 +68,11 @@ class _Worker:
             case Work():
                 self._decode(request)
             case EndContacts():
-                self._stream.end_contacts(lambda: _known(request.header), request.reason)
+                self._stream.end_contacts(lambda: _required(request.header), request.reason)
                 self._reply("ready")
 
     def _decode(self, request: Work) -> None:
-        known = self._stream.prepare(request.frame)
-        if not known:
+        if not self._stream.prepare(request.frame):
             self._reply("no_noise")
         elif time.monotonic_ns() - request.offered_ns > AGE_MAX_NS:
             self._reply("too_old")
@@ -83,25 +82,25 @@ class _Worker:
             self._rebuild()
 
     def _rebuild(self) -> None:
-        """Follow contacts that have moved; a frame that comes meanwhile waits in the socket."""
+        """Update the matrices for contacts that have moved; a frame that arrives meanwhile waits in the socket."""
         began_ns = time.monotonic_ns()
-        if self._stream.rebuild_wanted and began_ns >= self._rested_ns:
+        if self._stream.rebuild_wanted and began_ns >= self._rebuild_from_ns:
             self._stream.rebuild()
             now_ns = time.monotonic_ns()
-            self._rested_ns = now_ns + round(_REST * (now_ns - began_ns))
+            self._rebuild_from_ns = now_ns + round(_PAUSE * (now_ns - began_ns))
 
     def _publish(self, topic: Topic[Any], message: Message) -> None:
         if isinstance(message, ContactEvent):
             self._messages.append(message)
         elif isinstance(message, Header):
             self._messages.append(Published(topic.path, encode(message), message.t_ns))
-            if topic is DECODED:  # on its way before the contacts are read
+            if topic is DECODED:  # the map is sent before the contacts are read
                 self._reply(None)
 
     def _report_step(self, step: str) -> None:
         if not step:
             gc.collect()
-            gc.freeze()  # what was set up stays: a look through all of it would cost milliseconds
+            gc.freeze()  # what was set up stays in use: collections that visit it take milliseconds
         self._send(SetUpStep(step))
 
     def _reply(self, outcome: Outcome | None) -> None:
@@ -112,7 +111,7 @@ class _Worker:
         self._connection.sendall(packed(reply))
 
 
-def _known(header: MeasuredFields | None) -> MeasuredFields:
+def _required(header: MeasuredFields | None) -> MeasuredFields:
     if header is None:
-        raise ValueError("contacts ended that the daemon knows nothing of")
+        raise ValueError("contacts ended of which the daemon has received no event")
     return header

@@ -1,4 +1,4 @@
-"""Streaming decoder: the frames of one skin in the order of time, through changes of noise and failures of frames."""
+"""Streaming decoder of one skin: sets decoders up as the noise changes, and survives frames that fail."""
 
 import logging
 from collections.abc import Callable
@@ -20,19 +20,22 @@ Floats = NDArray[np.float64]
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
 
 _LOGGED_MAX = 20
-_logged: set[str] = set()  # failures that are in the log already
+_logged: set[str] = set()  # failures that were logged
 
 
 class UndecodableError(ValueError):
-    """The sites of a skin cannot be decoded as wanted."""
+    """The sites of a skin cannot be decoded with these options."""
 
 
 class StreamingDecoder:
-    """Decodes frames of one skin in the order of time; sets a decoder up when the noise is known or has changed.
+    """Decoder of the frames of one skin in the order of time; set up when the noise is given or has changed.
 
     Parameters
     ----------
-    skin, wanted
+    skin
+        Sites and half-space.
+    wanted
+        Options of the decoder.
     progress
         Called with each step of a set-up, and with "" at its end.
     last_contact_id
@@ -49,7 +52,7 @@ class StreamingDecoder:
         self._ended: tuple[SkinEvent, ...] = ()  # contacts of a decoder that was replaced
 
     def prepare(self, noise_std: Floats) -> bool:
-        """Set up a decoder for noise (3, n) if there is none; return whether there is one.
+        """Set up a decoder for noise (3, n) if the present one does not fit; return whether there is one.
 
         Raises
         ------
@@ -76,16 +79,16 @@ class StreamingDecoder:
         return True
 
     def decode_map(self, signals: Floats, noise_std: Floats) -> Decoded:
-        """Return the map of a frame, both arrays (3, n), after `prepare`; `read_contacts` is to follow."""
+        """Return the map of a frame of signals (3, n); call `prepare` before and `read_contacts` after."""
         decoder = self._present
         try:
             self._map = decoder.decode_map(signals, noise_std)
-        except Exception as error:  # noqa: BLE001  whatever one frame does, the next one is decoded
+        except Exception as error:  # noqa: BLE001  the next frame is decoded all the same
             self._map = failed(decoder, error)
         return self._map.decoded if isinstance(self._map, SurfaceReading) else self._map
 
     def read_contacts(self) -> SurfaceReading:
-        """Return the whole reading of the frame whose map was decoded last."""
+        """Return map, contacts and events of the frame that `decode_map` decoded last."""
         decoder, surface = self._present, self._map
         if surface is None:
             raise ValueError("no map was decoded")
@@ -98,7 +101,7 @@ class StreamingDecoder:
         return replace(surface, events=ended + surface.events)
 
     def end_contacts(self, reason: str) -> SurfaceReading | None:
-        """End all contacts because frames have stopped coming; return their releases, None where there are none."""
+        """End all contacts because frames have stopped arriving; return their releases, None if there are none."""
         if self._decoder is None:
             return None
         events = self._ended + tuple(replace(event, reason=reason) for event in self._decoder.reset())
@@ -111,7 +114,7 @@ class StreamingDecoder:
         return self._decoder is not None and self._decoder.rebuild_wanted
 
     def rebuild(self) -> None:
-        """Follow a contact that has moved, where `Wanted.background` leaves that to the caller."""
+        """Update matrices for a contact that has moved; `Wanted.background` leaves that to the caller."""
         try:
             self._present.rebuild()
         except Exception:  # until one succeeds, the decoder shows its map without contact physics
@@ -125,26 +128,26 @@ class StreamingDecoder:
 
 
 def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
-    """Build a decoder, or take it from the cache; one of CANNOT_DECODE where that is not possible."""
+    """Build a decoder, or load it from the cache; raises one of CANNOT_DECODE if neither succeeds."""
     try:
         return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
     except CANNOT_DECODE:
         raise
-    except Exception as error:  # whatever a skin from elsewhere is like, others can be decoded
+    except Exception as error:  # a skin from the network may be anything; others can be decoded
         log.exception("decoder could not be set up")
         raise ValueError(f"decoder could not be set up: {error!r}") from error
 
 
 def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
     """Return the reading of a frame whose decoding failed: all contacts end."""
-    if repr(error) not in _logged and len(_logged) < _LOGGED_MAX:  # what one frame does, all that follow may do
+    if repr(error) not in _logged and len(_logged) < _LOGGED_MAX:  # the frames that follow may fail in the same way
         _logged.add(repr(error))
         log.error("frames cannot be decoded", exc_info=error)
     return nothing_decoded(decoder, "rejected", f"decoder failed: {error!r}", decoder.reset())
 
 
 def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
-    """Return a reading without a surface, but with how contacts end."""
+    """Return a reading without a surface, with the events that end its contacts."""
     unknown = np.full((3, *decoder.shape), np.nan)
     decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, status, reason)
     return SurfaceReading(decoder.name, decoded, events=events)

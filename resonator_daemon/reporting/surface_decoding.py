@@ -1,4 +1,4 @@
-"""Decoding of a skin's frames as the pipeline sees it: frames go in, messages come out, at once or later."""
+"""Interface of the decoding of a skin: frames are offered, their messages are delivered at once or later."""
 
 import logging
 from collections.abc import Callable
@@ -19,7 +19,7 @@ TakenOrigin = TypeVar("TakenOrigin", contravariant=True)
 
 
 class SurfaceClient(Protocol[TakenOrigin]):
-    """Whoever has frames decoded; each frame is offered with an origin, by which its messages are attributed to it."""
+    """Receiver of the messages; each frame is offered with an origin, which is given back with its messages."""
 
     def deliver(self, origin: TakenOrigin, topic: Topic[Any], message: Message | Encoded) -> None:
         """Publish a message of a stream."""
@@ -38,36 +38,36 @@ class SurfaceClient(Protocol[TakenOrigin]):
 
 
 class SurfaceDecoding(Protocol[TakenOrigin]):
-    """Decodes the frames of one skin."""
+    """Decoding of the frames of one skin."""
 
     @property
     def frames_skipped(self) -> int:
-        """Frames that were offered and will never be decoded."""
+        """Number of frames that were offered and will never be decoded."""
 
     @property
     def frames_late(self) -> int:
-        """Of those: frames that came to their turn too late, or never, because of the time that decoding takes."""
+        """Number of those that were not decoded in time, because of the time that decoding takes."""
 
     def offer(self, origin: TakenOrigin, frame: SurfaceFrame) -> None:
         """Decode a frame, or skip it; never waits."""
 
     def interrupt(self, reason: str) -> None:
-        """Release all contacts, because frames have stopped coming; never waits."""
+        """Release all contacts, because frames have stopped arriving; never waits."""
 
     async def run(self) -> None:
         """Decode until cancelled, or until it turns out that the sites cannot be decoded."""
 
 
 class SequentialDecoding(Generic[Origin]):
-    """Decodes each frame within `offer`: the same frames give the same messages every time.
+    """Decoding of each frame within `offer`: the same frames give the same messages every time.
 
-    Contact physics prepares its matrices while it decodes. What is being set up is not announced: that depends on what
-    is cached.
+    Contact physics prepares its matrices while it decodes. Steps of the set-up are not announced: they depend on the
+    cache.
 
     Attributes
     ----------
     frames_skipped
-        The noise of a channel was not known, or the sites cannot be decoded.
+        Number of frames that came before the noise of each channel was measured, or whose sites cannot be decoded.
     frames_late
         Always 0.
     """
@@ -98,7 +98,7 @@ class SequentialDecoding(Generic[Origin]):
         self._stream.decode(frame)
 
     def interrupt(self, reason: str) -> None:
-        """Release all contacts, because frames have stopped coming."""
+        """Release all contacts, because frames have stopped arriving."""
         origin = self._origin
         if origin is not None and not self._undecodable:
             self._stream.end_contacts(lambda: self._client.contacts_header(origin), reason)

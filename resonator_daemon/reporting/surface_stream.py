@@ -1,4 +1,4 @@
-"""Frames of a skin to messages about its surface, wherever it is decoded: each frame in turn."""
+"""Frames of a skin to messages about its surface, in whichever process it is decoded."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ Publish = Callable[[Topic[Any], Message], None]
 
 @dataclass(frozen=True)
 class SurfaceSettings:
-    """What the messages about one skin follow from.
+    """Settings from which the messages about one skin follow.
 
     Attributes
     ----------
     skin, wanted
     site_ids
-        (n,).
+        Shape (n,).
     pitch_m
-        Of the grid that the sites form; None where they are scattered.
+        Pitch of the grid that the sites form; None if they are scattered.
     decoder_id
-        In the messages; None for a daemon.
+        Key of the messages; None for a daemon.
     uncertainty
         Whether `decoded` has the traction's standard deviation.
     last_contact_id
-        Numbers of contacts go on from there.
+        Number of the last contact so far; numbers go on from there.
     """
 
     skin: Skin
@@ -52,11 +52,11 @@ class SurfaceFrame:
     Attributes
     ----------
     header
-        Of `decoded` and `decoded/summary`.
+        Header of `decoded` and `decoded/summary`.
     contacts_seq
-        `seq` of `contacts`.
+        Number `seq` of `contacts`.
     signals, noise_std
-        (3, n), the dimensionless triple.
+        Shape (3, n), dimensionless.
     """
 
     header: MeasuredFields
@@ -66,9 +66,9 @@ class SurfaceFrame:
 
 
 class SurfaceStream:
-    """Decodes frames in turn and makes their messages.
+    """Streaming decoder with the messages about its frames.
 
-    Events are numbered by whoever publishes them: their `seq` here is that of the frame.
+    The publisher numbers the events: their `seq` here is that of the frame.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class SurfaceStream:
         self._publish = publish
 
     def prepare(self, frame: SurfaceFrame) -> bool:
-        """Set up a decoder for this frame if there is none; return whether there is one.
+        """Set up a decoder for the noise of this frame if necessary; return whether there is one.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class SurfaceStream:
         return self._decoder.rebuild_wanted
 
     def rebuild(self) -> None:
-        """Follow a contact that has moved, where `Wanted.background` leaves that to the caller."""
+        """Update matrices for a contact that has moved; `Wanted.background` leaves that to the caller."""
         self._decoder.rebuild()
 
 
