@@ -63,9 +63,9 @@ class _Watched(Service):
         self.outages: list[Outage] = []
         self._last_s = 0.0
 
-    def _handle(self, arrival: Arrival) -> None:
-        if isinstance(arrival, SingleToneFrame):
-            self.frames += 1
+    def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
+        if isinstance(arrival, list):
+            self.frames += len(arrival)
         elif isinstance(arrival, Outage):
             self.outages.append(arrival)
             self.back_s.append(time.monotonic())
