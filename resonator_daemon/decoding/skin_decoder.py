@@ -112,7 +112,7 @@ class SkinDecoder:
         """
         frame = self._heard(signals, noise_std)
         if self._reader.physics is not None:
-            self._reader.physics.reset()
+            self._reader.physics.reset(rows_kept=True)
         decoded = self._reader.read(frame)
         return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._reader.patches(decoded)))
 

@@ -49,7 +49,7 @@ def test_iteration_finds_what_a_projected_gradient_finds(seed):
 
     inverse = np.linalg.inv(hessian + rho * np.eye(3 * pixels)).astype(np.float32)
     start = np.zeros((3, pixels), np.float32)
-    quick, _ = iterate(inverse, right_side.astype(np.float32), rho, friction, inside, start, start, 400)
+    quick, _ = iterate(inverse.dot, right_side.astype(np.float32), rho, friction, inside, start, start, 400)
 
     np.testing.assert_allclose(quick, slow, atol=2e-4)
     assert not quick[:, 5].any()
@@ -59,7 +59,7 @@ def test_iteration_finds_what_a_projected_gradient_finds(seed):
 def test_two_calls_go_on_where_one_would():
     hessian, right_side = quadratic(5, 9)
     inverse = np.linalg.inv(hessian + 6.0 * np.eye(15)).astype(np.float32)
-    begin = (inverse, right_side.astype(np.float32), 6.0, 0.5, np.ones(5, np.bool_))
+    begin = (inverse.dot, right_side.astype(np.float32), 6.0, 0.5, np.ones(5, np.bool_))
     start = np.zeros((3, 5), np.float32)
     once = iterate(*begin, start, start, 7)
     twice = iterate(*begin, *iterate(*begin, start, start, 4), 3)

@@ -1,8 +1,10 @@
 """Least squares under Coulomb's law: f_z >= 0 and |f_t| <= mu f_z in every pixel, by the method of multipliers.
 
 Over-relaxed ADMM (Boyd et al., Foundations and Trends in Machine Learning 3, 2011, section 3.4.3) of
-1/2 f' H f - b' f. With the inverse of H + rho at hand an iteration is one matrix-vector product and one projection.
+1/2 f' H f - b' f. Given the inverse of H + rho an iteration is one matrix-vector product and one projection.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +30,7 @@ def project_on_cone(traction: Singles, friction_coefficient: float) -> Singles:
 
 
 def iterate(
-    inverse: Singles,
+    solve_shifted: Callable[[Singles], Singles],
     right_side: Singles,
     rho: float,
     friction_coefficient: float,
@@ -41,8 +43,8 @@ def iterate(
 
     Parameters
     ----------
-    inverse
-        Of H + rho, (3 n, 3 n).
+    solve_shifted
+        Multiplies (3 n,) by the inverse of H + rho.
     right_side
         b, (3 n,).
     inside
@@ -51,7 +53,7 @@ def iterate(
     weight = np.float32(rho)
     keep = inside.astype(np.float32)
     for _ in range(iterations):
-        free = (inverse @ (right_side + weight * (traction - multiplier).ravel())).reshape(traction.shape)
+        free = solve_shifted(right_side + weight * (traction - multiplier).ravel()).reshape(traction.shape)
         free *= _RELAXATION
         free += multiplier - (_RELAXATION - 1) * traction
         traction = project_on_cone(free, friction_coefficient) * keep

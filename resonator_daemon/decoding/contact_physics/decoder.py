@@ -99,8 +99,13 @@ class ContactDecoder:
         self._count = len(linear_decoder.site_positions_m)
         self.reset()
 
-    def reset(self) -> None:
-        """Forget the frames before: the next one starts cold."""
+    def reset(self, *, rows_kept: bool = False) -> None:
+        """Discard the frames before: the next one starts cold.
+
+        Its matrices are made quicker, and differ by rounding, where those of signals and prior are kept.
+        """
+        if not rows_kept:
+            self._search.discard_rows()
         self._wanted: _Request | None = None
         self._found: deque[_Found] = deque(maxlen=1)
         self._hypothesis = self._fresh(None)
@@ -187,6 +192,7 @@ class ContactDecoder:
         if request is None:
             return False
         located = self._search.locate(request.frame, request.hypothesis.missed, request.hypothesis.located)
+        located.problem.prepare()
         renewed = replace(request.hypothesis, located=located)
         solved: Solved | None = None
         if request.suspect:

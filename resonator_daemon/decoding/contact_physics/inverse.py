@@ -1,25 +1,38 @@
 """Inverses of symmetric positive definite matrices, and how they change with rows that are removed or added.
 
-By numpy alone: LAPACK calls of scipy would keep other threads waiting.
+LAPACK calls of scipy keep other threads waiting: none works on more than a block, some tenths of a ms.
 """
-
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import blas, lapack
 
-Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
-Reals = TypeVar("Reals", Singles, Floats)
 
+_BLOCK = 264  # rows of a step of the factorization
 _SMALL = 64  # rows of a matrix that is not worth halving
 
 
-def inverse(matrix: Reals) -> Reals:
-    """Return the inverse of a symmetric positive definite matrix."""
-    factor = _inverse_factor(matrix)
-    found: Reals = factor.T @ factor
-    return found
+def cholesky_factor(matrix: Singles) -> Singles:
+    """Return the lower Cholesky factor L of a symmetric positive definite matrix, which is overwritten.
+
+    What stands above its diagonal has no meaning.
+    """
+    for begin in range(0, len(matrix), _BLOCK):
+        end = min(begin + _BLOCK, len(matrix))
+        corner = _upper_factor(matrix[begin:end, begin:end])
+        below = blas.strsm(1.0, corner, matrix[end:, begin:end].T, trans_a=1) if end < len(matrix) else None
+        matrix[begin:end, begin:end] = corner.T
+        if below is not None:
+            matrix[end:, begin:end] = below.T
+            matrix[end:, end:] -= below.T @ below
+    return matrix
+
+
+def solve_factored(lower: Singles, right_sides: Singles) -> Singles:
+    """Return H^-1 times right sides (n, k), given L of H = L L'."""
+    solution: Singles = lapack.spotrs(lower.T, right_sides, lower=0)[0]
+    return solution
 
 
 def without_rows(inverse_matrix: Singles, kept: NDArray[np.intp], removed: NDArray[np.intp]) -> Singles:
@@ -28,7 +41,7 @@ def without_rows(inverse_matrix: Singles, kept: NDArray[np.intp], removed: NDArr
     remaining: Singles = rows.take(kept, axis=1)
     if removed.size:
         across = rows.take(removed, axis=1)
-        factor = _inverse_factor(inverse_matrix.take(removed, axis=0).take(removed, axis=1))
+        factor = inverse_factor(inverse_matrix.take(removed, axis=0).take(removed, axis=1))
         half = across @ factor.T  # M_kr M_rr^-1 M_rk = half half'
         remaining -= half @ half.T
     return remaining
@@ -45,7 +58,7 @@ def with_rows(inverse_matrix: Singles, across: Singles, corner: Singles) -> tupl
         Blocks of the matrix between old and new rows (k, d), and among the new ones (d, d).
     """
     spread: Singles = inverse_matrix @ across
-    factor = _inverse_factor(np.asarray(corner - across.T @ spread, np.float32))
+    factor = inverse_factor(np.asarray(corner - across.T @ spread, np.float32))
     half: Singles = spread @ factor.T
     old = np.asarray(half @ half.T, np.float32)
     old += inverse_matrix
@@ -54,16 +67,29 @@ def with_rows(inverse_matrix: Singles, across: Singles, corner: Singles) -> tupl
     return old, crossed, new
 
 
-def _inverse_factor(matrix: Reals) -> Reals:
-    """Inverse of Cholesky's lower factor, by halves, so that nearly all of it is products of matrices."""
-    count = len(matrix)
+def inverse_factor(matrix: Singles) -> Singles:
+    """Return the inverse of Cholesky's lower factor of a symmetric positive definite matrix, which is overwritten."""
+    return _triangle_inverse(cholesky_factor(matrix))
+
+
+def _triangle_inverse(lower: Singles) -> Singles:
+    """Inverse of a lower triangle, by halves, so that nearly all of it is products of matrices."""
+    count = len(lower)
     if count <= _SMALL:
-        smallest: Reals = np.linalg.inv(np.linalg.cholesky(matrix))
+        smallest: Singles = np.tril(lapack.strtri(lower.T)[0].T)
         return smallest
     half = count // 2
-    factor = np.zeros_like(matrix)
-    factor[:half, :half] = _inverse_factor(matrix[:half, :half])
-    across = matrix[half:, :half] @ factor[:half, :half].T
-    factor[half:, half:] = _inverse_factor(matrix[half:, half:] - across @ across.T)
-    factor[half:, :half] = -(factor[half:, half:] @ across) @ factor[:half, :half]
-    return factor
+    found = np.zeros((count, count), np.float32)
+    first = found[:half, :half] = _triangle_inverse(lower[:half, :half])
+    last = found[half:, half:] = _triangle_inverse(lower[half:, half:])
+    found[half:, :half] = -(last @ (lower[half:, :half] @ first))
+    return found
+
+
+def _upper_factor(matrix: Singles) -> Singles:
+    """Transposed lower Cholesky factor; what stands below its diagonal has no meaning."""
+    factor, failed = lapack.spotrf(matrix.T, clean=0)
+    if failed:
+        raise np.linalg.LinAlgError("matrix is not positive definite")
+    upper: Singles = factor
+    return upper

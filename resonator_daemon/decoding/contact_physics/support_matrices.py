@@ -1,15 +1,23 @@
 """Matrices of the inverse problem on a support: made from nothing, or from those of a support that overlaps it.
 
-Where a contact moves most pixels stay: their part of A A' and of the prior's precision is copied, and the inverse is
-updated by the pixels that left and those that came.
+Where a contact moves most pixels stay: their part of K K' and of the prior's precision is copied. Where prior and noise
+stay as well, the inverse is updated by the pixels that left and those that came.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.decoding.contact_physics.inverse import inverse, with_rows, without_rows
+from resonator_daemon.decoding.contact_physics.inverse import (
+    cholesky_factor,
+    inverse_factor,
+    solve_factored,
+    with_rows,
+    without_rows,
+)
 from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
 
@@ -17,16 +25,13 @@ Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
-_CHANGED = 0.4  # share of the pixels that may leave or come: with more, matrices from nothing are as quick
+_CHANGED = 0.4  # share of the pixels that may be new: with more, matrices from nothing are as quick
 _MOST_UPDATES = 30  # of an inverse, whose rounding errors add up
 
 
 @dataclass(frozen=True)
 class Model:
-    """What the matrices are made for, apart from the support.
-
-    Matrices may be taken over only between problems of the same model.
-    """
+    """What the matrices are made for, apart from the support."""
 
     kernel: Singles  # rows of signals under 1 Pa on each pixel of the lattice, (3, pixels, rows)
     prior: PixelPrior
@@ -37,88 +42,166 @@ class Model:
     shift: float  # of the diagonal of the matrix that is inverted
 
     def rows(self, pixels: Pixels) -> Singles:
-        """Return A of some pixels, (3 n, rows)."""
+        """Return K of some pixels, under 1 Pa, (3 n, rows)."""
         rows = self.kernel[:, pixels].reshape(3 * pixels.size, self.kernel.shape[2])
-        if self.lost is not None:
-            rows = self.lost.kernel(rows)
-        rows *= np.float32(self.std_pascal)
-        return rows
+        return rows if self.lost is None else self.lost.kernel(rows)
 
     def hessian(self, gram: Singles, precision: Singles, shift: float) -> Singles:
-        """Return a part of H, given those of A A' (3 r, 3 c) and C^-1 (r, c), with a shift of the diagonal."""
-        part: Singles = gram / np.float32(self.noise_std**2)
+        """Return a part of H, given those of K K' (3 r, 3 c) and C^-1 (r, c), with a shift of the diagonal."""
+        part: Singles = gram * np.float32((self.std_pascal / self.noise_std) ** 2)
         r, c = precision.shape
-        for component, ratio in enumerate((self.tangential_ratio, self.tangential_ratio, 1.0)):
-            block = part[component * r : (component + 1) * r, component * c : (component + 1) * c]
-            block += precision / np.float32(ratio)
+        tangential = precision / np.float32(self.tangential_ratio)
+        for component, block in enumerate((tangential, tangential, precision)):
+            part[component * r : (component + 1) * r, component * c : (component + 1) * c] += block
         if shift:
             part.ravel()[:: 3 * c + 1] += np.float32(shift)
         return part
 
     def is_that_of(self, other: "Model") -> bool:
-        """Whether matrices for the one serve the other; skin and lattice are taken to be the same."""
+        """Whether inverses for the one serve the other; skin and lattice are taken to be the same."""
         return (self.lost, self.std_pascal, self.noise_std) == (other.lost, other.std_pascal, other.noise_std)
 
 
-@dataclass(frozen=True)
-class SupportMatrices:
-    """Matrices of n pixels; rows run over the three components of the traction, pixel by pixel in each."""
+class _Change(NamedTuple):
+    """From n pixels to others: those that stay come first, those that are new last."""
 
-    pixels: Pixels  # flat indices into the lattice, in any order, (n,)
-    rows: Singles  # A, (3 n, rows)
-    gram: Singles  # A A', (3 n, 3 n)
-    precision: Singles  # C^-1 of f_z, (n, n)
-    inverse: Singles  # of H + shift, (3 n, 3 n)
-    updates: int = 0  # since the matrices were made from nothing
+    kept: Pixels  # as indices into the old ones, (k,)
+    removed: Pixels  # as indices into the old ones
+    added: Pixels  # flat indices into the lattice, (d,)
 
     @classmethod
-    def of(cls, model: Model, support: Mask) -> "SupportMatrices":
-        """Make matrices from nothing for a support (pixels,)."""
+    def between(cls, pixels: Pixels, support: Mask) -> "_Change":
+        stays = support[pixels]
+        fresh = support.copy()
+        fresh[pixels] = False
+        return cls(np.flatnonzero(stays), np.flatnonzero(~stays), np.flatnonzero(fresh))
+
+
+@dataclass(frozen=True)
+class SupportRows:
+    """What prior and noise of a frame leave as it is; rows run over the three components, pixel by pixel in each."""
+
+    lost: LostRows | None
+    pixels: Pixels  # flat indices into the lattice, in any order, (n,)
+    rows: Singles  # K, signals under 1 Pa on each pixel, (3 n, rows)
+    gram: Singles  # K K', (3 n, 3 n)
+    precision: Singles  # C^-1 of f_z, (n, n)
+
+    @classmethod
+    def of(cls, model: Model, support: Mask, before: "SupportRows | None") -> "SupportRows":
+        """Make them for a support (pixels,), out of those of another one where that overlaps it enough."""
+        if before is not None and before.lost is model.lost:
+            change = _Change.between(before.pixels, support)
+            if change.added.size <= _CHANGED * np.count_nonzero(support):
+                return before.moved(model, change)
         pixels = np.flatnonzero(support)
         rows = model.rows(pixels)
-        gram: Singles = rows @ rows.T
-        precision = model.prior.precision(pixels, pixels)
-        return cls(pixels, rows, gram, precision, inverse(model.hessian(gram, precision, model.shift)))
+        return cls(model.lost, pixels, rows, rows @ rows.T, model.prior.precision(pixels, pixels))
 
-    def serve(self, support: Mask) -> bool:
-        """Whether matrices for a support (pixels,) are sooner made from these than from nothing."""
-        kept, largest = int(support[self.pixels].sum()), max(int(support.sum()), self.pixels.size)
-        return self.updates < _MOST_UPDATES and kept >= (1.0 - _CHANGED) * largest
-
-    def moved(self, model: Model, support: Mask) -> "SupportMatrices":
-        """Make matrices of the same model for another support (pixels,) out of these."""
-        stays = support[self.pixels]
-        fresh = support.copy()
-        fresh[self.pixels] = False
-        old, kept, added = self.pixels.size, np.flatnonzero(stays), np.flatnonzero(fresh)
-        n, k = kept.size + added.size, kept.size
-        pixels = np.concatenate([self.pixels[kept], added])
-        in_old, out_of_old = _of_components(kept, old), _of_components(np.flatnonzero(~stays), old)
-        first, last = _of_components(np.arange(k), n), _of_components(np.arange(k, n), n)
-
+    def moved(self, model: Model, change: _Change) -> "SupportRows":
+        """Make those of other pixels out of these."""
+        old, k, n = self.pixels.size, change.kept.size, change.kept.size + change.added.size
+        if k == old and n == k:
+            return self
+        pixels = np.concatenate([self.pixels[change.kept], change.added])
         rows = np.empty((3 * n, self.rows.shape[1]), np.float32)
         for component in range(3):
             before, after = self.rows[component * old :], rows[component * n :]
-            np.take(before, kept, axis=0, out=after[:k], mode="clip")
-        rows[last] = model.rows(added)
-        gram_across = rows @ rows[last].T
-        precision_across = model.prior.precision(pixels, added)
+            np.take(before, change.kept, axis=0, out=after[:k], mode="clip")
+        first, last = _of_components(np.arange(k), n), _of_components(np.arange(k, n), n)
+        rows[last] = model.rows(change.added)
+        across = rows @ rows[last].T
+        gram = _joined(_square(self.gram, _of_components(change.kept, old)), across[first], across[last])
+        precision_across = model.prior.precision(pixels, change.added)
         precision = np.empty((n, n), np.float32)
-        precision[:k, :k] = _square(self.precision, kept)
+        precision[:k, :k] = _square(self.precision, change.kept)
         precision[:, k:], precision[k:, :k] = precision_across, precision_across[:k].T
-        inverse_blocks = with_rows(
-            without_rows(self.inverse, in_old, out_of_old),
-            model.hessian(gram_across[first], precision_across[:k], 0.0),
-            model.hessian(gram_across[last], precision_across[k:], model.shift),
+        return SupportRows(self.lost, pixels, rows, gram, precision)
+
+
+class SupportMatrices:
+    """H of n pixels, and the inverse of H + shift.
+
+    Parameters
+    ----------
+    model
+    rows
+        Of its kernel and prior.
+    before
+        Matrices of which the inverse is taken over as far as it is the same. They need the rows that `rows` were made
+        out of.
+
+    Attributes
+    ----------
+    updates
+        Of the inverse, since it was made from nothing.
+    """
+
+    def __init__(self, model: Model, rows: SupportRows, before: "SupportMatrices | None" = None) -> None:
+        self.model = model
+        self.of_rows = rows
+        self.updates = 0
+        self._inverse: Singles | None = None
+        if before is not None and before.model.is_that_of(model) and before.updates < _MOST_UPDATES:
+            self._update(before)
+
+    def _update(self, before: "SupportMatrices") -> None:
+        """Take over an inverse, if most of its pixels are the same."""
+        rows = self.of_rows
+        support = np.zeros(self.model.kernel.shape[1], np.bool_)
+        support[rows.pixels] = True
+        old = before.of_rows.pixels.size
+        change = _Change.between(before.of_rows.pixels, support)
+        k, n = change.kept.size, rows.pixels.size
+        if k < (1.0 - _CHANGED) * max(n, old):
+            return
+        if k == n == old:
+            self._inverse, self.updates = before.prepare(), before.updates
+            return
+        inverse = before.prepare()
+        first, last = _of_components(np.arange(k), n), _of_components(np.arange(k, n), n)
+        across = rows.gram[:, last]
+        hessian = self.model.hessian
+        blocks = with_rows(
+            without_rows(inverse, _of_components(change.kept, old), _of_components(change.removed, old)),
+            hessian(across[first], rows.precision[:k, k:], 0.0),
+            hessian(across[last], rows.precision[k:, k:], self.model.shift),
         )
-        return SupportMatrices(
-            pixels,
-            rows,
-            _joined(_square(self.gram, in_old), gram_across[first], gram_across[last]),
-            precision,
-            _joined(*inverse_blocks),
-            self.updates + 1,
-        )
+        self._inverse, self.updates = _joined(*blocks), before.updates + 1
+
+    def prepare(self) -> Singles:
+        """Return the inverse of H + shift, (3 n, 3 n): worth its making where many frames are solved."""
+        if self._inverse is None:
+            self._inverse = self._factor.T @ self._factor
+        return self._inverse
+
+    @cached_property
+    def _factor(self) -> Singles:
+        """Inverse of the lower Cholesky factor of H + shift."""
+        return inverse_factor(self._hessian(self.model.shift))
+
+    @cached_property
+    def _cholesky(self) -> Singles:
+        return cholesky_factor(self._hessian(0.0))
+
+    def _hessian(self, shift: float) -> Singles:
+        return self.model.hessian(self.of_rows.gram, self.of_rows.precision, shift)
+
+    def shifted_solution(self, right_sides: Singles) -> Singles:
+        """Return (H + shift)^-1 times right sides (3 n,) or (3 n, k)."""
+        if self._inverse is not None:
+            return np.asarray(self._inverse @ right_sides, np.float32)
+        return np.asarray(self._factor.T @ (self._factor @ right_sides), np.float32)
+
+    def solution(self, right_sides: Singles) -> Singles:
+        """Return H^-1 times right sides (3 n, k)."""
+        return solve_factored(self._cholesky, right_sides)
+
+    def variance(self) -> Singles:
+        """Return the diagonal of the inverse of H + shift, (3 n,)."""
+        if self._inverse is not None:
+            return np.diag(self._inverse)
+        return np.asarray(np.einsum("ij,ij->j", self._factor, self._factor), np.float32)
 
 
 def _of_components(pixels: Pixels, count: int) -> Pixels:

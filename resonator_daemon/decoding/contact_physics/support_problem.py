@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.decoding.contact_physics.cone_admm import iterate
-from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices
+from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices, SupportRows
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -17,7 +17,6 @@ Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
 _SOLVED = 1e-3  # relative residual at which the support-linear solution is good enough
-_SOLVED_SUMS = 1e-4  # ... and that of the sums over it
 _MOST_STEPS = 60
 _TINY = np.float32(1e-30)
 
@@ -31,25 +30,37 @@ class SupportProblem:
     support
         Pixels that may carry load, (pixels,).
     before
-        Problem of which matrices are taken over as far as they are the same.
+        Problem of which the inverse is taken over as far as it is the same.
+    newest_rows
+        Of another support, taken over as far as they are the same; by default those of `before`.
     """
 
-    def __init__(self, model: Model, support: Mask, before: "SupportProblem | None" = None) -> None:
+    def __init__(
+        self,
+        model: Model,
+        support: Mask,
+        before: "SupportProblem | None" = None,
+        newest_rows: SupportRows | None = None,
+    ) -> None:
         self.model = model
-        self.matrices: SupportMatrices
-        if before is not None and before.model.is_that_of(model) and before.matrices.serve(support):
-            self.matrices = before.matrices.moved(model, support)
-        else:
-            self.matrices = SupportMatrices.of(model, support)
-        self.pixels: Pixels = self.matrices.pixels
+        matrices: SupportMatrices | None = None if before is None else before.matrices
+        rows = SupportRows.of(model, support, newest_rows if matrices is None else matrices.of_rows)
+        self.matrices: SupportMatrices = SupportMatrices(model, rows, matrices)
+        self.rows = rows
+        self.pixels: Pixels = rows.pixels
         ratio = model.tangential_ratio
         self._ratios = np.array([[ratio], [ratio], [1.0]], np.float32)
         self._unit = np.float32(model.std_pascal)
         self._noise_variance = np.float32(model.noise_std**2)
+        self._power = np.float32((model.std_pascal / model.noise_std) ** 2)
+
+    def prepare(self) -> None:
+        """Compute what makes many frames quicker, and takes longer than one."""
+        self.matrices.prepare()
 
     def right_side(self, rows: Singles) -> Singles:
         """Return b of whitened rows of signals, (3 n,)."""
-        return np.asarray((self.matrices.rows @ rows) / self._noise_variance, np.float32)
+        return np.asarray((self.rows.rows @ rows) * (self._unit / self._noise_variance), np.float32)
 
     def constrained(
         self,
@@ -63,7 +74,7 @@ class SupportProblem:
         """Traction in the friction cone and its multiplier, in Pa, (3, n), from those to begin with."""
         unit = self._unit
         traction, multiplier = iterate(
-            self.matrices.inverse,
+            self.matrices.shifted_solution,
             right_side,
             self.model.shift,
             friction_coefficient,
@@ -82,30 +93,28 @@ class SupportProblem:
 
     def solutions(self, right_sides: Floats) -> Floats:
         """Tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n)."""
-        given = right_sides.astype(np.float32)
-        found = self._solve(given, np.ones(given.shape[1], np.float32), np.zeros_like(given), _SOLVED_SUMS)
-        return self.model.std_pascal * found.astype(np.float64)
+        given = right_sides.T.astype(np.float32)
+        return self.model.std_pascal * self.matrices.solution(given).T.astype(np.float64)
 
     def chi2(self, rows: Singles, right_side: Singles, traction: Singles) -> float:
         """Mean square of what a traction (3, n), in Pa, leaves of whitened rows, of which b is the right side."""
-        loads = traction.ravel() / self._unit
-        explained = 2.0 * self.model.noise_std**2 * float(loads @ right_side) - float(
-            loads @ (self.matrices.gram @ loads)
-        )
+        loads = traction.ravel()
+        explained = 2.0 * float(loads @ right_side) * float(self._noise_variance / self._unit)
+        explained -= float(loads @ (self.rows.gram @ loads))
         return (float(rows @ rows) - explained) / rows.size
 
     def predicted(self, traction: Singles) -> Singles:
         """Rows of signals under a traction (3, n), in Pa."""
-        return np.asarray((traction.ravel() / self._unit) @ self.matrices.rows, np.float32)
+        return np.asarray(traction.ravel() @ self.rows.rows, np.float32)
 
     def std(self) -> Singles:
         """Return the standard deviation in Pa, (3, n), with the iteration's quadratic term as information, too."""
-        return self._unit * np.sqrt(np.diag(self.matrices.inverse)).reshape(3, -1)
+        return self._unit * np.sqrt(self.matrices.variance()).reshape(3, -1)
 
     def _product(self, loads: Singles) -> Singles:
         """H times loads (k, 3 n)."""
-        prior = (loads.reshape(len(loads), 3, -1) @ self.matrices.precision) / self._ratios
-        product: Singles = (loads @ self.matrices.gram) / self._noise_variance + prior.reshape(loads.shape)
+        prior = (loads.reshape(len(loads), 3, -1) @ self.rows.precision) / self._ratios
+        product: Singles = (loads @ self.rows.gram) * self._power + prior.reshape(loads.shape)
         return product
 
     def _solve(self, right_sides: Singles, keep: Singles, solution: Singles, precision: float) -> Singles:
@@ -116,7 +125,7 @@ class SupportProblem:
         for _ in range(_MOST_STEPS):
             if (np.linalg.norm(left, axis=1) <= wanted).all():
                 break
-            preconditioned = (left @ self.matrices.inverse) * keep
+            preconditioned = self.matrices.shifted_solution(left.T).T * keep
             previous, product = product, np.vecdot(left, preconditioned)[:, None]
             direction = preconditioned + product / np.maximum(previous, _TINY) * direction
             curved = self._product(direction) * keep

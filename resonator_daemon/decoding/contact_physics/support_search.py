@@ -21,7 +21,7 @@ from resonator_daemon.decoding.contact_physics.support import (
     raw_support,
     swept,
 )
-from resonator_daemon.decoding.contact_physics.support_matrices import Model
+from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportRows
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
 from resonator_daemon.decoding.decoded import Decoded
@@ -166,6 +166,11 @@ class SupportSearch:
         ny, nx = (np.arange(count, dtype=np.float32) for count in lattice.shape)
         self._moments = np.stack([np.ones_like(ny), ny]), np.stack([np.ones_like(nx), nx], axis=1)
         self._lost: tuple[bytes, LostRows] | None = None
+        self._newest_rows: SupportRows | None = None  # most pixels of a contact are those of the frame before
+
+    def discard_rows(self) -> None:
+        """Make the matrices of the next problem from nothing."""
+        self._newest_rows = None
 
     def frame(self, estimate: Estimate, surface: Surface) -> Frame:
         """Frame of which the linear decoder made an estimate."""
@@ -277,7 +282,9 @@ class SupportSearch:
     ) -> SupportProblem:
         lost = None if frame.known is None else self._lost_rows(frame.known)
         model = Model(self._rows.kernel, self._prior, self._tangential_ratio, lost, std_pascal, noise_std, _RHO)
-        return SupportProblem(model, support.ravel(), before)
+        problem = SupportProblem(model, support.ravel(), before, self._newest_rows)
+        self._newest_rows = problem.rows
+        return problem
 
     def _centre(self, weight: Singles) -> Floats:
         """In pixels (y, x)."""
