@@ -145,10 +145,10 @@ class Emulator:
                 data = self.link.read() if readable else b""
                 now_ticks = self._now_ticks()  # when the request came, whatever is to be done before it is answered
                 self._made += self._board.advance(now_ticks)
-                self._write_truth()
                 if data:
                     self._receive(data, now_ticks)
                 self._output.send(time.monotonic_ns() - self._origin_ns, self._elapsed_s(now_ticks))
+                self._write_truth()
                 self._board.count_ahead()
                 readable = self._wait()
             self._write_truth()
