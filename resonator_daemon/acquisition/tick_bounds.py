@@ -89,10 +89,10 @@ class TickBounds:
             return False
         floor = _with_point(self._floor, Point(nominal_ns, least_ns))
         ceiling = _with_point(self._ceiling, Point(nominal_ns, -most_ns))
-        rates = _rate_limits(floor, ceiling, self._rates)
-        if rates is None:
+        lines = _lines(floor, ceiling, self._rates)
+        if lines is None:
             return False
-        self._floor, self._ceiling, self.lines = floor, ceiling, _lines(floor, ceiling, rates)
+        self._floor, self._ceiling, self.lines = floor, ceiling, lines
         self.count = self.count + 1 if len(floor) > 1 else 1  # after long silence there is nothing to agree with
         return True
 
@@ -101,7 +101,7 @@ class TickBounds:
         least, most = max(rates[0], self.lines.least_rate), min(rates[1], self.lines.most_rate)
         if (least, most) == (self.lines.least_rate, self.lines.most_rate):
             return self.lines
-        return _lines(self._floor, self._ceiling, (least, most)) if least <= most else None
+        return _lines(self._floor, self._ceiling, (least, most))
 
 
 def _with_point(hull: list[Point], new: Point) -> list[Point]:
@@ -135,36 +135,29 @@ def _bent(point: Point, apex: Point) -> tuple[int, int]:
 def _relative(hull: list[Point], apex: Point) -> list[tuple[float, float]]:
     """Return the points of a hull relative to one, loosened by their ages; so small, floating point loses nothing."""
     at_ns, near_ns = apex
-    return [(float(x - at_ns), y - near_ns - (x - at_ns) ** 2 / _RELAX_NS) for x, y in hull]
+    return [(float(age := x - at_ns), y - near_ns - age * age / _RELAX_NS) for x, y in hull]
 
 
-def _rate_limits(floor: list[Point], ceiling: list[Point], rates: tuple[float, float]) -> tuple[float, float] | None:
-    """Return the least and the most rate of lines between two hulls, within `rates`; None where there is no line."""
-    newest = floor[-1]
-    above = [(x, -y) for x, y in _relative(ceiling, _upside_down(newest))]
+def _lines(floor: list[Point], ceiling: list[Point], rates: tuple[float, float]) -> Lines | None:
+    """Return the extremes of the lines between two hulls, with rates within `rates`; None where there is none."""
+    now_ns, near_ns = floor[-1]
+    below = _relative(floor, floor[-1])
+    above = [(x, -y) for x, y in _relative(ceiling, Point(now_ns, -near_ns))]
     least, most = rates
-    for xb, yb in _relative(floor, newest):
-        for xa, ya in above:  # hundreds of pairs twenty times a second: compared without the calls of min and max
+    for xb, yb in below:
+        for xa, ya in above:  # a hundred pairs at each exchange: compared without the calls of min and max
             if xa > xb:
                 if (rate := (ya - yb) / (xa - xb)) < most:
                     most = rate
             elif xa < xb and (rate := (yb - ya) / (xb - xa)) > least:
                 least = rate
-    return None if least > most else (least, most)
-
-
-def _lines(floor: list[Point], ceiling: list[Point], rates: tuple[float, float]) -> Lines:
-    """Return the extremes of the lines between two hulls, whose rates are these."""
-    newest, (least, most) = floor[-1], rates
+    if least > most:
+        return None
     return Lines(
-        nominal_ns=newest.nominal_ns,
-        excess_ns=newest.excess_ns,
-        least_ns=max([y - least * x for x, y in _relative(floor, newest)]),
-        most_ns=min([-y - most * x for x, y in _relative(ceiling, _upside_down(newest))]),
+        nominal_ns=now_ns,
+        excess_ns=near_ns,
+        least_ns=max([y - least * x for x, y in below]),
+        most_ns=min([y - most * x for x, y in above]),
         least_rate=least,
         most_rate=most,
     )
-
-
-def _upside_down(point: Point) -> Point:
-    return Point(point.nominal_ns, -point.excess_ns)

@@ -145,12 +145,13 @@ def fit_code(site: int, code: Code, model_error: float, range_newton: tuple[floa
     common_variance = reading.oscillator_variance + reading.common_mode_variance
     shift = [1.0 - f0 / f for f0, f in zip(code.f0_hz, reading.frequency_hz, strict=True)]
     weights, information, _ = _weights_of_one(sensitivity, inverse_variance, common_variance)
-    force = min(max(_dot(weights, shift), low), high)
+    first = _dot(weights, shift)
+    force = low if first < low else high if first > high else first
     model_variance = model_error * model_error * (force * force + DOUBT_STD * DOUBT_STD / information)
     inverse = [i / (1.0 + i * model_variance * k * k) for i, k in zip(inverse_variance, sensitivity, strict=True)]
     weights, _, common = _weights_of_one(sensitivity, inverse, common_variance)
     force = _dot(weights, shift)
-    within = min(max(force, low), high)
+    within = low if force < low else high if force > high else force
     residual = [y - k * within for y, k in zip(shift, sensitivity, strict=True)]
     whitened = [i * r for i, r in zip(inverse, residual, strict=True)]
     together = sum(whitened)

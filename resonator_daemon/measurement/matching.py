@@ -156,7 +156,8 @@ class Matcher:
             return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
         error, span = self._codes.model_error, self._codes.range_newton
         fits = [fit_code(site, self._rows[site], error, span, reading) for site in self._near_one(reading)]
-        fits.sort(key=attrgetter("score"))
+        if len(fits) > 1:
+            fits.sort(key=attrgetter("score"))
         if not fits or not fits[0].chi2 <= self._gates[used]:
             chi2 = fits[0].chi2 if fits else math.nan
             channels = self._channels(
@@ -236,9 +237,9 @@ class Matcher:
         near: NDArray[np.bool_] = (upper[:, None] >= self._low_hz) & (lower[:, None] <= self._high_hz)
         return near
 
-    def _near_one(self, reading: Reading) -> list[int]:
+    def _near_one(self, reading: Reading) -> Sequence[int]:
         """Sites that are near, as `_near` has it, on all channels of one reading that are used."""
-        sites = list(range(len(self._rows)))
+        sites: Sequence[int] = range(len(self._rows))
         common_variance = reading.oscillator_variance + reading.common_mode_variance
         for (low_hz, high_hz, model_variance), frequency, variance, inverse in zip(
             self._bands, reading.frequency_hz, reading.counter_variance, reading.inverse_variance, strict=True

@@ -61,7 +61,8 @@ def count_tone(
     stamps, noise_ticks = sums.stamps, stamp_std_ticks(sums)
     window_std = regression_std(noise_ticks, stamps, sums.span_ticks)
     interval_ticks = sums.stride_edges * reference_hz / frequency_hz
-    excess = min(max(excess_bound_of_one(interval_ticks, stamp_jitter_ticks(sums), stamps), 0.0), EXCESS_CAP)
+    excess = excess_bound_of_one(interval_ticks, stamp_jitter_ticks(sums), stamps)
+    excess = 0.0 if excess < 0.0 else EXCESS_CAP if excess > EXCESS_CAP else excess
     noise_ticks2 = noise_ticks * noise_ticks
     residual_ticks2 = sum(gate_residual_ticks2) / frames
     ratio = 1.0 if math.isnan(over_pilot_db) else min(10.0 ** (over_pilot_db / 20.0), 1.0)
