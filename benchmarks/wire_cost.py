@@ -127,7 +127,7 @@ def skin_cost(seconds: int) -> tuple[float, int]:
     while complete < SKIN_RATE_HZ * (seconds - 1):
         for event in host.receive(link.read(0.02)):
             if isinstance(event, FramePart):
-                complete += sum(frame.parts_seen == frame.parts for frame in assembler.add(event))
+                complete += sum(frame.parts_seen == frame.parts for frame in assembler.add([event]))
         if not began and complete >= SKIN_RATE_HZ // 2:
             before_s, began = processor_s(), time.monotonic()
     percent = 100 * (processor_s() - before_s) / (time.monotonic() - began)

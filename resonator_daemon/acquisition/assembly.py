@@ -1,5 +1,6 @@
 """Puts the parts of a channelised frame together; parts that did not arrive leave their tones unknown."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -38,6 +39,20 @@ def known_tones(tones: Tones) -> NDArray[np.bool_]:
     return known
 
 
+def variance_of(tones: Tones) -> NDArray[np.float64]:
+    """Return the variance of each record's offset in Hz^2, infinite where it is not usable; shape as `tones`."""
+    codes = tones.view("<u2").reshape(*tones.shape, -1)[..., -1]  # sigma_code, and flags as the upper byte
+    return np.take(_VARIANCE_HZ2, codes, mode="clip")
+
+
+def _variances() -> NDArray[np.float64]:
+    by_sigma_code = np.exp2((np.arange(256) - 128) / 8) ** 2
+    return np.where((np.arange(256) & _UNUSABLE)[:, None], np.inf, by_sigma_code).ravel()
+
+
+_VARIANCE_HZ2 = _variances()
+
+
 class FrameAssembler:
     """Collects parts until a frame is complete, or a later frame begins.
 
@@ -58,19 +73,29 @@ class FrameAssembler:
         """Whether parts of a frame are here and others are to come."""
         return self._open is not None
 
-    def add(self, part: FramePart) -> list[AssembledFrame]:
-        """Take a part; return the frames that are over: an incomplete one before it, its own if now complete."""
+    def add(self, parts: Sequence[FramePart]) -> list[AssembledFrame]:
+        """Copy parts to where they belong; return the frames that are over: complete, or followed by a later one."""
         done = []
         frame = self._open
-        if frame is not None and part.sequence != frame.sequence:
-            done.append(frame)
-            frame = None
-        if frame is None:
-            frame = self._open = self._begin(part)
-        self._fill(frame, part)
-        if frame.parts_seen >= frame.parts:
-            done.append(frame)
-            self._open = None
+        all_tones, tone_bytes = self._tones, TONE_STRUCT.size
+        for part in parts:
+            sequence, _, size_bytes, (channel, _, first_tone, tones, number, _), data = part
+            if frame is None or sequence != frame.sequence:
+                if frame is not None:
+                    done.append(frame)
+                frame = self._begin(part)
+            seen = frame.seen
+            if first_tone + tones > all_tones or number in seen:
+                self.misfits += 1
+                continue
+            start = (channel * all_tones + first_tone) * tone_bytes
+            frame.records[start : start + len(data)] = data
+            seen.add(number)
+            frame.size_bytes += size_bytes
+            if len(seen) >= frame.parts:
+                done.append(frame)
+                frame = None
+        self._open = frame
         return done
 
     def flush(self) -> list[AssembledFrame]:
@@ -82,13 +107,3 @@ class FrameAssembler:
         records = bytearray(self._blank)
         tones = np.frombuffer(records, TONE).reshape(CHANNEL_COUNT, self._tones)
         return AssembledFrame(part.sequence, part.board_ticks, part.block.parts, records, tones)
-
-    def _fill(self, frame: AssembledFrame, part: FramePart) -> None:
-        channel, _, first_tone, tones, number, _ = part.block
-        if first_tone + tones > self._tones or number in frame.seen:
-            self.misfits += 1
-            return
-        start = (channel * self._tones + first_tone) * TONE_STRUCT.size
-        frame.records[start : start + len(part.tones)] = part.tones
-        frame.seen.add(number)
-        frame.size_bytes += part.size_bytes

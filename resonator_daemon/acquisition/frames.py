@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.acquisition.account import FrameLoss
-from resonator_daemon.acquisition.assembly import Tones, known_tones
+from resonator_daemon.acquisition.assembly import Tones, known_tones, variance_of
 from resonator_daemon.acquisition.clock import Instant, TickScale
 
 _SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
@@ -66,6 +66,11 @@ class ChannelisedFrame:
     def known(self) -> NDArray[np.bool_]:
         """Which tones arrived with a usable frequency."""
         return known_tones(self.tones)
+
+    @property
+    def variance_hz2(self) -> NDArray[np.float64]:
+        """Of the offsets; infinite where they are not known."""
+        return variance_of(self.tones)
 
     @property
     def memory_bytes(self) -> int:

@@ -89,7 +89,7 @@ class FrameIntake:
         if self._single_tone:
             self._account.messages_malformed += len(parts)
             return []
-        return [frame for part in parts for frame in self._assembler.add(part)]
+        return self._assembler.add(parts)
 
     def take_assembled(
         self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime

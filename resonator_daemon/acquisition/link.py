@@ -10,8 +10,7 @@ from typing import Protocol
 WRITE_TIMEOUT_S = 1.0  # in which a board must take what it is sent
 
 _READ_BYTES = 1 << 18  # about this much a call, so that a flood is handed on in pieces
-_PIECE_BYTES = 1 << 16
-_TERMINAL_BYTES = 2048  # a terminal with more waiting never gives less than this
+_TERMINAL_BYTES, _TERMINAL_BYTES_MAX = 2048, 4096  # a terminal with more waiting never gives less, nor ever more
 _SELECT_LIMIT = 1024  # descriptors that select can wait for
 _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
@@ -63,6 +62,7 @@ class FileDescriptorLink:
         self._descriptor = descriptor
         self._close: Callable[[], None] | None = close
         self._lost: str | None = None
+        self._buffer = memoryview(bytearray(_READ_BYTES))
         self._readable = select.poll()
         self._readable.register(descriptor, select.POLLIN)
         self._writable = select.poll()
@@ -116,24 +116,23 @@ class FileDescriptorLink:
 
     def _drain(self) -> bytes:
         """Read what is there: a terminal gives 4 kB a call. An end that is found behind bytes is kept for next time."""
-        pieces = []
+        buffer = self._buffer
         size = 0
         while size < _READ_BYTES:
             try:
-                piece = os.read(self._descriptor, _PIECE_BYTES)
+                piece_bytes = os.readv(self._descriptor, (buffer[size:],))
             except BlockingIOError:
                 break
             except OSError as error:
                 self._lost = f"unplugged ({error.strerror})"
                 break
-            if not piece:
+            if not piece_bytes:
                 self._lost = "unplugged (end of stream)"
                 break
-            pieces.append(piece)
-            size += len(piece)
-            if len(piece) < _TERMINAL_BYTES:
-                break
-        return b"".join(pieces)
+            size += piece_bytes
+            if piece_bytes < _TERMINAL_BYTES or piece_bytes > _TERMINAL_BYTES_MAX:
+                break  # a socket gives all that has come
+        return bytes(buffer[:size])
 
     def _check(self) -> None:
         # A closed descriptor's number may be somebody else's by now.

@@ -13,7 +13,6 @@ from resonator_daemon.measurement.skin_tones import TONES_MIN, ToneArray
 
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 COMMON_MODE_NOISE: Final = 1e-9  # of one frame, relative: the median of a thousand tones
-VARIANCE_HZ2: Final[FloatArray] = np.exp2((np.arange(256) - 128) / 8) ** 2  # by sigma_code
 
 
 class SkinChain:
@@ -32,7 +31,7 @@ class SkinChain:
     ) -> None:
         """Take a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
         self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
-        self._offset_hz, self._variance_hz2 = (np.empty((4, len(f0_hz))) for _ in range(2))
+        self._offset_hz = np.empty((4, len(f0_hz)))
         self._gate_s = gate_s
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
 
@@ -45,16 +44,14 @@ class SkinChain:
         sequence: int,
         board_ticks: int,
         offset_hz16: NDArray[np.integer],
-        sigma_code: NDArray[np.uint8],
-        known: NDArray[np.bool_],
+        variance_hz2: FloatArray,
     ) -> SkinReading:
-        """Take one frame, each array (4, t): offsets in 2^-16 Hz, their noise as 2^((code - 128) / 8) Hz."""
+        """Take one frame, each array (4, t): offsets in 2^-16 Hz, and their variance, infinite where not known."""
         shape = (4, self._tones.tones)
-        if offset_hz16.shape != shape or sigma_code.shape != shape or known.shape != shape:
-            raise ValueError(f"shapes {offset_hz16.shape}, {sigma_code.shape} and {known.shape} must be {shape}")
+        if offset_hz16.shape != shape or variance_hz2.shape != shape:
+            raise ValueError(f"shapes {offset_hz16.shape} and {variance_hz2.shape} must be {shape}")
         np.multiply(offset_hz16, 2.0**-16, out=self._offset_hz)
-        np.take(VARIANCE_HZ2, sigma_code, out=self._variance_hz2, mode="clip")  # other modes copy first
-        shifts = self._tones.shifts(self._offset_hz, self._variance_hz2, known)
+        shifts = self._tones.shifts(self._offset_hz, variance_hz2)
         untouched = self._tones.untouched_common_mode(shifts)
         self._common_mode.update([math.nan if untouched is None else untouched], self._gate_s)
         (common_mode,) = self._common_mode.value

@@ -80,15 +80,16 @@ class ToneArray:
         # The same memory for every frame: fresh arrays of 100 kB each would have to come into the cache.
         self._shift, self._weight, self._product = (np.empty((4, tones)) for _ in range(3))
 
-    def shifts(self, offset_hz: FloatArray, variance_hz2: FloatArray, known: NDArray[np.bool_]) -> Shifts:
-        """Shift of each tone from its offset against the board's oscillator and that offset's variance; all (4, t)."""
+    def shifts(self, offset_hz: FloatArray, variance_hz2: FloatArray) -> Shifts:
+        """Shift of each tone from its offset against the board's oscillator, and that offset's variance; all (4, t).
+
+        The variance of an offset that is not known is infinite; the offset itself is finite in any case.
+        """
         shift, weight, frequency_hz = self._shift, self._weight, self._product
         np.add(offset_hz, self._detuning_hz, out=shift)
         np.add(offset_hz, self._oscillator_hz, out=frequency_hz)
         np.divide(shift, frequency_hz, out=shift)
         np.divide(self._f0_squared, variance_hz2, out=weight)
-        if not known.all():
-            weight[~known] = 0.0
         return Shifts(shift, weight, weight.sum(axis=0))
 
     def untouched_common_mode(self, shifts: Shifts) -> float | None:

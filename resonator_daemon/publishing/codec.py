@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple, TypeVar
 import cbor2
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
 
@@ -29,7 +30,7 @@ def encode(message: Message | Encoded) -> bytes:
     if isinstance(message, Encoded):
         return message.payload
     if isinstance(message, WITH_ARRAYS):
-        return cbor2.dumps(message.model_dump(), default=_write_array)
+        return cbor2.dumps(_plain(message))
     return message.model_dump_json().encode()
 
 
@@ -64,9 +65,13 @@ def read_arrays(payload: bytes) -> Any:
     return fields
 
 
-def _write_array(encoder: cbor2.CBOREncoder, array: NDArray[np.float32]) -> None:
-    elements = cbor2.CBORTag(_TAG_FLOAT32, array.tobytes())
-    encoder.encode(cbor2.CBORTag(_TAG_ARRAY, [array.shape, elements]))
+def _plain(value: Any) -> Any:
+    """Return a field as CBOR has it; the encoder would look for each other type anew in every message."""
+    if isinstance(value, np.ndarray):
+        return cbor2.CBORTag(_TAG_ARRAY, [value.shape, cbor2.CBORTag(_TAG_FLOAT32, value.tobytes())])
+    if isinstance(value, BaseModel):
+        return {name: _plain(field) for name, field in value.__dict__.items()}
+    return str(value) if isinstance(value, str) else value
 
 
 def _read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:

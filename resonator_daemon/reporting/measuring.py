@@ -174,7 +174,7 @@ class Measuring:
             self._tell(events, *self._last_forces)
 
     def _measure_signals(self, chain: SkinChain, frame: ChannelisedFrame) -> None:
-        reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.sigma_code, frame.known)
+        reading = chain.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.variance_hz2)
         self._sensor.update(reading.status, reading.reason, (reading.common_mode,), frame.gate_middle.utc_ns)
         if self._is_late(frame.gate_middle):
             self._skip(SIGNALS)

@@ -4,7 +4,7 @@ import numpy as np
 
 from firmware_protocol.host import FramePart
 from firmware_protocol.layouts import TONE_STRUCT, Block, BlockEncoding, ToneFlag
-from resonator_daemon.acquisition.assembly import FrameAssembler, known_tones
+from resonator_daemon.acquisition.assembly import FrameAssembler, known_tones, variance_of
 
 TONES = 6
 
@@ -24,13 +24,14 @@ def all_parts(sequence: int) -> list[FramePart]:
 
 def test_a_complete_frame() -> None:
     assembler = FrameAssembler(TONES)
-    frames = [frame for one in all_parts(7) for frame in assembler.add(one)]
+    frames = [frame for one in all_parts(7) for frame in assembler.add([one])]
     (frame,) = frames
     channel, tone = np.mgrid[:4, :TONES]
     np.testing.assert_array_equal(frame.tones["offset_hz16"], 1000 * channel - tone)
     np.testing.assert_array_equal(frame.tones["phase_turn32"], 7 * tone)
     np.testing.assert_array_equal(frame.tones["sigma_code"], 100 + tone)
     assert known_tones(frame.tones).all()
+    np.testing.assert_allclose(variance_of(frame.tones), 2.0 ** ((tone - 28) / 4))
     assert (frame.sequence, frame.board_ticks, frame.parts, frame.parts_seen) == (7, 70, 8, 8)
     assert frame.size_bytes == 8 * 72
 
@@ -39,9 +40,9 @@ def test_a_lost_part_leaves_its_tones_unknown_and_keeps_the_frame() -> None:
     assembler = FrameAssembler(TONES)
     parts = all_parts(1)
     del parts[3]  # channel 1, tones 3 to 5
-    done = [frame for one in parts for frame in assembler.add(one)]
+    done = assembler.add(parts)
     assert done == []
-    first, *rest = assembler.add(all_parts(2)[0])
+    first, *rest = assembler.add(all_parts(2)[:1])
     assert rest == []
     expected = np.ones((4, TONES), bool)
     expected[1, 3:] = False
@@ -51,8 +52,7 @@ def test_a_lost_part_leaves_its_tones_unknown_and_keeps_the_frame() -> None:
 
 def test_the_last_part_lost_before_a_lost_link() -> None:
     assembler = FrameAssembler(TONES)
-    for one in all_parts(1)[:-1]:
-        assembler.add(one)
+    assembler.add(all_parts(1)[:-1])
     (frame,) = assembler.flush()
     assert not known_tones(frame.tones)[3, 3:].any()
     assert assembler.flush() == []
@@ -61,14 +61,15 @@ def test_the_last_part_lost_before_a_lost_link() -> None:
 def test_flagged_tones_are_unknown() -> None:
     assembler = FrameAssembler(TONES)
     for flag in ToneFlag:
-        assembler.add(part(flag, 0, 0, flags=flag))
+        assembler.add([part(flag, 0, 0, flags=flag)])
         (frame,) = assembler.flush()
         assert not known_tones(frame.tones).any()
+        assert np.isinf(variance_of(frame.tones)).all()
 
 
 def test_parts_beyond_the_plate_are_counted() -> None:
     assembler = FrameAssembler(TONES)
-    assembler.add(part(1, 0, 0, first=4))
+    assembler.add([part(1, 0, 0, first=4)])
     assert assembler.misfits == 1
     (frame,) = assembler.flush()
     assert not known_tones(frame.tones).any()
@@ -77,7 +78,7 @@ def test_parts_beyond_the_plate_are_counted() -> None:
 def test_a_repeated_part_does_not_complete_a_frame() -> None:
     assembler = FrameAssembler(TONES)
     parts = all_parts(1)
-    done = [frame for one in [*parts[:6], parts[5], parts[0]] for frame in assembler.add(one)]
+    done = assembler.add([*parts[:6], parts[5], parts[0]])
     assert done == []
     assert assembler.misfits == 2
-    assert [frame.parts_seen for one in parts[6:] for frame in assembler.add(one)] == [8]
+    assert [frame.parts_seen for frame in assembler.add(parts[6:])] == [8]

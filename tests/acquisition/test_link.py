@@ -82,11 +82,11 @@ def test_silence_for_the_time_given_is_empty_and_no_loss(pair: Pair, timeout_s: 
 
 
 def test_a_read_that_finds_nothing_after_all_is_silence(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(_descriptor: int, _count: int) -> bytes:
+    def nothing(_descriptor: int, _buffers: object) -> int:
         raise BlockingIOError
 
     pair.far.sendall(b"gone again")
-    monkeypatch.setattr(link_module, "os", SimpleNamespace(read=nothing))
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=nothing))
     assert pair.link.read(AMPLE_S) == b""
 
 
@@ -182,17 +182,17 @@ def test_a_flood_is_handed_on_in_pieces(pair: Pair) -> None:
 
 
 def test_an_error_behind_bytes_is_told_after_them_and_every_time(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
-    answers = [bytes(4096), errno.ECONNRESET]
+    answers: list[int | OSError] = [4096, OSError(errno.ECONNRESET, os.strerror(errno.ECONNRESET))]
 
-    def reset(_descriptor: int, _count: int) -> bytes:
+    def reset(_descriptor: int, _buffers: object) -> int:
         answer = answers.pop(0)  # the system tells of a reset once
-        if isinstance(answer, int):
-            raise OSError(answer, os.strerror(answer))
+        if isinstance(answer, OSError):
+            raise answer
         return answer
 
     pair.far.sendall(b"ready")
-    monkeypatch.setattr(link_module, "os", SimpleNamespace(read=reset))
-    assert pair.link.read(AMPLE_S) == bytes(4096)
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=reset))
+    assert len(pair.link.read(AMPLE_S)) == 4096
     for _ in range(2):
         with pytest.raises(LinkLostError, match="Connection reset by peer"):
             pair.link.read(AMPLE_S)
@@ -201,11 +201,11 @@ def test_an_error_behind_bytes_is_told_after_them_and_every_time(pair: Pair, mon
 def test_a_descriptor_that_hangs_and_gives_nothing_is_a_loss_and_no_busy_loop(
     pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def nothing(_descriptor: int, _count: int) -> bytes:
+    def nothing(_descriptor: int, _buffers: object) -> int:
         raise BlockingIOError
 
     pair.far.close()
-    monkeypatch.setattr(link_module, "os", SimpleNamespace(read=nothing))
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=nothing))
     with pytest.raises(LinkLostError, match="hung up"):
         pair.link.read(AMPLE_S)
 

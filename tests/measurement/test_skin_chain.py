@@ -7,7 +7,7 @@ from small_skin import SITES, TONES, YOUNGS_MODULUS_PASCAL, Comb, dimensionless,
 from resonator_daemon.measurement.skin_chain import SkinChain
 
 KNOWN = np.ones((4, TONES), dtype=bool)
-SIGMA_CODE = np.full((4, TONES), 128 - 40, dtype=np.uint8)  # 2^-5 Hz
+VARIANCE_HZ2 = np.full((4, TONES), 2.0**-10)
 
 
 class Skin:
@@ -30,7 +30,7 @@ class Skin:
         self.sequence += 1
         offset = self.comb.offset_hz(physical, common_mode) + 2.0**-5 * self.rng.normal(size=(4, TONES))
         offset_hz16 = np.round(offset * 65_536).astype(np.int32)
-        return self.chain.push(self.sequence, 1000 * self.sequence, offset_hz16, SIGMA_CODE, known)
+        return self.chain.push(self.sequence, 1000 * self.sequence, offset_hz16, np.where(known, VARIANCE_HZ2, np.inf))
 
 
 NOTHING = np.zeros((3, SITES))
@@ -92,4 +92,4 @@ def test_a_frame_without_a_known_tone_has_no_signal():
 def test_a_frame_of_a_wrong_shape_is_refused():
     skin = Skin()
     with pytest.raises(ValueError, match="must be"):
-        skin.chain.push(0, 0, np.zeros((4, 5), dtype=np.int32), SIGMA_CODE, KNOWN)
+        skin.chain.push(0, 0, np.zeros((4, 5), dtype=np.int32), VARIANCE_HZ2)

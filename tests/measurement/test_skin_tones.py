@@ -10,7 +10,7 @@ EVEN = np.full((4, TONES), 0.03**2)
 def test_signals_come_back_from_frequencies(common_mode):
     comb, physical = Comb(), some_signals()
     array = comb.array()
-    signals, _ = array.signals(array.shifts(comb.offset_hz(physical, common_mode), EVEN, ALL), common_mode)
+    signals, _ = array.signals(array.shifts(comb.offset_hz(physical, common_mode), EVEN), common_mode)
     assert signals == pytest.approx(dimensionless(physical), rel=1e-6, abs=1e-9)
 
 
@@ -20,13 +20,13 @@ def test_stated_noise_is_the_spread_and_no_corner_alone_does_better():
     offset = comb.offset_hz(some_signals())
     draws = []
     for _ in range(400):
-        shifts = array.shifts(offset + sigma * rng.normal(size=sigma.shape), sigma**2, ALL)
+        shifts = array.shifts(offset + sigma * rng.normal(size=sigma.shape), sigma**2)
         signals, noise_std = array.signals(shifts, 0.0)
         draws.append(signals)
     assert np.mean(np.std(draws, axis=0) / noise_std) == pytest.approx(1.0, abs=0.01)
     one = np.zeros((4, TONES), dtype=bool)
     one[0] = True
-    assert (array.signals(array.shifts(offset, sigma**2, one), 0.0)[1] > noise_std).all()
+    assert (array.signals(array.shifts(offset, np.where(one, sigma**2, np.inf)), 0.0)[1] > noise_std).all()
 
 
 def test_corners_that_are_not_known_are_left_out_and_tones_without_any_are_nan():
@@ -36,7 +36,7 @@ def test_corners_that_are_not_known_are_left_out_and_tones_without_any_are_nan()
     known[:3, :50] = False
     known[:, 50:60] = False
     offset[~known] = 1e6
-    signals, noise_std = array.signals(array.shifts(offset, EVEN, known), 0.0)
+    signals, noise_std = array.signals(array.shifts(offset, np.where(known, EVEN, np.inf)), 0.0)
     lost = np.zeros((3, SITES), dtype=bool)
     lost[comb.signal_index[50:60], comb.site_index[50:60]] = True
     assert (np.isnan(signals) == lost).all()
@@ -52,7 +52,7 @@ def test_a_signal_that_the_plate_does_not_sense_is_nan():
         site_index=comb.site_index[keep],
         signal_index=comb.signal_index[keep],
     )
-    shifts = array.shifts(comb.offset_hz(some_signals())[:, keep], EVEN[:, keep], ALL[:, keep])
+    shifts = array.shifts(comb.offset_hz(some_signals())[:, keep], EVEN[:, keep])
     signals, _ = array.signals(shifts, 0.0)
     assert np.isnan(signals[1]).all()
     assert np.isfinite(signals[[0, 2]]).all()
@@ -60,7 +60,7 @@ def test_a_signal_that_the_plate_does_not_sense_is_nan():
 
 def noisy(comb, array, physical, common_mode, seed, known=ALL):
     noise = 0.03 * np.random.default_rng(seed).normal(size=(4, TONES))
-    return array.shifts(comb.offset_hz(physical, common_mode) + noise, EVEN, known)
+    return array.shifts(comb.offset_hz(physical, common_mode) + noise, np.where(known, EVEN, np.inf))
 
 
 def test_an_untouched_plate_gives_the_common_mode():
@@ -74,7 +74,7 @@ def test_one_bad_tone_does_not_pass_for_a_touch():
     comb, array = Comb(), Comb().array()
     offset = comb.offset_hz(np.zeros((3, SITES)), 1e-5)
     offset[:, 7] += 500.0
-    assert array.untouched_common_mode(array.shifts(offset, EVEN, ALL)) == pytest.approx(1e-5, abs=1e-12)
+    assert array.untouched_common_mode(array.shifts(offset, EVEN)) == pytest.approx(1e-5, abs=1e-12)
 
 
 @pytest.mark.parametrize("pressed", [slice(0, SITES), slice(0, 6)])

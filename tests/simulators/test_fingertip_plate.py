@@ -95,7 +95,7 @@ def signals_of(plate: Plate, *touches: Touch, frames: int = 40) -> tuple[np.ndar
         plate.skin.youngs_modulus_pascal,
     )
     sigma_hz = 2.0 ** ((rows["f3"][0] - 128.0) / 8.0)
-    shifts = array.shifts(rows["f1"].mean(axis=0) / 2**16, sigma_hz**2, np.ones(sigma_hz.shape, np.bool_))
+    shifts = array.shifts(rows["f1"].mean(axis=0) / 2**16, sigma_hz**2)
     return array.signals(shifts, common_mode=-1.5e-6 / (1.0 + 1.5e-6))
 
 
