@@ -68,7 +68,7 @@ class FramePart(NamedTuple):
     board_ticks: int
     size_bytes: int
     block: Block
-    tones: bytes
+    tones: memoryview
 
 
 class Pong(NamedTuple):
@@ -318,7 +318,8 @@ class HostSession:
         if size != _BLOCK_BYTES + tones * _TONE_BYTES or channel >= CHANNEL_COUNT or number >= parts:
             raise MalformedMessageError(f"channel {channel} with {tones} tones in {size - _BLOCK_BYTES} bytes")
         size_bytes = PACKET_OVERHEAD_BYTES + size
-        events.append(tuple.__new__(FramePart, (sequence, board_ticks, size_bytes, block, payload[_BLOCK_BYTES:])))
+        records = memoryview(payload)[_BLOCK_BYTES:]
+        events.append(tuple.__new__(FramePart, (sequence, board_ticks, size_bytes, block, records)))
 
     def _take_answer(self, packet: Packet, events: list[HostEvent]) -> None:
         answered = self._requests.answered(packet.sequence)

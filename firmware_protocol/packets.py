@@ -146,7 +146,7 @@ class PacketDecoder:
         direction = self._direction
         found: list[Packet | Damage | ForeignVersion] = []
         accepted_bytes = 0
-        position, end = 0, len(buffer)
+        position, end, view = 0, len(buffer), memoryview(buffer)
         while True:
             if position == end:
                 wanted_bytes = 0
@@ -173,7 +173,7 @@ class PacketDecoder:
             if after > end:
                 wanted_bytes = size_bytes
                 break
-            if crc32(buffer[position:after]) != _SOUND:
+            if crc32(view[position:after]) != _SOUND:
                 position += self._discard(len(SYNC), Defect.BAD_CRC)
                 continue
             if self._discarding is not None:

@@ -17,19 +17,35 @@ _BLANK = TONE_STRUCT.pack(0, 0, 0, 0, ToneFlag.NO_SIGNAL)
 
 @dataclass(slots=True)
 class AssembledFrame:
-    """Tones (4, tones) as records of the wire; those that did not arrive have no signal."""
+    """The parts of one frame that arrived, and where in its records they belong."""
 
     sequence: int
     board_ticks: int
     parts: int
-    records: bytearray
-    tones: Tones
+    blank: bytes  # records of a frame of which nothing arrived
+    pieces: dict[int, memoryview] = field(default_factory=dict)  # by their first byte
     seen: set[int] = field(default_factory=set)
     size_bytes: int = 0
 
     @property
     def parts_seen(self) -> int:
         return len(self.seen)
+
+    @property
+    def tones(self) -> Tones:
+        """Tones (4, tones) as records of the wire; those that did not arrive have no signal."""
+        end = 0
+        for start, piece in self.pieces.items():
+            if start != end:
+                break
+            end += len(piece)
+        if end == len(self.blank):
+            records: bytes | bytearray = b"".join(self.pieces.values())
+        else:
+            records = bytearray(self.blank)
+            for start, piece in self.pieces.items():
+                records[start : start + len(piece)] = piece
+        return np.frombuffer(records, TONE).reshape(CHANNEL_COUNT, -1)
 
 
 def known_tones(tones: Tones) -> NDArray[np.bool_]:
@@ -89,7 +105,7 @@ class FrameAssembler:
                 self.misfits += 1
                 continue
             start = (channel * all_tones + first_tone) * tone_bytes
-            frame.records[start : start + len(data)] = data
+            frame.pieces[start] = data
             seen.add(number)
             frame.size_bytes += size_bytes
             if len(seen) >= frame.parts:
@@ -104,6 +120,4 @@ class FrameAssembler:
         return [frame] if frame else []
 
     def _begin(self, part: FramePart) -> AssembledFrame:
-        records = bytearray(self._blank)
-        tones = np.frombuffer(records, TONE).reshape(CHANNEL_COUNT, self._tones)
-        return AssembledFrame(part.sequence, part.board_ticks, part.block.parts, records, tones)
+        return AssembledFrame(part.sequence, part.board_ticks, part.block.parts, self._blank)

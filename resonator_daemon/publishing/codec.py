@@ -14,6 +14,7 @@ from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
 _TAG_ARRAY: Final = 40  # multi-dimensional array, row-major: [shape, elements]
 _TAG_FLOAT32: Final = 85  # typed array of little-endian IEEE 754 binary32
 _DIMENSIONS_MAX: Final = 3
+_AS_IT_IS: Final = frozenset({int, float, str, bool, type(None)})
 
 MessageT = TypeVar("MessageT", bound=Message)
 
@@ -67,7 +68,10 @@ def read_arrays(payload: bytes) -> Any:
 
 def _plain(value: Any) -> Any:
     """Return a field as CBOR has it; the encoder would look for each other type anew in every message."""
-    if isinstance(value, np.ndarray):
+    kind = type(value)
+    if kind in _AS_IT_IS:
+        return value
+    if kind is np.ndarray:
         return cbor2.CBORTag(_TAG_ARRAY, [value.shape, cbor2.CBORTag(_TAG_FLOAT32, value.tobytes())])
     if isinstance(value, BaseModel):
         return {name: _plain(field) for name, field in value.__dict__.items()}

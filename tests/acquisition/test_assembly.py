@@ -15,7 +15,7 @@ def part(sequence: int, channel: int, half: int, flags: int = 0, first: int | No
         TONE_STRUCT.pack(7 * tone, 1000 * channel - tone, 0, 100 + tone, flags) for tone in range(first, first + 3)
     )
     block = Block(channel, BlockEncoding.TONE_12, first, 3, 2 * channel + half, 8)
-    return FramePart(sequence, 10 * sequence, 72, block, tones)
+    return FramePart(sequence, 10 * sequence, 72, block, memoryview(tones))
 
 
 def all_parts(sequence: int) -> list[FramePart]:
