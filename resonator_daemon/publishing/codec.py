@@ -73,9 +73,11 @@ def _plain(value: Any) -> Any:
         return value
     if kind is np.ndarray:
         return cbor2.CBORTag(_TAG_ARRAY, [value.shape, cbor2.CBORTag(_TAG_FLOAT32, value.tobytes())])
+    if isinstance(value, str):  # a word of a closed set
+        return str(value)
     if isinstance(value, BaseModel):
         return {name: _plain(field) for name, field in value.__dict__.items()}
-    return str(value) if isinstance(value, str) else value
+    return value
 
 
 def _read_tag(tag: cbor2.CBORTag, _immutable: bool = False) -> Any:

@@ -282,6 +282,8 @@ class Outbox:
 
     def _drop_late(self) -> None:
         """Drop the streams that have waited too long to be of use."""
+        if not self._streams:
+            return
         oldest_s = self._now_s() - self.stream_wait_max_s
         while self._streams and next(iter(self._streams)).since_s < oldest_s:
             self._account.drop(Cause.LATE, self._streams.take().topic)

@@ -151,7 +151,7 @@ class Publisher:
 
         Messages of streams (QoS 0) may be encoded already.
         """
-        if topic.qos == 0 and isinstance(message, topic.payload | Encoded):
+        if topic.qos == 0 and isinstance(message, (topic.payload, Encoded)):
             self._publish_stream(base, topic, message)
             return
         if not isinstance(message, topic.payload):
@@ -246,7 +246,7 @@ class Publisher:
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
-        t_ns = message.t_ns if isinstance(message, Header | Encoded) else 0
+        t_ns = message.t_ns if isinstance(message, (Header, Encoded)) else 0
         names = []
         pace = self._paces.get(topic.path)
         if pace is None or pace.lets_pass(t_ns):
