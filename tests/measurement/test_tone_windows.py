@@ -104,13 +104,13 @@ def test_end_residuals_are_those_of_the_gates():
 
 def test_a_flagged_gate_empties_the_window_and_the_next_starts_anew():
     flags = {3: RecordFlag.CAPTURE_SWITCH}
-    told = full_after(windows(), frames_of([10e6] * 8, flags))
-    assert told == ["filling"] * 2 + ["full", "capture_switch"] + ["filling"] * 2 + ["full"] * 2
+    states = full_after(windows(), frames_of([10e6] * 8, flags))
+    assert states == ["filling"] * 2 + ["full", "capture_switch"] + ["filling"] * 2 + ["full"] * 2
 
 
 def test_a_stride_break_starts_the_window_anew_with_that_gate():
-    told = full_after(windows(), frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}))
-    assert told == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
+    states = full_after(windows(), frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}))
+    assert states == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
 
 
 def test_a_missing_gate_starts_the_window_anew():
@@ -121,9 +121,9 @@ def test_a_missing_gate_starts_the_window_anew():
 
 @pytest.mark.parametrize(("jump", "restarts"), [(15e-6, False), (-15e-6, False), (25e-6, True), (-25e-6, True)])
 def test_a_capture_switch_that_the_board_does_not_flag_starts_the_window_anew(jump, restarts):
-    told = full_after(windows(), frames_of([10e6] * 4 + [10e6 * (1 + jump)] * 3))
+    states = full_after(windows(), frames_of([10e6] * 4 + [10e6 * (1 + jump)] * 3))
     after = ["filling"] * 2 + ["full"] if restarts else ["full"] * 3
-    assert told == ["filling"] * 2 + ["full"] * 2 + after
+    assert states == ["filling"] * 2 + ["full"] * 2 + after
 
 
 @pytest.mark.parametrize("frequency", [8.9e6, 11.1e6])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from decoder_bench import NOISE, NU, SITES_M, E, Floats, incoming, info, pressed, signals, until
 
+from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.elastic import HalfSpace
@@ -162,7 +163,10 @@ async def test_only_what_is_asked_for_is_published(uncertainty: bool, displaceme
     assert (found.traction_std_pascal is not None, found.displacement_m is not None) == (uncertainty, displacement)
 
 
-async def test_of_frames_in_a_burst_the_newest_is_decoded_and_the_others_are_skipped() -> None:
+async def test_of_frames_in_a_burst_the_newest_is_decoded_and_the_others_are_skipped(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
     async with Followed().running() as followed:
         await followed.prepare(info())
         await followed.read(signals(0))
@@ -260,16 +264,16 @@ async def test_each_decoded_frame_is_counted_by_its_age(monkeypatch: pytest.Monk
 async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
     monkeypatch.setattr(followed_plate, "_LOOK_S", 0.01)
-    told: list[str] = []
+    interruptions: list[str] = []
     interrupt = DecoderSupervisor.interrupt
     monkeypatch.setattr(
-        DecoderSupervisor, "interrupt", lambda decoder, why: (told.append(why), interrupt(decoder, why))
+        DecoderSupervisor, "interrupt", lambda decoder, why: (interruptions.append(why), interrupt(decoder, why))
     )
     async with Followed().running() as followed:
         await followed.prepare(info())
         for seq in range(3):
             await followed.read(signals(seq))
-        assert told == []
+        assert interruptions == []
         monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.05)
         await until(lambda: len(followed.on("contacts/event")) == 2)
         await until(lambda: followed.on("contacts")[-1].contacts == ())
@@ -278,7 +282,7 @@ async def test_contacts_end_when_signals_stop_and_only_then(monkeypatch: pytest.
         assert (release.event, release.reason) == ("release", "no signals for 0.05 s")
         assert len(followed.on("decoded")) == len(followed.on("decoded/summary")) == 3
         await asyncio.sleep(0.05)  # looked some times more
-        assert len(told) == 1
+        assert len(interruptions) == 1
         monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 3600.0)
         for seq in range(3, 5):
             await followed.read(signals(seq))
