@@ -1,4 +1,4 @@
-"""Processor time of the whole computer during a run, and which other process used most of it."""
+"""Processor time of the whole computer during a run, and the process outside of the run that used most of it."""
 
 import time
 from collections.abc import Collection
@@ -7,12 +7,12 @@ import psutil
 
 
 class HostLoad:
-    """Measures from its construction to `stop`; processes that end or start in between count in the sum alone.
+    """Processor time from the construction to `stop`; processes that start or end in between are in the sum alone.
 
     Attributes
     ----------
     used_s
-        Processor time of each process, once stopped.
+        Processor time of each process, in seconds; valid after `stop`.
     """
 
     def __init__(self) -> None:
@@ -22,12 +22,13 @@ class HostLoad:
         self._ended_s = self._started_s
 
     def stop(self) -> None:
+        """End the measurement."""
         self._ended_s = time.monotonic()
         self._busy_s = _busy_s() - self._busy_s
         self.used_s = {process: _cpu_s(process) - before_s for process, before_s in self.used_s.items()}
 
     def in_words(self, own_cpu_s: float, own_pids: Collection[int]) -> str:
-        """Return one sentence on what kept the computer busy, given what the run itself used."""
+        """Return a sentence with the processes that kept the computer busy, given those of the run and their time."""
         seconds = max(self._ended_s - self._started_s, 1e-9)
         cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
         others = max(self._busy_s / seconds - own, 0.0)

@@ -17,7 +17,7 @@ from resonator_daemon.errors import OperatorError
 BROKER_PART: Final = "broker"
 _START_S: Final = 5.0
 _LOOK_S: Final = 0.05
-# A user's PATH on Debian lacks the place of mosquitto.
+# Where Debian installs mosquitto; a user's PATH lacks it.
 MORE_PLACES = f"{os.pathsep}/usr/local/sbin{os.pathsep}/usr/sbin"
 
 
@@ -32,12 +32,12 @@ class LocalBroker:
 
 @asynccontextmanager
 async def local_broker(folder: Path) -> AsyncIterator[LocalBroker]:
-    """Serve on the loopback interface as long as the context lasts; configuration and log go to the folder.
+    """Run a broker on the loopback interface within the context; its configuration and log are in the folder.
 
     Raises
     ------
     OperatorError
-        There is no Mosquitto and no amqtt either, or the broker does not start.
+        Neither Mosquitto nor amqtt is installed, or the broker does not start.
     """
     program = shutil.which("mosquitto", path=os.environ.get("PATH", "") + MORE_PLACES)
     broker = await (_start_amqtt(folder) if program is None else _start_mosquitto(program, folder))

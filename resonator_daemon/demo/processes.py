@@ -19,7 +19,7 @@ _STOP_S = 5.0
 
 
 class Child:
-    """A running command: processor time and memory of it and of all processes below it, and its orderly end."""
+    """A running command; processor time and memory are those of the process and of all its descendants."""
 
     def __init__(self, part: str, process: Process, log: Path) -> None:
         self.part = part
@@ -37,25 +37,27 @@ class Child:
         return self._cpu_s() - self._cpu_mark_s
 
     def rss_mb(self) -> float:
+        """Return the resident memory in MB."""
         return 1e-6 * sum(process.memory_info().rss for process in self._family())
 
     def pids(self) -> set[int]:
+        """Return the process ids."""
         return {process.pid for process in self._family()}
 
     def complaint(self) -> str | None:
-        """Return the last line that a child wrote which ended by itself; None while it runs."""
+        """Return exit code and last line of a command that has ended by itself; None while it runs."""
         if self._process.returncode is None:
             return None
         lines = self._log.read_text().splitlines() or ["it printed nothing"]
         return f"{self.part} ended with exit code {self._process.returncode}: {lines[-1]}"
 
     async def first_line(self) -> bytes:
-        """Return the first line that it prints.
+        """Wait for the first line of its output and return it.
 
         Raises
         ------
         OperatorError
-            It ended without one.
+            It ended without output.
         """
         line = await self._process.stdout.readline() if self._process.stdout else b""
         if not line:
@@ -64,7 +66,7 @@ class Child:
         return line
 
     async def stop(self) -> None:
-        """End it as Ctrl-C would; kill it when that takes too long."""
+        """End it by SIGINT, as Ctrl-C does; kill it after 5 s."""
         if self._process.returncode is None:
             with suppress(ProcessLookupError):
                 self._process.send_signal(signal.SIGINT)
@@ -86,7 +88,7 @@ class Child:
 
 
 def cpu_s(process: psutil.Process) -> float:
-    """Return the processor time of a process and of those below it that have ended; 0 where it has ended itself."""
+    """Return the processor seconds of a process and of its children that have ended; 0 if it has ended itself."""
     try:
         times = process.cpu_times()
     except psutil.NoSuchProcess:
@@ -116,7 +118,7 @@ async def start_verb(part: str, folder: Path, *arguments: str) -> Child:
 
 
 async def start_child(part: str, folder: Path, command: Sequence[str], stdout: int = DEVNULL) -> Child:
-    """Start a command; what it writes on stderr goes to a file in the folder."""
+    """Start a command; its stderr is written to a file in the folder."""
     log = folder / f"{part}.log"
     with log.open("w") as stderr:
         # A session of its own: Ctrl-C at the terminal reaches this process, which then ends its children in order.

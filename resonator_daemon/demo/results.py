@@ -1,4 +1,4 @@
-"""The result of a demo: as one JSON object, as words, and which of it makes the run a failure."""
+"""The result of a demo as a JSON object and as text, and the parts of it that make the run a failure."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -9,11 +9,11 @@ from resonator_daemon.demo.score import FOUND_WITHIN_NS, PlateScore
 from resonator_daemon.view.words import losses_in_words
 
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
-_SKIPPED: Final = "skipped_late"  # results that newer ones took the place of: no frame is lost
+_SKIPPED: Final = "skipped_late"  # results that newer ones replaced: no frame is lost
 
 
 def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[str, Any]:
-    """Return the result of one plate but for processor time and memory."""
+    """Return the result of one plate, without processor time and memory."""
     accuracy = score.accuracy(until_ns)
     losses = score.losses
     return {
@@ -37,6 +37,7 @@ def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[st
 
 
 def percentiles(latency_ms: list[float]) -> dict[str, float] | None:
+    """Return median and 99 % of latencies in ms; None if there are none."""
     if not latency_ms:
         return None
     p50, p99 = np.percentile(latency_ms, [50, 99])
@@ -44,7 +45,7 @@ def percentiles(latency_ms: list[float]) -> dict[str, float] | None:
 
 
 def failures(plate: Mapping[str, Any]) -> list[str]:
-    """Return why a plate's run is a failure, a clause each: contacts that were missed, frames that were lost."""
+    """Return a clause for each failure of a plate's run: touches that were missed, frames that were lost."""
     clauses = [f"{count} lost: {cause}" for cause, count in plate["lost"].items() if count and cause != _SKIPPED]
     if not plate["frames"]:
         clauses.append("no frame arrived")
@@ -59,7 +60,7 @@ def failures(plate: Mapping[str, Any]) -> list[str]:
 
 
 def delays(plate: Mapping[str, Any]) -> list[str]:
-    """Return what came late, a clause each; it came nevertheless, and makes no failure."""
+    """Return a clause for each kind of result that was late or skipped, which is no failure."""
     clauses = []
     if late := plate["contacts_late"]:
         clauses.append(

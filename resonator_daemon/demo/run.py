@@ -36,7 +36,7 @@ from resonator_daemon.view.terminal import render
 
 _START_S: Final = 120.0  # decoders of a skin are set up first
 _END_S: Final = 10.0  # for the last messages of the daemons
-_TURN_S: Final = 1 / 5  # what has arrived is scored and drawn as often as maps are published for people
+_TURN_S: Final = 1 / 5  # period of scoring and drawing; maps for people are published as often
 _SWITCH_S: Final = 0.5e-3  # the longest that scoring and drawing keep the receiving thread from the interpreter
 _SHOWN: Final = tuple(topic for topic in TOPICS.values() if topic != SIGNALS)
 _SCORED_PATHS: Final = frozenset(topic.path for topic in SCORED)
@@ -62,7 +62,7 @@ def run_demo(options: DemoOptions) -> ExitCode:
 
 @dataclass(slots=True)
 class _Station:
-    """One plate in the demo: its emulator and daemon, what was received, and how well that agrees with the truth."""
+    """One plate in the demo: its emulator and daemon, the view of its messages, and their score against the truth."""
 
     plate: Plate
     emulator: Child
@@ -104,7 +104,7 @@ class _Demo:
         return self._conclude(result)
 
     def _filters(self) -> dict[str, int]:
-        """Return what is scored at its full rate, and for the page the copies for people."""
+        """Return the topics that are scored at their full rate, and for the page the copies for people."""
         filters = topic_filters(self._prefix, SCORED, full_rate=True)
         if not self._options.headless:
             filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)
@@ -126,7 +126,7 @@ class _Demo:
         return station
 
     def _take_arrivals(self) -> None:
-        """Score what has arrived, and give the view what it shows."""
+        """Add the messages that have arrived to the scores and the views."""
         while self._arrivals:
             arrival = self._arrivals.popleft()
             name, path = split_topic(self._prefix, arrival.topic)
@@ -145,7 +145,7 @@ class _Demo:
         """Wait for the first frame of every plate, then measure for the time asked for; return how long it was."""
         await self._wait_for_frames()
         self._report(f"measuring for {self._options.seconds:g} s")
-        gc.freeze()  # what was imported stays: a look through all of it would delay every message by tens of ms
+        gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
         self._load = HostLoad()
         for station in self._stations.values():
             station.score.begin(time.time_ns())
@@ -189,7 +189,7 @@ class _Demo:
             await self._pause(_TURN_S)
 
     async def _wait_for_last_messages(self) -> None:
-        """Return when each daemon's last message has arrived: its state, offline."""
+        """Wait up to 10 s for each daemon's last message: the state offline."""
         deadline = time.monotonic() + _END_S
         while time.monotonic() < deadline and not all(each.score.ended for each in self._stations.values()):
             await asyncio.sleep(_TURN_S)

@@ -70,9 +70,9 @@ class Accuracy:
 
 
 class PlateScore:
-    """Joins messages and truth of one plate as both come in.
+    """Comparison of the messages of one plate with the truth, as both come in.
 
-    Messages are read as far as they are scored and no further: nothing checks them, as their daemon is under test.
+    Only the fields that are scored are read, without a check by the models of the messages.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class PlateScore:
     site_positions_m
         (n, 2): where the traction of scattered sites is compared with the truth, point by point.
     touched_anywhere
-        The plate has a skin: the site of an onset is only the nearest one, and says nothing about the touch.
+        The plate has a skin: the site of an onset is only the nearest one, and is not compared.
 
     Attributes
     ----------
@@ -136,7 +136,7 @@ class PlateScore:
 
     @property
     def frames(self) -> int:
-        """Frames that the daemon received since `begin`, by its last `health`."""
+        """Number of frames that the daemon has received since `begin`, by its last `health`."""
         return self.health[-1]["frames"] - (self._sequence_before + 1) if self.health else 0
 
     @property
@@ -151,7 +151,7 @@ class PlateScore:
         return {cause: count - self._losses_before[cause] for cause, count in self._losses.items()}
 
     def take(self, path: str, payload: bytes, arrived_ns: int) -> None:
-        """Take a message of the topic with this path; it arrived at that time, UTC."""
+        """Add a message of the topic with this path and its time of arrival (UTC)."""
         if path == DECODED.path:
             self.decoded_frames += 1
             message = read_arrays(payload)
@@ -212,9 +212,9 @@ class PlateScore:
         self._waiting = still_waiting
 
     def accuracy(self, until_ns: int) -> Accuracy:
-        """Return the score of everything that was true from `begin` to `until_ns`, UTC.
+        """Return the score of all touches and frames from `begin` to `until_ns` (UTC).
 
-        Each touch is matched with the onset nearest in time at its site, and each onset finds one touch.
+        Each touch is matched with the onset nearest in time at its site; an onset matches one touch at most.
         """
         result = Accuracy(latency_ms=self.latency_ms)
         crossed = [
@@ -259,7 +259,7 @@ class PlateScore:
                 touch.crossed_ns = line.t_ns
 
     def _compare_forces(self, message: Mapping[str, Any], touched: list[TruthLine], frames: int) -> None:
-        """Compare forces with the mean truth of a window, of whose gates `touched` are those with a contact."""
+        """Compare forces with the mean truth of a window of `frames` gates; `touched` are those with a contact."""
         true_newton: dict[int, float] = {}
         site_of: dict[int, Any] = {}
         for line in touched:
@@ -270,7 +270,7 @@ class PlateScore:
         measured = {site["site"]: site["force_newton"] for site in message["sites"]}
         for touch, true in true_newton.items():
             force_newton = measured.get(site_of[touch])
-            if force_newton is not None:  # where it is not known, the status says so: that is no error of the force
+            if force_newton is not None:  # None has a status instead: no error of the force
                 self._force_errors.append((touch, true, force_newton - true))
 
     def _compare_patches(self, message: Mapping[str, Any], line: TruthLine) -> None:
@@ -286,7 +286,7 @@ class PlateScore:
 
     def _compare_tractions(self, message: Mapping[str, Any], line: TruthLine) -> None:
         measured = message["traction_pascal"].astype(np.float64)
-        if np.isnan(measured).any():  # not known, as its status says
+        if np.isnan(measured).any():  # not estimated, as its status shows
             return
         if message["grid"] is None:
             truth = site_traction(line, self._site_positions_m)

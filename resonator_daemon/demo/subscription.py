@@ -1,6 +1,6 @@
-"""Subscription to the demo's own broker, in a thread that reads whole packets of MQTT 3.1.1 and nothing of them.
+"""Subscription to the demo's own broker: a thread that reads packets of MQTT 3.1.1 without decoding payloads.
 
-A client library takes as much processor time for a message as all that the demo does with it.
+A client library takes as much processor time for a message as the rest of the demo.
 """
 
 import socket
@@ -24,7 +24,16 @@ _TIMEOUT_S: Final = 5.0
 
 
 class Subscription:
-    """Calls `on_arrival` in its own thread with each message, from the construction to `close`.
+    """Subscription from the construction to `close`; its thread calls `on_arrival` with each message.
+
+    Parameters
+    ----------
+    url
+        Broker, as `mqtt://HOST:PORT`.
+    filters
+        Topic filters and their QoS, 0 or 1.
+    on_arrival
+        Called with topic, payload and time of arrival of each message.
 
     Raises
     ------
@@ -47,7 +56,8 @@ class Subscription:
         self._thread.start()
 
     def close(self) -> None:
-        with suppress(OSError):  # the broker was first
+        """Close the connection and wait for the thread."""
+        with suppress(OSError):  # the broker has closed it already
             self._socket.shutdown(socket.SHUT_RDWR)
         self._thread.join()
         self._socket.close()
@@ -62,7 +72,7 @@ class Subscription:
             pass  # the broker has ended; the demo notices that by its process
 
     def _take(self, data: bytes, arrived_ns: int) -> bytes:
-        """Pass on the messages of all whole packets; return what is left."""
+        """Pass on the messages of all complete packets; return the rest of the bytes."""
         start = 0
         while (ends := packet_ends(data, start)) is not None:
             body, end = ends

@@ -41,7 +41,7 @@ class TruthTable:
         self._index: dict[int, int] = {}
 
     def read_on(self) -> list[TruthLine]:
-        """Return what the emulator has written since the last call."""
+        """Read the lines that the emulator has written since the last call."""
         if self._file is None:
             if not self._path.exists():
                 return []
@@ -86,7 +86,7 @@ def surface_traction(line: TruthLine, shape: tuple[int, int], pitch_m: float) ->
 def _pixels_around(
     contact: dict[str, Any], shape: tuple[int, int], pitch_m: float
 ) -> tuple[slice, slice, tuple[float, float]]:
-    """Return the rows and columns that a contact reaches, and its centre as seen from the centre of these pixels."""
+    """Return the rows and columns that a contact reaches, and its centre relative to the centre of these pixels."""
     radius = float(contact_radius_m(contact["force_newton"][2], RADIUS_M_AT_1_NEWTON)) / pitch_m
     slices, centre_m = [], []
     for place_m, size in zip(contact["position_m"], reversed(shape), strict=True):
