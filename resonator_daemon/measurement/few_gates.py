@@ -1,4 +1,4 @@
-"""A few gates that came together, as lists: for so few, arrays take longer."""
+"""A block of few gates as lists: for so few, arrays take longer."""
 
 import math
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ class FewGates(GateBlock):
 
 
 class _FewWindows:
-    """Windows that are added up when they are asked for."""
+    """Windows whose sums are added up on request."""
 
     def __init__(self, columns: Sequence[Column], windows: list[tuple[int, int]], reference_hz: float) -> None:
         self._columns = columns

@@ -1,4 +1,4 @@
-"""What can be asked of gates that came together, few or many."""
+"""Interface of a block of adjacent gates, few or many, and of the windows that end with them."""
 
 from abc import ABC, abstractmethod
 from collections import Counter
@@ -25,7 +25,7 @@ class WindowSums(Protocol):
 
 
 class GateBlock(ABC):
-    """Gates that came together, and the windows that end with each of them.
+    """A block of adjacent gates, and the windows that end with each of them.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class GateBlock(ABC):
         return len(self.held)
 
     def fault_names(self, gate: int) -> list[str | None]:
-        """Why each channel of a gate is not usable; None where it is."""
+        """Return the fault of each channel of a gate; None where there is none."""
         return [FAULTS[code] for code in self.faults[gate]] if self.faults else [None] * len(self.held[gate])
 
     def count_faults(self) -> Counter[str]:
@@ -54,7 +54,7 @@ class GateBlock(ABC):
 
     @abstractmethod
     def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
-        """Tell by gate and channel which hear a tone that is off the pilot by this, relative; empty: none."""
+        """Return, by gate and channel, whether a tone is off the pilot by more than this ratio; empty: none is."""
 
     @abstractmethod
     def attenuation_db(self, gate: int) -> list[float]:
@@ -64,7 +64,7 @@ class GateBlock(ABC):
     def last(self, gate: int, frames: int) -> tuple[list[list[float]], list[list[float]]]:
         """Frequencies of the last `frames` gates, and the mean square that their lines leave at their ends, in ticks^2.
 
-        Both by channel; they tell something where so many gates are held.
+        Both by channel; valid for channels that hold so many gates.
         """
 
     @abstractmethod

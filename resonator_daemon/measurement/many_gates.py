@@ -1,4 +1,4 @@
-"""Many gates that came together, as arrays."""
+"""A block of many gates as arrays."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ def as_arrays(gates: Sequence[Sequence[Gate]], rows: int) -> tuple[Integers, Flo
 
 
 def begins(sums: Integers, frequency_hz: FloatArray) -> NDArray[np.bool_]:
-    """Tell which gates but the first do not run on from the one before: stamps are missing, or it is another tone."""
+    """Return which gates after the first do not continue the one before: stamps are missing, or the tone changes."""
     first_edge, first_ticks, stamps, stride, span = sums[:5, :-1]
     next_edge, next_ticks, _, next_stride, _ = sums[:5, 1:]
     gap_ticks = (next_ticks - first_ticks - span) & WRAP_MASK

@@ -1,4 +1,4 @@
-"""Records of a single-tone counter to what each gate tells; or why it tells nothing: no tone has such sums."""
+"""Records of a single-tone counter: the sums and the frequency of each gate, or the fault of its record."""
 
 import math
 from typing import Final, NamedTuple
@@ -10,7 +10,7 @@ from firmware_protocol.layouts import SINGLE_TONE_FIELDS, RecordFlag, SingleTone
 from resonator_daemon.measurement.counting import FREQUENCY_JUMP, QUANTISATION_TICKS2, Sums
 from resonator_daemon.measurement.force import FloatArray
 
-STAMPS_MIN: Final = 3  # two give a slope but say nothing about their noise
+STAMPS_MIN: Final = 3  # two give a slope but no estimate of its noise
 LINE_TOLERANCE: Final = 64  # stamps lie within 1/64 of the span of the line through the end points
 NOISE_SIGMAS: Final = 6.0
 
@@ -55,7 +55,7 @@ _EXACT: Final = (
 
 
 class Gate(NamedTuple):
-    """What one record tells: its sums, the regression's frequency, and its slope in ticks per stamp."""
+    """One record: its sums, the frequency of the regression in Hz, and its slope in ticks per stamp."""
 
     sums: Sums
     frequency_hz: float
@@ -63,7 +63,7 @@ class Gate(NamedTuple):
 
 
 class Gates(NamedTuple):
-    """What records tell, arrays (..., channels).
+    """Sums, faults and frequencies of records, arrays (..., channels).
 
     `sums` (8, ..., channels) are the integers of the records, `fault` the codes of `FAULTS`. `slope_ticks` is the
     regression's, per stamp, `frequency_hz` follows from it, NaN where there is a fault.
@@ -76,7 +76,7 @@ class Gates(NamedTuple):
 
 
 def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[float, float]) -> Gates:
-    """Return what records (..., channels) of the type `RECORD` tell.
+    """Return sums, faults and frequencies of records (..., channels) of the type `RECORD`.
 
     A record has a fault where the board says so, where no steady tone has such sums, and outside of `band_hz`. The
     elements are worked out one by one: which others are beside them changes no bit.
@@ -122,7 +122,7 @@ def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[fl
 
 
 def read_gate(record: SingleToneRecord, reference_hz: float, band_hz: tuple[float, float]) -> Gate | int:
-    """Return what one record tells, or the code of its fault: bit by bit as `read_gates` does.
+    """Return sums and frequency of one record, or the code of its fault, bit by bit as `read_gates` does.
 
     Arrays of a few records take longer than plain floats, which are rounded alike.
     """

@@ -155,7 +155,7 @@ class SingleToneChain:
         self._last = first_sequence + count - 1, board_ticks[-1]
         steps = range(-(first_sequence + 1) % step, count, step)
         windows = self._windows_at(block, sorted({*steps, *changed}))
-        between: dict[int, _Window] = {}  # of gates that may tell of an onset: made where one is asked for
+        between: dict[int, _Window] = {}  # of gates that may show an onset: made on request
         readings = []
         for gate in range(count):
             at_step = gate in steps
@@ -189,7 +189,7 @@ class SingleToneChain:
         }
 
     def _note(self, block: GateBlock) -> list[list[int]]:
-        """Count unusable records; return for how many frames in a row each channel has heard no strongest tone."""
+        """Count unusable records; return for how many frames in a row no tone was the strongest on each channel."""
         if not block.faults:
             self._crowded = self._quiet
             return [self._quiet] * len(block)
@@ -203,14 +203,14 @@ class SingleToneChain:
         return rows
 
     def _tone_has_changed(self, block: GateBlock) -> list[int]:
-        """Return the gates at which a channel hears a new tone, or its own anew, for just as long as a touch needs."""
+        """Return the gates at which a channel has had a new tone, or its own again, for exactly an onset's time."""
         first, second = self._onset_frames, self._onset_frames + 1
         if block.steady and self._window_frames > second:
             return []
         return [gate for gate, held in enumerate(block.held) if first in held or second in held]
 
     def _other_tone_heard(self, block: GateBlock) -> list[int]:
-        """Return the gates at which two channels at least hear another tone than the pilot, for long enough."""
+        """Return the gates at which at least two channels have had another tone than the pilot for long enough."""
         onset = self._onset_frames
         return [
             gate

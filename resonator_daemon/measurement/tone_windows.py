@@ -34,7 +34,7 @@ class ToneWindows:
         self._gates: list[list[Gate]] = [[] for _ in range(channels)]  # those held, the newest last
 
     def restart(self) -> None:
-        """Forget everything, as after a gap."""
+        """Discard all gates, as after a gap."""
         self._gates = [[] for _ in range(self.channels)]
 
     def resize(self, frames: int) -> None:
@@ -47,7 +47,7 @@ class ToneWindows:
     def push(self, payload: bytes) -> GateBlock:
         """Take the records of some gates, as on the wire: one of each channel, gate after gate.
 
-        An unusable record empties its channel's window; one that does not run on from the last starts it anew.
+        An unusable record empties the window of its channel; one that does not continue the last begins a new window.
         Raises ValueError where the payload is no whole number of gates, at least one.
         """
         records = len(payload) / RECORD.itemsize

@@ -18,7 +18,7 @@ Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 
-_DIVIDED_ANEW = 0.03  # of the pixels: how many may change sides before a blob is divided anew
+_DIVIDED_AGAIN = 0.03  # share of the pixels that change sides before a blob is divided again
 _F_Z, _M_X, _M_Y, _M_Z = 2, 3, 4, 5
 # Of forces x, y, z and moments x, y, z; both to fit closed-form contacts.
 _STD_FACTOR = np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2])  # of the posterior's: contacts are not drawn from the prior
@@ -122,7 +122,7 @@ class LoadSums:
         if self._parts.size:
             votes = [np.bincount(self._parts[nearest == index], minlength=1) for index in range(len(places))]
             parts = np.array([int(vote.argmax()) for vote in votes])
-            if np.unique(parts).size == parts.size and np.mean(parts[nearest] != self._parts) < _DIVIDED_ANEW:
+            if np.unique(parts).size == parts.size and np.mean(parts[nearest] != self._parts) < _DIVIDED_AGAIN:
                 return [int(part) for part in parts]
         self._parts = nearest
         self._divided = {}

@@ -1,4 +1,4 @@
-"""Coulomb's law as one more datum of a fit: margin and forces of a contact agree, as far as its friction is known."""
+"""Coulomb's law as a datum of a fit: margin and forces of a contact agree within the uncertainty of its friction."""
 
 import math
 from collections.abc import Sequence

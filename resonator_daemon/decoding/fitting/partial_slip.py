@@ -20,7 +20,7 @@ from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MAR
 
 Floats = NDArray[np.float64]
 
-MARGIN_STD_LIMIT = 0.2  # beyond it a margin is not known
+MARGIN_STD_LIMIT = 0.2  # a margin of a larger one is reported as unknown
 _FORCE_SIGNIFICANCE = 5.0  # standard deviations of a normal force
 _TOO_LITTLE = "the contact slips too little to show in the signals"
 

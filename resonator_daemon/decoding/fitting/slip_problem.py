@@ -1,7 +1,7 @@
 """Least squares of contacts in partial slip in one frame, from nothing and from where the frame before ended.
 
-Parameters are x, y, a, F_x, F_y, F_z, m of each contact, one after the other. Beside the signals, chi-square has one
-term for each contact whose friction is known: by how much it breaks m = 1 - F_t / (mu F_z).
+Parameters are x, y, a, F_x, F_y, F_z, m of each contact, one after the other. Chi-square has the signals, and one term
+for each contact whose friction is known: by how much it breaks m = 1 - F_t / (mu F_z).
 """
 
 from collections.abc import Mapping, Sequence

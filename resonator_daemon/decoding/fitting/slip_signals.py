@@ -49,7 +49,7 @@ class SlipSignals:
     radial
         As `DiscModel.radial`.
     reach
-        Largest distance that `radial` knows, in depths.
+        Largest distance for which `radial` is valid, in depths.
     radius_step
         Between its radii, in depths.
     """
@@ -77,7 +77,7 @@ class SlipSignals:
         self._half_squares = (0.5 * squares).astype(np.float32)
         knots = np.sqrt(squares)
         value, slope = radial(knots)  # (radii; value, slope by radius; 5; knots)
-        # (1/r) d/dr; at r = 0 the one beside it
+        # (1/r) d/dr; at r = 0 that of the next knot
         slope[..., 1:] /= knots[1:]
         slope[..., 0] = slope[..., 1]
         pressed, along_p, along_eps, sheared, turned = np.moveaxis(value, 2, 0)

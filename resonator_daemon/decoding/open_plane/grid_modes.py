@@ -204,8 +204,10 @@ def _eigenvectors(matrix: Floats, partners: NDArray[np.intp]) -> tuple[Floats, F
     first, alone = np.flatnonzero(places < partners), np.flatnonzero(places == partners)
     second = partners[first]
     same, across = matrix[np.ix_(first, first)], matrix[np.ix_(first, second)]
-    beside = np.sqrt(2.0) * matrix[np.ix_(first, alone)]
-    even, even_vectors = np.linalg.eigh(np.block([[same + across, beside], [beside.T, matrix[np.ix_(alone, alone)]]]))
+    to_alone = np.sqrt(2.0) * matrix[np.ix_(first, alone)]
+    even, even_vectors = np.linalg.eigh(
+        np.block([[same + across, to_alone], [to_alone.T, matrix[np.ix_(alone, alone)]]])
+    )
     odd, odd_vectors = np.linalg.eigh(same - across)
     vectors = np.zeros_like(matrix)
     vectors[first, : even.size] = vectors[second, : even.size] = even_vectors[: first.size] / np.sqrt(2.0)
