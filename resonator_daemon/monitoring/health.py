@@ -50,7 +50,7 @@ class Vitals(TypedDict):
 
 
 class Held(NamedTuple):
-    """What a process has of the system; `cpu_percent` of one core since it was asked for last."""
+    """What a process uses; `cpu_percent` is of one core, since the last call of `held`."""
 
     cpu_percent: float
     rss_mb: float
@@ -59,7 +59,7 @@ class Held(NamedTuple):
 
 
 class ProcessUsage:
-    """Asks the system what a process has of it; by default this one."""
+    """Processor time, memory and threads of a process; by default of this one."""
 
     def __init__(self, pid: int | None = None) -> None:
         self._process = psutil.Process(pid)
@@ -71,10 +71,10 @@ class ProcessUsage:
         return self._process.pid
 
     def held(self) -> Held:
-        """Return what it has now.
+        """Return what it uses now.
 
-        The system tells in files. A process that may open nothing more has as many descriptors as it may have; the rest
-        is then not known, or as it was. So it is of a process that has ended.
+        The system reports it in files. If none can be opened, or the process has ended, `cpu_percent` is NaN,
+        `file_descriptors` the limit, and the rest as it was.
         """
         try:
             self._last = Held(

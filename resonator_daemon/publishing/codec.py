@@ -20,7 +20,7 @@ MessageT = TypeVar("MessageT", bound=Message)
 
 
 class Encoded(NamedTuple):
-    """A measured message in the form in which it is published, as another process made it."""
+    """A measured message in its encoded form, from another process."""
 
     payload: bytes
     t_ns: int  # of its header, UTC
@@ -49,7 +49,7 @@ def decode(kind: type[MessageT], payload: bytes) -> MessageT:
 
 
 def read_arrays(payload: bytes) -> Any:
-    """Read a CBOR payload as it is, without a check against a kind of message; arrays are read-only.
+    """Return the fields of a CBOR payload, not checked against a model; arrays are read-only.
 
     Raises
     ------

@@ -184,7 +184,7 @@ class BrokerClient(aiomqtt.Client):
             if connection is not None:
                 written = connection.send(b"".join(packets))
         except (ssl.SSLWantWriteError, ssl.SSLWantReadError):
-            again = True  # TLS has taken the bytes, and needs to be given the same ones once more
+            again = True  # TLS has accepted the bytes and needs the same ones once more
         except OSError:  # the socket takes no more for now, or the connection is lost, which `loop_write` notices
             pass
         complete = 0

@@ -1,4 +1,4 @@
-"""Short way through the embedded broker for messages of streams, which amqtt would queue without limit."""
+"""Direct delivery of streams by the embedded broker; amqtt queues them without limit."""
 
 import asyncio
 import logging
@@ -20,9 +20,9 @@ log = logging.getLogger(__name__)
 
 
 class StreamDelivery:
-    """Hands messages of QoS 0 that are not retained to their subscribers as they come; all else is amqtt's.
+    """Delivery of messages of QoS 0 that are not retained to their subscribers; amqtt handles all others.
 
-    A subscriber for whom too much is waiting misses them; `dropped` counts.
+    Those for a subscriber that has too many bytes waiting are dropped, and counted in `dropped`.
     """
 
     def __init__(self, broker: "Broker") -> None:
@@ -70,14 +70,14 @@ class Connection:
         self.reader = asyncio.StreamReader()
 
     async def read_on(self) -> None:
-        """Read until the client leaves."""
+        """Read until the client disconnects."""
         waiting = bytearray()
         try:
             while data := await self._socket_reader.read(_READ_BYTES):
                 waiting += data
                 del waiting[: self._sort(bytes(waiting))]
         except OSError:
-            pass  # it left without a farewell
+            pass  # it disconnected without a DISCONNECT packet
         finally:
             self.reader.feed_eof()
 

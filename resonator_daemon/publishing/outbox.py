@@ -23,7 +23,7 @@ ANSWERS_WAITING_MAX: Final = 32
 ANSWER_BYTES_WAITING_MAX: Final = 4 * 2**20
 UNACKNOWLEDGED_MAX: Final = 10  # below every broker's usual limit of 20
 
-_TOGETHER: Final = 32  # writes before others of the event loop have their turn
+_TOGETHER: Final = 32  # writes before other tasks of the event loop run
 _SEND_BYTES: Final = 64 * 1024  # of streams in one write
 
 log = logging.getLogger(__name__)
@@ -71,7 +71,7 @@ class Outbox:
     Attributes
     ----------
     stream_wait_max_s
-        How long a stream may wait for the socket; what is older is dropped.
+        How long a stream may wait for the socket, in seconds; older ones are dropped.
     """
 
     def __init__(self, account: Account, spool_directory: Path | None, stream_wait_max_s: float) -> None:
@@ -170,7 +170,7 @@ class Outbox:
         self._states.clear()
 
     def published(self, sent: InFlight, refused: bool) -> None:
-        """Take what became of messages that were sent."""
+        """Count messages that were written (QoS 0), acknowledged (QoS 1) or refused."""
         token = sent.token
         if sent.qos:
             self._largest.acknowledged()
@@ -188,7 +188,7 @@ class Outbox:
 
     @contextmanager
     def together(self) -> Iterator[None]:
-        """Send what is put within this context at its end, not one turn of the event loop later."""
+        """Send what is put within this context at its end, not in the next iteration of the event loop."""
         self._pumping = True
         try:
             yield

@@ -26,7 +26,7 @@ from resonator_daemon.publishing.payloads import Header, MessageAccount, State
 from resonator_daemon.publishing.topics import JSON, MessageT, Topic
 
 CLOSE_TIMEOUT_S: Final = 2.0
-FRESH_S: Final = 0.25  # a stream of a live sensor that has waited longer is of no use
+FRESH_S: Final = 0.25  # streams of a live sensor that have waited longer are dropped
 
 _WATCH_S: Final = 1.0
 
@@ -74,7 +74,7 @@ class Publisher:
     on_denied
         Called with filter and reason when the broker refuses a subscription.
     stream_wait_max_s
-        How long a stream may wait for the connection to take it; older ones are dropped.
+        How long a stream may wait for the connection, in seconds; older ones are dropped.
     """
 
     def __init__(

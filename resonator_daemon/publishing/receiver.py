@@ -1,4 +1,4 @@
-"""MQTT subscriber in a thread of its own: messages get their time of arrival whatever the consumer does meanwhile."""
+"""MQTT subscriber in a thread of its own, so that a busy consumer does not delay the times of arrival."""
 
 import asyncio
 import threading
@@ -17,7 +17,7 @@ END_TIMEOUT_S: Final = 2.0  # an attempt to connect cannot be cancelled
 
 
 class Arrival(NamedTuple):
-    """A message and when it arrived, UTC."""
+    """A message and its time of arrival, UTC."""
 
     topic: str
     payload: bytes
@@ -25,7 +25,7 @@ class Arrival(NamedTuple):
 
 
 class Receiver:
-    """Subscribes to topics of a broker, across its restarts, from `start` to `close`.
+    """Subscription to topics of a broker, across its restarts, from `start` to `close`.
 
     Parameters
     ----------
@@ -57,6 +57,7 @@ class Receiver:
         self._thread = threading.Thread(target=self._run, name="receiver", daemon=True)
 
     def start(self) -> None:
+        """Start the thread; returns when its event loop runs."""
         self._thread.start()
         self._ready.wait()
 

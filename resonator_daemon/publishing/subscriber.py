@@ -16,7 +16,7 @@ from resonator_daemon.publishing.topics import TOPICS, Topic, full_topic, split_
 
 STREAM_AGE_MAX_S: Final = 0.25  # of a message of a stream, where the same topic has a newer one
 STREAM_WAITING_MAX: Final = 1024  # the oldest are dropped
-OTHERS_WAITING_MAX: Final = 65_536  # states and events come seldom: a consumer that never reads would fill the memory
+OTHERS_WAITING_MAX: Final = 65_536  # bounds the memory where a consumer never reads
 
 log = logging.getLogger(__name__)
 
@@ -37,8 +37,8 @@ async def subscribe(
     """Yield messages of all plates below the broker's prefix as they come, the retained ones first, for ever.
 
     Without `full_rate`, of topics that have a decimated copy that is taken instead. Messages that cannot be read are
-    passed over and logged. Where the consumer is slow, messages of streams (QoS 0) that have become old are dropped in
-    favour of newer ones; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
+    passed over and logged. If the consumer is slow, messages of streams (QoS 0) older than 250 ms are dropped where
+    their topic has a newer one; states and events are all kept. To stop, close the iterator (contextlib.aclosing).
     """
     loop = asyncio.get_running_loop()
     arrived = asyncio.Event()
@@ -72,7 +72,7 @@ async def subscribe(
 
 def topic_filters(prefix: str, topics: Collection[Topic[Message]], *, full_rate: bool) -> dict[str, int]:
     """Return topic filters for all plates below the prefix with their QoS, in the order in which to subscribe."""
-    # Retained topics last: whoever has seen a state misses nothing of what is sent from then on.
+    # Retained topics last: when a state has arrived, all other topics are subscribed.
     return {
         full_topic(prefix, "+", topic.path if full_rate or topic.slow_hz is None else topic.slow_path): topic.qos
         for topic in sorted(topics, key=lambda topic: topic.retained)
@@ -80,7 +80,7 @@ def topic_filters(prefix: str, topics: Collection[Topic[Message]], *, full_rate:
 
 
 class _Waiting:
-    """Messages that the consumer has not taken yet; one thread appends, one takes."""
+    """Queue between the receiving thread, which appends, and the consumer, which pops."""
 
     def __init__(self, prefix: str) -> None:
         self.over = False
@@ -100,7 +100,7 @@ class _Waiting:
         return len(self._streams) + len(self._others) == 1
 
     def pop(self) -> Arrival | None:
-        """Return the oldest message that is still of use; None where there is none."""
+        """Remove and return the oldest message; discard old ones of streams that have newer ones; None if empty."""
         stale_ns = time.time_ns() - round(STREAM_AGE_MAX_S * 1e9)
         while self._streams:
             if self._others and self._others[0].arrived_ns <= self._streams[0].arrived_ns:
