@@ -96,11 +96,11 @@ class FollowedPlate:
         return {plate.name: account}
 
     def process_info(self) -> DecoderProcessInfo | None:
-        """Return how the process fares that decodes; None while there is none."""
+        """Return the counters of the decoder process; None while there is none."""
         return self._decoder.info() if self._decoder is not None else None
 
     async def run(self) -> None:
-        """Decode until cancelled; another `info` begins anew with another decoder."""
+        """Decode until cancelled; another `info` starts another decoder."""
         looking = asyncio.create_task(self._end_contacts_in_silence(), name="silence")
         try:
             last_contact_id = 0

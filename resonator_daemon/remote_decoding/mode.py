@@ -36,7 +36,7 @@ class Mode(Protocol):
         """Account of each plate's signals."""
 
     def process_info(self) -> DecoderProcessInfo | None:
-        """Return how the process fares that decodes; None where this one does."""
+        """Return the counters of the decoder process; None if frames are decoded in this process."""
 
     async def run(self) -> None:
         """Decode until cancelled."""

@@ -53,8 +53,8 @@ class BoardCourse:
     make_decoding
         Makes what decodes the frames of a skin.
     is_late
-        Decides whether a message about a window that ends at this instant would come too late; it is skipped then.
-        Live only: what is replayed has no age.
+        Returns whether a message about a window that ends at this instant is too late; it is skipped then. Always
+        False for recordings, which have no age.
 
     Attributes
     ----------

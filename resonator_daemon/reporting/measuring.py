@@ -27,7 +27,7 @@ from resonator_daemon.reporting.surface_decoding import MakeSurfaceDecoding, Sur
 from resonator_daemon.reporting.surface_reports import MeasuredFields
 from resonator_daemon.reporting.surface_stream import SurfaceSettings
 
-_ONSET_S = 0.005  # that an onset may wait for the frames after it
+_ONSET_S = 0.005  # an onset waits no longer for the frames after it
 _TOPICS_OF_SURFACE = 3  # decoded, decoded/summary, contacts
 _ANEW = "the board started anew"
 
@@ -49,7 +49,7 @@ class Measuring:
     make_decoding
         Makes what decodes the frames of a skin.
     is_late
-        Decides whether a message about a window that ends at this instant would come too late.
+        Returns whether a message about a window that ends at this instant is too late; it is skipped then.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Measuring:
 
     @property
     def skipped_late(self) -> int:
-        """Messages that were not made as they would have been late, those of frames not decoded in time included."""
+        """Number of messages that were skipped as late, with those of frames that were not decoded in time."""
         frames = self._decoding.frames_late if self._decoding is not None else 0
         return self._skipped_late + _TOPICS_OF_SURFACE * frames
 
@@ -121,7 +121,7 @@ class Measuring:
             self._tell_of_last_forces(self._chain.restart())
 
     def read(self, frames: Sequence[SingleToneFrame]) -> list[ForceReading]:
-        """Measure adjacent frames, one or more; the readings are to be published, in their order."""
+        """Measure adjacent frames, one or more; return the readings, which the caller publishes in order."""
         if not isinstance(self._chain, SingleToneChain):
             return []
         ticks = [frame.board_ticks for frame in frames]
@@ -148,7 +148,7 @@ class Measuring:
             self._publish(CONTACTS, self._reporter.contacts(reading, gate_middle))
 
     def end_contacts(self, reason: str) -> None:
-        """Release what was touched when frames stopped coming: nobody knows whether it still is."""
+        """Release all contacts when frames have stopped arriving: their state is unknown from then on."""
         if self.force_chain is not None:
             self._tell_of_last_forces(self.force_chain.end_contacts(reason))
         elif self._decoding is not None:
@@ -228,7 +228,7 @@ class Measuring:
         self._publish(CONTACT_EVENT, self._reporter.numbered(event))
 
     def announce(self, note: str) -> None:
-        """Report how it goes with decoding in the sensor's state."""
+        """Report steps and failures of decoding in the state of the sensor."""
         self._sensor.explain(note)
 
     def lost(self, _origin: Origin) -> Lost:

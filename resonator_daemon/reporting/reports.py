@@ -101,7 +101,7 @@ class Reporter:
         }
 
     def skip(self, *topics: Topic[Any]) -> None:
-        """Count a message of each topic that is not made: its number is passed over."""
+        """Skip one number `seq` of each topic, for a message that is not made."""
         for topic in topics:
             self._seq[topic.path] += 1
 
@@ -250,16 +250,16 @@ class Reporter:
         )
 
     def surface_frame(self, reading: SkinReading, gate_middle: Instant) -> SurfaceFrame:
-        """Return a frame to be decoded; one that is skipped leaves a gap in `seq` of the topics of the surface."""
+        """Return a frame to be decoded, with its numbers `seq`: if it is skipped, they are missing."""
         header = self._measured(DECODED, reading, gate_middle)
         return SurfaceFrame(header, self._next_seq(CONTACTS), reading.signals, reading.noise_std)
 
     def contacts_header(self, reading: SkinReading, gate_middle: Instant) -> MeasuredFields:
-        """Return the header of a message on `contacts` beside those of the frames."""
+        """Return the header of a message on `contacts` that belongs to no frame."""
         return self._measured(CONTACTS, reading, gate_middle)
 
     def numbered(self, event: ContactEvent) -> ContactEvent:
-        """Return an event of the surface with the number that it has among all events."""
+        """Return an event of the surface with the next number `seq` of all events."""
         return event.model_copy(update={"seq": self._next_seq(CONTACT_EVENT)})
 
     def _calibration(self) -> CalibrationInfo:
