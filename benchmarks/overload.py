@@ -2,7 +2,7 @@
 
 Run it with `python benchmarks/overload.py [--plate quartz16|skin32] [--busy N] [--seconds 30] [--nice N] [--real-time]
 [--own-core] [--json]`.
-An emulated board, Mosquitto and the daemon run as processes of their own beside N processes that compute without end
+An emulated board, Mosquitto and the daemon run as processes of their own, next to N processes that compute without end
 (default: two for each processor). Age counts from the end of a window's last gate, by the emulator's clock, to the
 subscriber's callback. Exit code 1 where an age exceeds the limits, 150 ms for 99 % and 500 ms for all, a frame was
 lost, a touch was missed or an account does not balance.
@@ -105,7 +105,7 @@ class Share:
 
 
 def run(plate: str, busy: int, seconds: float, share: Share, folder: Path) -> dict[str, Any]:
-    """Run everything for a time; return what came of it."""
+    """Run all processes for a time; return the result as keys of its JSON object."""
     truth, port, config = folder / "truth.jsonl", free_port(), folder / "bench.toml"
     environment = os.environ | {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder), "OMP_NUM_THREADS": "1"}
     with ExitStack() as stack:

@@ -181,7 +181,7 @@ class Board:
         return run.gate_start_ticks + run.gate_ticks
 
     def count_ahead(self) -> None:
-        """Count and pack the next frames now, where there is time, so that they are ready when their gates close."""
+        """Count and pack the next frames ahead, so that they are ready when their gates close."""
         run = self._run
         if run is None or run.ahead or not self.running:
             return

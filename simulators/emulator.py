@@ -268,7 +268,7 @@ class Emulator:
             sys.stderr.write(f"board {self._board.identity.serial_number} blinks\n")
 
     def _write_truth(self) -> None:
-        """Write the truth of the frames made, unless another frame's comes within the delay."""
+        """Write the truth of the frames made, unless the next frame ends within 10 ms of the oldest one."""
         made, next_ticks = self._made, self._board.next_frame_ticks
         if not made:
             return

@@ -80,7 +80,7 @@ class Output:
         self._line.clear()
 
     def _next_lot(self, now_ns: int, elapsed_s: float) -> Lot | None:
-        """Return what is written next, None where nothing is due."""
+        """Return the lot that is written next; None if none is due."""
         if self.held:
             return self._line.take(now_ns)
         if self._faultless and self._after_cut is None:
