@@ -24,8 +24,8 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
         config = playback.config
     undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
     config = config.model_copy(update={"decoding": undecoded})
-    said: list[tuple[str, Any]] = []
-    course = BoardCourse(config, "9f3c", lambda topic, message: said.append((topic.path, message)), is_late=is_late)
+    messages: list[tuple[str, Any]] = []
+    course = BoardCourse(config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late)
     ring = Ring(1 << 30, lambda: None, ())
     with open_recording(str(path)) as recording:
         replay = Replay(recording, LinkCourse(config.plate, ring, lambda _: None))
@@ -34,7 +34,7 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
                 replay.apply(entry)
             for arrival in ring.take():
                 course.take(arrival)
-    return said
+    return messages
 
 
 @pytest.mark.parametrize(("case", "streams"), [("touches", {"forces", "contacts"}), ("skin", {"signals"})])
@@ -43,14 +43,13 @@ def test_of_late_windows_nothing_but_states_and_events_comes(case: str, streams:
     every = published(case, lambda _: False)
     third = published(case, lambda _: next(answers) % 3 != 2)
 
-    def of(said: list[tuple[str, Any]], topics: set[str]) -> list[dict[str, Any]]:
-        return [message.model_dump(exclude={"lost"}) for topic, message in said if topic in topics]
+    def of(messages: list[tuple[str, Any]], topics: set[str]) -> list[dict[str, Any]]:
+        return [message.model_dump(exclude={"lost"}) for topic, message in messages if topic in topics]
 
     assert [str(message) for message in of(every, {"contacts/event", "state/sensor", "state/link", "info"})] == [
         str(message) for message in of(third, {"contacts/event", "state/sensor", "state/link", "info"})
     ]
     for topic in streams:
-        messages = of(every, {topic})
-        assert str(of(third, {topic})) == str(messages[2::3])
+        assert str(of(third, {topic})) == str(of(every, {topic})[2::3])
     last = [message.lost.skipped_late for topic, message in third if topic in streams][-1]
     assert last == 2 * len(of(third, streams))
