@@ -214,7 +214,7 @@ def main() -> int:
     if chosen.json:
         print(json.dumps(found))
     else:
-        print(f"{chosen.plate} beside {chosen.busy} busy processes for {chosen.seconds:g} s, {share}")
+        print(f"{chosen.plate} next to {chosen.busy} busy processes for {chosen.seconds:g} s, {share}")
         for path, age in found["age_ms"].items():
             figures = ", ".join(f"{key} {age[key]:.1f}" for key in ("p50", "p99", "max"))
             print(f"  {path:9s} {age['messages']:6d} messages, age in ms: {figures}")

@@ -56,7 +56,7 @@ def measure(checkout: Path, only: str) -> Stages:
 
 
 def report(stages: Stages, recorded: Stages) -> list[str]:
-    """Print the stages beside their records; return those that cost too much."""
+    """Print the stages and their records; return those that cost too much."""
     dear = []
     print(f"{'stage':44} {'us a frame':>11} {'x loop':>9} {'recorded':>9} {'ratio':>6}")
     for name, cost in stages.items():

@@ -116,7 +116,7 @@ def demo(python: Path, _folder: Path) -> Stages:
 
 
 def worker(script: str, python: Path, folder: Path) -> Stages:
-    """Run a script beside this one with the checkout's Python; it prints the pairs of each stage as JSON."""
+    """Run a script of this directory with the checkout's Python; it prints the pairs of each stage as JSON."""
     environment = os.environ | {"OMP_NUM_THREADS": "1", "XDG_CACHE_HOME": str(folder)}
     command = (str(python), str(Path(__file__).with_name(script)), str(folder))
     run = subprocess.run(command, stdout=subprocess.PIPE, env=environment, text=True, check=True)

@@ -79,7 +79,7 @@ def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[fl
     """Return sums, faults and frequencies of records (..., channels) of the type `RECORD`.
 
     A record has a fault where the board says so, where no steady tone has such sums, and outside of `band_hz`. The
-    elements are worked out one by one: which others are beside them changes no bit.
+    elements are computed one by one: the others change no bit of a result.
     """
     sums = np.empty((len(_EXACT), *records.shape), np.int64)
     for field, name in zip(sums, _EXACT, strict=True):

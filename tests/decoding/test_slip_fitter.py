@@ -1,4 +1,4 @@
-"""Fits that begin where the frame before ended, beside fits of each frame from its patch alone."""
+"""Fits that begin where the frame before ended, against fits of each frame from its patch alone."""
 
 from collections.abc import Iterable
 
