@@ -5,7 +5,7 @@ from typing import Final
 
 from resonator_daemon.acquisition.frames import ChannelisedFrame, SingleToneFrame
 
-_EARLY_NS: Final = 6_000  # by which the lag grows after a read that came too early
+_EARLY_NS: Final = 15_000  # by which the lag grows after a read that came too early
 _RIGHT_NS: Final = 3_000  # by which it shrinks after a read that found the whole step
 _LAG_MAX_NS: Final = 500_000
 _SLEEP_MAX_NS: Final = 5_500_000
@@ -16,7 +16,7 @@ class StepPacing:
     """Predicts when the last frame of a step can be read.
 
     A frame can be read some time after the end of its gate: the lag of board, link and kernel. The lag is estimated
-    from the outcome of earlier reads, so that about one read in three comes too early. Such a read then waits for the
+    from the outcome of earlier reads, so that about one read in six comes too early. Such a read then waits for the
     rest of the step, at no delay. A lag that few frames exceed would delay all others.
 
     Parameters

@@ -30,7 +30,7 @@ def test_a_long_step_is_read_before_the_buffer_of_a_terminal_is_full() -> None:
         assert sleep_ns * frame_bytes / frame_ns <= 4096 / 2
 
 
-def test_one_read_in_three_comes_before_the_step_is_complete_whatever_the_link_delays() -> None:
+def test_one_read_in_six_comes_before_the_step_is_complete_whatever_the_link_delays() -> None:
     seeded = random.Random(1)
     pacing = StepPacing(FRAME_BYTES, MS)
     early = late_ns = 0
@@ -43,5 +43,5 @@ def test_one_read_in_three_comes_before_the_step_is_complete_whatever_the_link_d
         if step > 1000:
             early += not complete
             late_ns += max(0, now_ns - readable_ns)
-    assert 0.25 < early / 1800 < 0.42
-    assert late_ns / 1800 < 60_000
+    assert 0.12 < early / 1800 < 0.22
+    assert late_ns / 1800 < 100_000
