@@ -38,7 +38,7 @@ class Child:
 
     def rss_mb(self) -> float:
         """Return the resident memory in MB."""
-        return 1e-6 * sum(process.memory_info().rss for process in self._family())
+        return 1e-6 * sum(_rss_bytes(process) for process in self._family())
 
     def pids(self) -> set[int]:
         """Return the process ids."""
@@ -94,6 +94,13 @@ def cpu_s(process: psutil.Process) -> float:
     except psutil.NoSuchProcess:
         return 0.0
     return float(times.user + times.system + times.children_user + times.children_system)
+
+
+def _rss_bytes(process: psutil.Process) -> int:
+    try:
+        return int(process.memory_info().rss)
+    except psutil.NoSuchProcess:
+        return 0
 
 
 async def start_emulator(plate: str, folder: Path, kind: str) -> tuple[Child, str, Path]:

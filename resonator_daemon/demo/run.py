@@ -94,7 +94,7 @@ class _Demo:
             self._report(f"broker at {url}; watch it too: resonatord watch --url {url}")
             stack.callback(Subscription(url, self._filters(), self._arrivals.append).close)
             for name, plate in self._plates.items():
-                stack.push_async_callback((await self._start(name, plate, url, folder)).emulator.stop)
+                await self._start(name, plate, url, folder, stack)
             try:
                 seconds = await self._measure()
             finally:
@@ -110,9 +110,11 @@ class _Demo:
             filters |= topic_filters(self._prefix, _SHOWN, full_rate=False)
         return filters
 
-    async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path) -> _Station:
+    async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
+        """Start the processes of one plate; the emulator ends with the stack."""
         self._report(f"starting emulated board and daemon: {name}")
         emulator, link, truth_path = await start_emulator(name, folder, plate.counter.kind)
+        stack.push_async_callback(emulator.stop)
         daemon = await start_daemon(name, link, broker_url, folder)
         truth = TruthTable(truth_path)
         score = PlateScore(
@@ -121,9 +123,7 @@ class _Demo:
             plate.site_positions_m,
             touched_anywhere=plate.skin is not None,
         )
-        station = _Station(plate, emulator, daemon, truth, score, PlateView(name, full_rate=False))
-        self._stations[name] = station
-        return station
+        self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name, full_rate=False))
 
     def _take_arrivals(self) -> None:
         """Add the messages that have arrived to the scores and the views."""

@@ -44,16 +44,22 @@ class Subscription:
     def __init__(self, url: str, filters: Mapping[str, int], on_arrival: Callable[[Arrival], None]) -> None:
         parts = urlsplit(url)
         self._on_arrival = on_arrival
-        self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
+        try:
+            self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
+            self._subscribe(filters)
+        except OSError as error:
+            raise OperatorError(f"the broker at {url} refuses the connection of the demo: {error}") from error
+        self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)
+        self._thread.start()
+
+    def _subscribe(self, filters: Mapping[str, int]) -> None:
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.sendall(_packet(_CONNECT, _PROTOCOL + _text("demo")))
-        if self._socket.recv(len(_CONNACK), socket.MSG_WAITALL) != _CONNACK:
-            raise OperatorError(f"the broker at {url} refuses the connection of the demo")
+        if (answer := self._socket.recv(len(_CONNACK), socket.MSG_WAITALL)) != _CONNACK:
+            raise ConnectionRefusedError(f"answer {answer.hex() or 'empty'} to CONNECT")
         self._socket.settimeout(None)
         wanted = b"".join(_text(topic_filter) + bytes([qos]) for topic_filter, qos in filters.items())
         self._socket.sendall(_packet(_SUBSCRIBE, b"\x00\x01" + wanted))
-        self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)
-        self._thread.start()
 
     def close(self) -> None:
         """Close the connection and wait for the thread."""
