@@ -140,7 +140,7 @@ def test_a_replay_goes_on_behind_a_damaged_beginning(tmp_path: Path, capsys: pyt
     path.write_bytes(bent)
     copy = tmp_path / "copy.mcap"
     done = repaired(path, copy)
-    assert (done.holes, done.events_missing > 100) == (1, True)
+    assert (done.holes, done.events_missing > 20) == (1, True)  # a read of the port, of some 5 ms, is an event
     with open_recording(str(copy)) as it:
         sound = sum(isinstance(event, Received) for event in it.events())
     capsys.readouterr()
