@@ -13,7 +13,7 @@ from resonator_daemon.acquisition.assembly import Tones, known_tones, variance_o
 from resonator_daemon.acquisition.clock import Instant, TickScale
 
 _SINGLE_TONE_BYTES = 560  # a frame with its integers, payload and time scale, as tracemalloc sees it
-_CHANNELISED_BYTES = 1400  # beside its records
+_CHANNELISED_BYTES = 1400  # besides its records
 
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: a thousand a second

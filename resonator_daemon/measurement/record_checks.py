@@ -78,7 +78,7 @@ class Gates(NamedTuple):
 def read_gates(records: NDArray[np.void], reference_hz: float, band_hz: tuple[float, float]) -> Gates:
     """Return sums, faults and frequencies of records (..., channels) of the type `RECORD`.
 
-    A record has a fault where the board says so, where no steady tone has such sums, and outside of `band_hz`. The
+    A record has a fault where the board flags it, where no steady tone has such sums, and outside of `band_hz`. The
     elements are computed one by one: the others change no bit of a result.
     """
     sums = np.empty((len(_EXACT), *records.shape), np.int64)

@@ -67,7 +67,7 @@ def read_arrays(payload: bytes) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a field as CBOR has it; the encoder would look for each other type anew in every message."""
+    """Return a field as CBOR has it; the encoder looks up each other type again in every message."""
     kind = type(value)
     if kind in _AS_IT_IS:
         return value
