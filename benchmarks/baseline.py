@@ -12,14 +12,12 @@ from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.measurement.plate_drift import PlateDrift
-from resonator_daemon.measurement.spread import SpreadFit
-from resonator_daemon.measurement.warm_contact import warming_std
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.contact_thermal import warming_std
+from resonator_daemon.forces.plate_drift import PlateDrift
+from resonator_daemon.forces.spread import SpreadFit
 from resonator_daemon.plate import load_plate
-
-FloatArray = NDArray[np.float64]
 
 SITES = 16
 SENSITIVITY = -6.3e-6
@@ -35,16 +33,16 @@ DEPTH_M = 2.5e-3
 class Baseline(Protocol):
     """Expected shift of each untouched site, and what it may be off by."""
 
-    def expected(self, shift: FloatArray, local_kelvin: FloatArray | None) -> tuple[FloatArray, FloatArray]: ...
+    def expected(self, shift: Floats, local_kelvin: Floats | None) -> tuple[Floats, Floats]: ...
 
 
 class MovingAverage:
     """Exponential mean over 10 s, touched or not."""
 
     def __init__(self) -> None:
-        self.mean: FloatArray | None = None
+        self.mean: Floats | None = None
 
-    def expected(self, shift: FloatArray, local_kelvin: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def expected(self, shift: Floats, local_kelvin: Floats | None) -> tuple[Floats, Floats]:
         self.mean = shift if self.mean is None else self.mean + (shift - self.mean) / (10.0 * FRAME_RATE_HZ)
         return self.mean, np.full(SITES, np.nan)
 
@@ -52,7 +50,7 @@ class MovingAverage:
 class Frozen(MovingAverage):
     """The same, but a site is held while it differs by more than 6 standard deviations."""
 
-    def expected(self, shift: FloatArray, local_kelvin: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def expected(self, shift: Floats, local_kelvin: Floats | None) -> tuple[Floats, Floats]:
         if self.mean is None:
             self.mean = shift
         quiet = np.abs(shift - self.mean) < 6.0 * NOISE_STD
@@ -71,12 +69,12 @@ class Kalman:
             local_kelvin_std=local_kelvin_std,
         )
 
-    def expected(self, shift: FloatArray, local_kelvin: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    def expected(self, shift: Floats, local_kelvin: Floats | None) -> tuple[Floats, Floats]:
         reading = self.drift.update(shift, np.full(SITES, NOISE_STD**2), 1 / FRAME_RATE_HZ, local_kelvin)
         return reading.expected_shift, reading.expected_std
 
 
-def stated_coefficients(slope: float) -> FloatArray:
+def stated_coefficients(slope: float) -> Floats:
     return np.array([np.full(SITES, slope), np.full(SITES, -5e-10), np.full(SITES, 1.08e-10)])
 
 
@@ -141,7 +139,7 @@ def print_presses(plates: int) -> None:
     row("Kalman, the same with a cut near turnover, 2e-9 / K", press(lambda: Kalman(2e-9), slope=2e-9, warm_kelvin=3.0))
 
 
-def contacts(theta: Callable[[float], float], force: Callable[[float], FloatArray], seconds: float) -> tuple[int, int]:
+def contacts(theta: Callable[[float], float], force: Callable[[float], Floats], seconds: float) -> tuple[int, int]:
     """Frames times sites in contact, and sites in contact at the end."""
     rng, kalman = np.random.default_rng(2), Kalman(-3e-7)
     a, b, c = stated_coefficients(-3e-7)
@@ -190,9 +188,7 @@ def print_touches(pairs: int) -> None:
             print(f"{name:52s} {rates} {1e3 * np.median(costs):8.2f}")
 
 
-def draw_touches(
-    rng: np.random.Generator, sites_m: FloatArray, count: int, anywhere: bool
-) -> tuple[FloatArray, FloatArray]:
+def draw_touches(rng: np.random.Generator, sites_m: Floats, count: int, anywhere: bool) -> tuple[Floats, Floats]:
     while True:
         on_sites = sites_m[rng.choice(SITES, count, replace=False)]
         position = rng.uniform(-9e-3, 9e-3, (count, 2)) if anywhere else on_sites

@@ -14,11 +14,11 @@ from pathlib import Path
 
 from emulated_board import emulated_board
 
-from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.board import RING_BYTES
-from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
-from resonator_daemon.service.config_store import ConfigStore
-from resonator_daemon.service.daemon import Service
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.session.board_reader import RING_BYTES
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
 
 
 @dataclass

@@ -25,9 +25,9 @@ import psutil
 from slow_gate import Gate
 from system_parts import NAME, Part, free_port, mosquitto_command
 
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing.payloads import MessageAccount
-from resonator_daemon.service.config_store import ConfigStore
-from resonator_daemon.service.daemon import Service
 
 _MEMORY_MORE_MB = 64.0  # 32 MB of streams, 4 MB of answers, 1024 events, and what the allocator keeps of that
 _SAMPLE_S = 0.05

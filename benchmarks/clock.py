@@ -14,7 +14,7 @@ from collections import defaultdict
 
 from clock_scenes import NS, UTC_LESS_MONOTONIC_NS, Crystal, Scene, between, play, scenes
 
-from resonator_daemon.acquisition.clock import BoardClock, Exchange
+from resonator_daemon.session.clock import BoardClock, Exchange
 
 SETTLED_S = 5.0
 LIMIT_US = 200.0

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 from emulated_board import emulated_board
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import SingleToneFrame
 from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import SingleToneFrame
 
 LINKS = (
     ("plain", "skew_ppm=50"),

@@ -19,6 +19,7 @@ from typing import Any, get_args
 
 from command_stand_ins import StandIn, configured, handlers_on
 
+from resonator_daemon.daemon.command_handlers import SNAPSHOT_BYTES_MAX
 from resonator_daemon.publishing.commands import (
     AT_ONCE,
     CORRELATION_BYTES_MAX,
@@ -29,7 +30,6 @@ from resonator_daemon.publishing.commands import (
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import PAYLOAD_BYTES_MAX
 from resonator_daemon.publishing.verbs import VERBS, ErrorCode
-from resonator_daemon.service.command_handlers import SNAPSHOT_BYTES_MAX
 
 BASE = "resonator/left"
 SOUND: tuple[tuple[str, dict[str, Any]], ...] = (

@@ -7,18 +7,18 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.acquisition.recording_budget import Series
-from resonator_daemon.acquisition.recording_file import Origin
-from resonator_daemon.acquisition.recording_switch import NothingRecordedError, RecordingNow, RecordingSummary
 from resonator_daemon.config import Config, Measurement
+from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
+from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.measurement.readings import Compensation
+from resonator_daemon.forces.readings import Compensation
+from resonator_daemon.pipeline import control_requests as steering
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.reporting import steering
-from resonator_daemon.service.command_handlers import CommandHandlers, DaemonParts
-from resonator_daemon.service.recording_commands import RecordingCommands
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.switch import NothingRecordedError, RecordingNow, RecordingSummary
 
 RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.mcap")
 

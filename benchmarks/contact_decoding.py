@@ -11,16 +11,16 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
 
-Floats = NDArray[np.float64]
 Scene = tuple[Floats, Floats]  # signals (3, n) without noise, traction (3, ny, nx)
 
 PITCH_M, DEPTH_M, YOUNGS_PASCAL, FRICTION = 4e-4, 1e-3, 2e5, 0.5

@@ -11,14 +11,12 @@ from collections.abc import Iterator
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord
-from resonator_daemon.measurement.counting import Sums
-from resonator_daemon.measurement.quantisation import EXCESS_LIMIT, beats, quantisation_excess, stamp_jitter_ticks
-from resonator_daemon.measurement.unwrapping import Unwrapper, frequency_between_hz
-
-Floats = NDArray[np.float64]
+from resonator_daemon.arrays import Floats
+from resonator_daemon.tones.frequency_estimators import Sums
+from resonator_daemon.tones.quantisation import EXCESS_LIMIT, beats, quantisation_excess, stamp_jitter_ticks
+from resonator_daemon.tones.unwrapping import Unwrapper, frequency_between_hz
 
 REFERENCE_HZ = 1e9
 STAMP_S = 10e-6

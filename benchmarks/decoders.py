@@ -30,15 +30,13 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.demo.local_broker import local_broker
+from resonator_daemon.pipeline.surface_reports import SurfaceReporter
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
-from resonator_daemon.reporting.surface_reports import SurfaceReporter
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 PLATES = ("left", "right")
 OWN_HZ, FULL_HZ = 100.0, 400.0  # frames a second of each skin

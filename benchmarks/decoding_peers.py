@@ -9,6 +9,7 @@ from scipy import fft
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse.linalg import LinearOperator, aslinearoperator, lsqr
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import SpectralGrid
@@ -21,8 +22,6 @@ except ImportError:
     print("pylops and scikit-image are not installed: left out")
     pylops = wiener = None
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Decode = Callable[[Floats], Floats]
 
 

@@ -3,13 +3,12 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
 
-Floats = NDArray[np.float64]
 Scene = tuple[Floats, Floats]  # signals (3, n) without noise, traction (3, side * side)
 
 PITCH_M, DEPTH_M, YOUNGS_PASCAL, FRICTION = 4e-4, 1e-3, 2e5, 0.5

@@ -11,8 +11,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.influence import SurfaceCompliance
@@ -27,7 +27,6 @@ try:
 except ImportError:
     tamaas = None
 
-Floats = NDArray[np.float64]
 
 SIDE_M, CONTACT_RADIUS_M, CURVATURE_RADIUS_M = 12.8e-3, 2e-3, 20e-3
 BODY = HalfSpace(2e5, 0.5)

@@ -15,18 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Bools, Complexes, Floats
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 from resonator_daemon.elastic.constrained import LinearMap, Prescribed, minimise
 from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance
 from resonator_daemon.elastic.mixed import MixedBoundary
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-Complexes = NDArray[np.complex128]
 
 COUNT, TOLERANCE, ITERATIONS = 64, 1e-8, 100
 BODY = HalfSpace(2.6, 0.3)  # shear modulus 1, pitch 1

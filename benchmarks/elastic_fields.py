@@ -7,14 +7,12 @@ import argparse
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.fields import Method, SurfaceFields
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 SIDE_M, RADIUS_M, YOUNGS_PASCAL = 12.8e-3, 2e-3, 2e5
 METHODS: tuple[Method, ...] = ("periodic", "padded", "wrap-free")

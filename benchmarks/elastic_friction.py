@@ -21,8 +21,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.constrained import Friction
 from resonator_daemon.elastic.friction import FrictionalContact
@@ -34,7 +34,6 @@ try:
 except ImportError:
     tamaas = None
 
-Floats = NDArray[np.float64]
 
 SIDE_M, CONTACT_RADIUS_M, CURVATURE_RADIUS_M = 12.8e-3, 2.5e-3, 20e-3
 YOUNGS_PASCAL, FRICTION_COEFFICIENT, SHARE = 2e5, 0.5, 0.875

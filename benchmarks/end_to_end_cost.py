@@ -11,18 +11,19 @@ from unittest.mock import patch
 import numpy as np
 from plate_bench import SETTLED_S, PlateBench
 
-from resonator_daemon.measurement import comb_chain, single_tone_chain
-from resonator_daemon.measurement.baseline import CommonMode
-from resonator_daemon.measurement.comb_chain import CombChain
-from resonator_daemon.measurement.few_gates import FewGates
-from resonator_daemon.measurement.force_tones import ForceTones
-from resonator_daemon.measurement.matching import Matcher
-from resonator_daemon.measurement.plate_drift import PlateDrift
-from resonator_daemon.measurement.single_tone_chain import SingleToneChain
-from resonator_daemon.measurement.site_errors import SiteErrors
-from resonator_daemon.measurement.spread import SpreadFit
-from resonator_daemon.measurement.tone_windows import ToneWindows
+from resonator_daemon.forces.baseline import CommonMode
+from resonator_daemon.forces.force_tones import ForceTones
+from resonator_daemon.forces.plate_drift import PlateDrift
+from resonator_daemon.forces.site_errors import SiteErrors
+from resonator_daemon.forces.site_identification import Matcher
+from resonator_daemon.forces.spread import SpreadFit
 from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.sensors import multitone as comb_chain
+from resonator_daemon.sensors import single_tone as single_tone_chain
+from resonator_daemon.sensors.multitone import CombChain
+from resonator_daemon.sensors.single_tone import SingleToneChain
+from resonator_daemon.tones.few_gates import FewGates
+from resonator_daemon.tones.tone_windows import ToneWindows
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
 

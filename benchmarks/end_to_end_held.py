@@ -5,16 +5,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
 
-from resonator_daemon.measurement.contacts import Touch as TrackedTouch
-from resonator_daemon.measurement.matching import SiteForce
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.contacts import Touch as TrackedTouch
+from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.plate import Plate
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
-
-FloatArray = NDArray[np.float64]
 
 HELD_NEWTON = 2.0
 SWING_KELVIN = 2.0
@@ -72,7 +70,7 @@ def _of_site(forces: Sequence[SiteForce] | Sequence[TrackedTouch], site: int) ->
     return (math.nan,) * 3
 
 
-def _held(rows: FloatArray, last: int) -> Held:
+def _held(rows: Floats, last: int) -> Held:
     """`rows` (n, 3) are force, noise and systematic in newtons, the `last` ones those of the end."""
     told = np.isfinite(rows).all(axis=1)
     error, stated = rows[told, 0] - HELD_NEWTON, np.hypot(rows[told, 1], rows[told, 2])

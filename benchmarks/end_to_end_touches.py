@@ -5,14 +5,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from plate_bench import ROOM_KELVIN, SETTLED_S, PlateBench
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import Plate, Response, Thermal, load_plate
 from simulators.physics import Physics
 from simulators.scenario_file import Touch
-
-FloatArray = NDArray[np.float64]
 
 FORCE_NEWTON = (0.2, 8.0)
 COUNTED_SHARE = 0.05  # of its peak, before a touch's force counts
@@ -35,7 +33,7 @@ TOUCHES_AT_ONCE = 100  # that one bench plays: plates with other temperature coe
 class Errors(NamedTuple):
     """n readings of forces: `rows` (n, 5) are the touch and, in newtons, truth, error, stated noise and systematic."""
 
-    rows: FloatArray
+    rows: Floats
 
     @property
     def of_touches(self) -> "Errors":
@@ -74,7 +72,7 @@ class Played(NamedTuple):
     errors: Errors
 
 
-def rms(values: FloatArray) -> float:
+def rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 

@@ -13,14 +13,14 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.exporting.run import Output
 from resonator_daemon.exporting.target import TOPICS
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.playback.course import Moment, Published
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Contacts, Forces
 from resonator_daemon.publishing.topics import CONTACTS, FORCES
+from resonator_daemon.replay.recorded_pipeline import Moment, Published
+from resonator_daemon.session.host_time import HostTime
 
 _STEPS_PER_MINUTE = 60 * 200
 _METADATA = {"plate": "quartz16"}

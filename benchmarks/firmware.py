@@ -12,10 +12,10 @@ from pathlib import Path
 
 from qemu_board import QemuBoard, build, free_port
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import SingleToneFrame
 from resonator_daemon.config import SerialLink, TcpLink
 from resonator_daemon.plate import load_plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import SingleToneFrame
 
 
 def run(board: QemuBoard, link: SerialLink | TcpLink, seconds: float) -> tuple[bool, str]:

@@ -16,16 +16,14 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 YOUNGS_PASCAL, NU, DEPTH_M, PITCH_M = 2e5, 0.5, 1e-3, 4e-4
 RADIUS_M, FRICTION = 2.5e-3, 0.5  # of contact at 1 N

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from resonator_daemon.acquisition.frames import Arrival, Outage, SingleToneFrame
-from resonator_daemon.service.config_store import ConfigStore
-from resonator_daemon.service.daemon import Service
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.session.frames import Arrival, Outage, SingleToneFrame
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import FaultEvent, FaultPlan
 

@@ -17,9 +17,9 @@ from pathlib import Path
 
 from emulated_board import emulated_board
 
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
+from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.repair import RepairError, repaired
 
 LOSS_AT_MOST_S = 1.0

@@ -13,11 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.measurement.codes import code_overlaps
-from resonator_daemon.measurement.matching import MODEL_ERROR, STATUSES, Matcher, Matches
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.codes import code_overlaps
+from resonator_daemon.forces.site_identification import MODEL_ERROR, STATUSES, Matcher, Matches
 from resonator_daemon.plate import load_plate
-
-Floats = NDArray[np.float64]
 
 LARGEST_NEWTON = 10.0
 SENSITIVITY = -6.3e-6

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
-from resonator_daemon.acquisition.fit import gate_ticks, oscillator_hz
 from resonator_daemon.config import Config, Measurement
-from resonator_daemon.measurement.readings import ForceReading
-from resonator_daemon.measurement.single_tone_chain import SingleToneChain
-from resonator_daemon.measurement.skin_chain import SkinChain
+from resonator_daemon.forces.readings import ForceReading
+from resonator_daemon.pipeline.chains import make_chain
 from resonator_daemon.plate import Plate
-from resonator_daemon.reporting.chains import make_chain
+from resonator_daemon.sensors.single_tone import SingleToneChain
+from resonator_daemon.sensors.skin import SkinChain
+from resonator_daemon.session.compatibility import gate_ticks, oscillator_hz
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics
 from simulators.plate import CountedFrame

@@ -20,13 +20,13 @@ from pathlib import Path
 
 from emulated_board import emulated_board
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.recording_budget import Series
-from resonator_daemon.acquisition.recording_file import Origin
-from resonator_daemon.acquisition.recording_switch import RecordingSwitch
-from resonator_daemon.acquisition.wire_events import Received, WireEvent
 from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.link_events import Received, WireEvent
 
 MOST_PERCENT = 3.0
 _TURNS = 4  # of each kind

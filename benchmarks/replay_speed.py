@@ -11,8 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from resonator_daemon.playback.case import play_whole
-from resonator_daemon.playback.source import open_playback
+from resonator_daemon.replay.case import play_whole
+from resonator_daemon.replay.source import open_playback
 
 ASKED = 20.0  # times real time
 COMMAND = (sys.executable, "-m", "resonator_daemon.cli")

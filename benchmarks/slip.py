@@ -10,9 +10,9 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
@@ -22,8 +22,6 @@ from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import PressedSpot
-
-Floats = NDArray[np.float64]
 
 E, NU, DEPTH_M, PITCH_M, MU = 2e5, 0.5, 1e-3, 4e-4, 0.5
 RADIUS_MAX_M = 6e-3

@@ -8,7 +8,7 @@ from pathlib import Path
 from replay_speed import record
 from stage_cost_parts import RECORDED_S, reference_us
 
-from resonator_daemon.playback.source import open_playback
+from resonator_daemon.replay.source import open_playback
 
 ROUNDS = 5
 

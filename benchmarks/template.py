@@ -8,15 +8,13 @@ import sys
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.template import TemplateDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 YOUNGS_PASCAL, NU, RADIUS_M, FRICTION = 2e5, 0.5, 2e-3, 0.5
 UNITS = np.array([[1.5 / YOUNGS_PASCAL], [1.0], [1.0]])

@@ -26,8 +26,8 @@ MUST_KEEP_UP = {("quartz16", "8 in flight"), ("skin32", "8 in flight")}
 _HOST = """
 import sys, time
 import usb.core
-from resonator_daemon.acquisition import usb_transfers
-from resonator_daemon.acquisition.usb_link import open_usb
+from resonator_daemon.links import usb_transfers
+from resonator_daemon.links.usb import open_usb
 from resonator_daemon.config import parse_link
 
 reader, seconds = sys.argv[1], float(sys.argv[2])

@@ -17,16 +17,16 @@ from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import BoardStatus, CounterKind, Description, Identity
 from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, SYNC
 from firmware_protocol.states import BoardState
-from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.connection import Connection
-from resonator_daemon.acquisition.fit import gate_ticks
-from resonator_daemon.acquisition.frames import Arrival, Gap, SingleToneFrame
-from resonator_daemon.acquisition.host_time import HostTime
-from resonator_daemon.acquisition.link_state import LinkState
-from resonator_daemon.acquisition.numbering import FrameNumbering
-from resonator_daemon.acquisition.ring import Ring
 from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import load_plate
+from resonator_daemon.session.compatibility import gate_ticks
+from resonator_daemon.session.connection import Connection
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frame_numbers import FrameNumbering
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import Arrival, Gap, SingleToneFrame
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_state import LinkState
 from simulators.board import Outgoing
 from simulators.faults import FaultPlan
 from simulators.faults.byte_faults import ByteFaults

@@ -23,11 +23,11 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import FramePart, HostSession
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_STRUCT
 from firmware_protocol.messages import Configuration, CounterKind, Description, Identity
-from resonator_daemon.acquisition.assembly import FrameAssembler
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.tcp_link import open_tcp
 from resonator_daemon.config import TcpLink, parse_link
+from resonator_daemon.links.tcp import open_tcp
 from resonator_daemon.plate import load_plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frame_assembly import FrameAssembler
 
 FRAME_RATE_HZ, SKIN_RATE_HZ = 1000, 250
 SKIN_TONES = 3072

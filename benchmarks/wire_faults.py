@@ -12,11 +12,11 @@ from typing import Any
 
 from emulated_board import emulated_board
 
-from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import Arrival, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import Arrival, ChannelisedFrame, LinkChange, SingleToneFrame
 
 CASES = (("quartz16", 1e-5), ("skin32", 1e-7))
 

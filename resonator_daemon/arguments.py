@@ -12,7 +12,7 @@ from resonator_daemon.doctor.options import add_options as add_doctor_options
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.exporting.options import add_options as add_export_options
 from resonator_daemon.planning.options import add_parser as add_plan_codes
-from resonator_daemon.playback.options import add_options as add_replay_options
+from resonator_daemon.replay.options import add_options as add_replay_options
 
 Verb = Callable[[argparse.Namespace], ExitCode | None]
 

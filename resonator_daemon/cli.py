@@ -73,16 +73,16 @@ def _run_verb(options: argparse.Namespace) -> ExitCode:
 
 
 def _run(options: argparse.Namespace) -> None:
+    from resonator_daemon.daemon.config_store import ConfigStore
+    from resonator_daemon.daemon.daemon import serve
     from resonator_daemon.host.places import state_directory
-    from resonator_daemon.service.config_store import ConfigStore
-    from resonator_daemon.service.daemon import serve
 
     asyncio.run(serve(ConfigStore(options.config, state_directory() / "last-good")))
 
 
 def _check(options: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config.decoder import is_decoders_own, load_decoder_config
-    from resonator_daemon.service.config_store import load_checked
+    from resonator_daemon.daemon.config_store import load_checked
 
     findings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
@@ -206,7 +206,7 @@ def _repair(options: argparse.Namespace) -> None:
 
 
 def _replay(options: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.playback.run import replay_as_asked
+    from resonator_daemon.replay.run import replay_as_asked
 
     logging.getLogger().setLevel(logging.WARNING)  # that a broker is connected goes without saying
     return replay_as_asked(options)

@@ -9,12 +9,12 @@ from typing import Any
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from firmware_protocol.messages import CounterKind, Description, ResetCause
-from resonator_daemon.acquisition.fit import misfits
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.port_inquiry import Inquiry, NoBoardError, inquire, round_trip_s
-from resonator_daemon.acquisition.port_opening import open_link
 from resonator_daemon.config import LinkTarget, load_config
 from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.links.opening import open_link
+from resonator_daemon.session.compatibility import misfits
+from resonator_daemon.session.probe import Inquiry, NoBoardError, inquire, round_trip_s
 
 _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELISED): "channelised"}
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}

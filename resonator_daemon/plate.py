@@ -29,6 +29,7 @@ from pydantic import (
 from pydantic_core import InitErrorDetails
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.arrays import Floats, Integers
 from resonator_daemon.errors import ConfigError
 from resonator_daemon.toml_files.reading import (
     Count,
@@ -41,8 +42,6 @@ from resonator_daemon.toml_files.reading import (
     read_toml,
 )
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Item = TypeVar("Item", bound=np.generic)
 
 FORCE_SIGNAL: Final = "force"

@@ -9,9 +9,9 @@ from typing import Any
 
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.port_holders import Holder, port_holders
-from resonator_daemon.acquisition.port_identity import serial_ports
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.links.port_holders import Holder, port_holders
+from resonator_daemon.links.port_identity import serial_ports
 
 _BY_ID = Path("/dev/serial/by-id")
 _BAUD = 4_000_000
@@ -108,7 +108,7 @@ def _by_id() -> dict[str, str]:
 
 
 def _usb_places() -> list[Place]:
-    from resonator_daemon.acquisition.usb_devices import present_boards  # loads libusb
+    from resonator_daemon.links.usb_devices import present_boards  # loads libusb
 
     places = []
     for board in present_boards():

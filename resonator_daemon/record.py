@@ -13,19 +13,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import (
-    BoardOnline,
-    BoardRefused,
-    ChannelisedFrame,
-    LinkChange,
-    ReaderFailed,
-    SingleToneFrame,
-)
-from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Config, ReplayLink, load_config
+from resonator_daemon.daemon.recording_commands import origin
 from resonator_daemon.errors import (
     ConfigError,
     ExitCode,
@@ -34,10 +23,21 @@ from resonator_daemon.errors import (
     OperatorError,
     failure_told,
 )
-from resonator_daemon.service.recording_commands import origin
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    ReaderFailed,
+    SingleToneFrame,
+)
 
 if TYPE_CHECKING:
-    from resonator_daemon.reporting.board_course import BoardCourse
+    from resonator_daemon.pipeline.board_pipeline import BoardCourse
 
 _OPEN_S: Final = 10.0  # in which a board must count
 _TURN_S: Final = 0.2
@@ -238,8 +238,8 @@ class _Sitting:
 
 def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
     """Return what measures, and has it recorded; what that imports takes half a second."""
-    from resonator_daemon.reporting.board_course import BoardCourse
-    from resonator_daemon.service.recorded_messages import RecordedMessages
+    from resonator_daemon.daemon.recorded_messages import RecordedMessages
+    from resonator_daemon.pipeline.board_pipeline import BoardCourse
 
     messages = RecordedMessages(recorder, derived=True)
     return BoardCourse(config, boot_id, messages.take)

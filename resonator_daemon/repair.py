@@ -24,11 +24,13 @@ from mcap.records import (
 from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.acquisition.host_time import HostTime
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.mcap_attachments import DamagedAttachment
-from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
-from resonator_daemon.acquisition.recording_file import (
+from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.host.new_file import NewFile, interruptible
+from resonator_daemon.host.printable import printable
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.recording.mcap_attachments import DamagedAttachment
+from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
+from resonator_daemon.recording.reader import (
     DAMAGE,
     MARKS,
     PLATE_FILE,
@@ -37,11 +39,9 @@ from resonator_daemon.acquisition.recording_file import (
     decode_mark,
     open_recording,
 )
-from resonator_daemon.acquisition.recording_salvage import Hole, Records, known_channels
-from resonator_daemon.acquisition.wire_events import Skipped, decode, encode
-from resonator_daemon.errors import ExitCode, OperatorError, failure_told
-from resonator_daemon.host.new_file import NewFile, interruptible
-from resonator_daemon.host.printable import printable
+from resonator_daemon.recording.recovery import Hole, Records, known_channels
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import Skipped, decode, encode
 
 _CRC_BYTES: Final = 4
 _PIECE_BYTES: Final = 1 << 20

@@ -9,11 +9,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from simulators.arrays import Floats
 from simulators.strides import Strides
-
-FloatArray = npt.NDArray[np.float64]
 
 INTERFERERS = 3
 _ORDER = 3  # of the series in all interferers: on an even ladder of tones such products of beats can be slow
@@ -36,24 +34,24 @@ _WEIGHTS = np.array(
 class Beats(NamedTuple):
     """The strongest other tones beside each captured one, (n, channels, INTERFERERS), the strongest first."""
 
-    ratio: FloatArray  # of amplitudes; their sum is below 1
-    start_turns: FloatArray  # phase against the captured tone at the gate's start
-    turns_per_tick: FloatArray  # of that phase
-    carrier_turns_per_tick: FloatArray  # (n, channels), of the captured tone
+    ratio: Floats  # of amplitudes; their sum is below 1
+    start_turns: Floats  # phase against the captured tone at the gate's start
+    turns_per_tick: Floats  # of that phase
+    carrier_turns_per_tick: Floats  # (n, channels), of the captured tone
 
 
 class BeatSums(NamedTuple):
     """Displacement of a gate's stamps by beats, each (n, channels); k counts stamps, m from their middle."""
 
-    first_ticks: FloatArray
-    last_ticks: FloatArray
-    total_ticks: FloatArray  # sum of e_k
-    moment_ticks: FloatArray  # sum of m e_k
-    roughness_ticks2: FloatArray  # mean square of e_k - 2 e_(k-1) + e_(k-2), times stamps
-    filtered_ticks2: FloatArray  # the same, weighted by the gain of that difference for white errors
+    first_ticks: Floats
+    last_ticks: Floats
+    total_ticks: Floats  # sum of e_k
+    moment_ticks: Floats  # sum of m e_k
+    roughness_ticks2: Floats  # mean square of e_k - 2 e_(k-1) + e_(k-2), times stamps
+    filtered_ticks2: Floats  # the same, weighted by the gain of that difference for white errors
 
 
-def displaced_ticks(times_ticks: FloatArray, beats: Beats) -> FloatArray:
+def displaced_ticks(times_ticks: Floats, beats: Beats) -> Floats:
     """Return the displaced times (..., n) of undisturbed edges at times since the gate's start, by Newton's method.
 
     `beats` of one gate and channel: (INTERFERERS,) and a scalar.

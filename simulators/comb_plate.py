@@ -3,17 +3,15 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import FORCE_SIGNAL, TEMPERATURE_SIGNAL, Plate
+from simulators.arrays import Floats
 from simulators.plate import CountedFrame, attenuation_db256, corner_levels_db
 from simulators.pressed_sites import PressedGates, PressedSites
 from simulators.scenario import Scenario
 from simulators.tone_records import ToneRecords, even_oscillators
-
-FloatArray = npt.NDArray[np.float64]
 
 _CARRIER_TO_NOISE_HZ = 1e10  # C/N0 of a tone at the corner that hears it best: 100 dBHz
 _GATE_S = (2e-3, 100e-3)
@@ -100,7 +98,7 @@ class CombPlate:
             )
         ]
 
-    def _frequencies_hz(self, gates: PressedGates) -> FloatArray:
+    def _frequencies_hz(self, gates: PressedGates) -> Floats:
         """Frequency (frames, channels, tones) of every tone in true hertz."""
         tones = self._tones
         frequency_hz = np.empty((len(gates.frequency_hz), CHANNEL_COUNT, len(tones.site_index)))

@@ -14,19 +14,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from simulators.half_space_fields import FloatArray, hertz_fields
+from simulators.arrays import Floats
+from simulators.half_space_fields import hertz_fields
 
 _KNOTS_PER_DEPTH = 10  # of the table over radii: the fields change over radii of about the depth
 
 
-def contact_radius_m(normal_force_newton: npt.ArrayLike, radius_m_at_1_newton: float) -> FloatArray:
+def contact_radius_m(normal_force_newton: npt.ArrayLike, radius_m_at_1_newton: float) -> Floats:
     """Radius of contact, growing with the cube root of force; 0 where nothing presses."""
     return radius_m_at_1_newton * np.cbrt(np.maximum(normal_force_newton, 0.0))
 
 
 def hertz_parts(
     force_newton: npt.ArrayLike, radius_m_at_1_newton: float, friction_coefficient: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[Floats, Floats]:
     """Split a contact's load into two Hertz distributions: all of the disc, and the part that sticks.
 
     Parameters
@@ -74,7 +75,7 @@ def pixel_tractions(
     friction_coefficient: float,
     shape: tuple[int, int],
     pitch_m: float,
-) -> FloatArray:
+) -> Floats:
     """Traction averaged over the square pixels of a grid whose centre is the origin.
 
     Parameters
@@ -115,7 +116,7 @@ def point_tractions(
     radius_m_at_1_newton: float,
     friction_coefficient: float,
     positions_m: npt.ArrayLike,
-) -> FloatArray:
+) -> Floats:
     """Traction x, y, z in pascals, (3, n), at places (n, 2) on the surface; the other parameters as `hertz_parts`."""
     distances = np.linalg.norm(np.asarray(positions_m, dtype=np.float64) - np.asarray(centre_m), axis=-1)
     traction = np.zeros((3, len(distances)))
@@ -127,7 +128,7 @@ def point_tractions(
     return traction
 
 
-def _share_up_to(x: FloatArray, y: FloatArray) -> FloatArray:
+def _share_up_to(x: Floats, y: Floats) -> Floats:
     """Integral of the unit-force Hertz distribution of radius 1 over the rectangle from 0 to (x, y); odd in both.
 
     It is the volume of a ball above a rectangle in its equatorial plane, over that of the half ball. Where the corner
@@ -141,7 +142,7 @@ def _share_up_to(x: FloatArray, y: FloatArray) -> FloatArray:
         + y * (3.0 - y**2) * np.arctan2(x, height)
         - 2.0 * np.arctan2(x * y, height)
     ) / 6.0
-    share: FloatArray = volume * 3.0 / (2.0 * math.pi)
+    share: Floats = volume * 3.0 / (2.0 * math.pi)
     return share
 
 
@@ -183,7 +184,7 @@ class PressedSpot:
         self._knot_spacing_m = float(radii[1])
         self._table = np.stack([fields, spline(radii, 1) * self._knot_spacing_m], axis=1)
 
-    def signals(self, force_newton: npt.ArrayLike) -> FloatArray:
+    def signals(self, force_newton: npt.ArrayLike) -> Floats:
         """Signals [p_n (Pa), eps_xz, eps_yz] under forces x, y, z: (3,) -> (3, n), (t, 3) -> (t, 3, n).
 
         Forces are taken as by `hertz_parts`. ValueError where one is not finite or presses beyond the table.
@@ -205,7 +206,7 @@ class PressedSpot:
         return signals
 
 
-def _hermite_weights(fraction: FloatArray) -> FloatArray:
+def _hermite_weights(fraction: Floats) -> Floats:
     """Cubic Hermite weights (..., 4) of value and slope at the lower, then at the upper end of a unit interval."""
     rest = 1.0 - fraction
     return np.stack(

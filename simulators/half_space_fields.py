@@ -23,7 +23,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from simulators.arrays import Floats
 
 
 def hertz_fields(
@@ -32,7 +32,7 @@ def hertz_fields(
     radii_m: npt.ArrayLike,
     youngs_modulus_pascal: float,
     poisson_ratio: float,
-) -> FloatArray:
+) -> Floats:
     """Signals per newton under Hertz-distributed loads of several radii.
 
     Parameters
@@ -69,7 +69,7 @@ def hertz_fields(
 
 
 def _check(
-    offsets_m: FloatArray, depth_m: float, radii_m: FloatArray, youngs_modulus_pascal: float, poisson_ratio: float
+    offsets_m: Floats, depth_m: float, radii_m: Floats, youngs_modulus_pascal: float, poisson_ratio: float
 ) -> None:
     if offsets_m.ndim != 2 or offsets_m.shape[1] != 2:
         raise ValueError(f"offsets_m has shape {offsets_m.shape}, must be (n, 2)")
@@ -84,8 +84,8 @@ def _check(
 
 
 def _potential_integrals(
-    distance_squared_m2: FloatArray, depth_m: float, radius_m: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    distance_squared_m2: Floats, depth_m: float, radius_m: float
+) -> tuple[Floats, Floats, Floats, Floats]:
     """Integrals of 1/R^3, Z/R^3, 1/R^5, Z/R^5 over complex depths Z = z + i a s, where R^2 = r^2 + Z^2, each (n,)."""
     # The integrand's singularities lie at s = (+-r + i z)/a, so Gauss-Legendre on (-1, 1) converges like exp(-2 m q)
     # or faster, sinh q = z/a. The negative half of the rule repeats the positive one conjugated: only that is summed.
@@ -102,6 +102,6 @@ def _potential_integrals(
 
 
 @functools.cache
-def _gauss_legendre(order: int) -> tuple[FloatArray, FloatArray]:
+def _gauss_legendre(order: int) -> tuple[Floats, Floats]:
     nodes, weights = np.polynomial.legendre.leggauss(order)
     return nodes, weights

@@ -3,14 +3,10 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from resonator_daemon.plate import Plate
+from simulators.arrays import Bools, Floats, Integers
 from simulators.scenario import Pressing
-
-FloatArray = npt.NDArray[np.float64]
-IntegerArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 
 _TOUCHED_NEWTON = 1e-6
 _UNDER_THE_FINGER = 0.5  # of the share of the site that bears most of a touch
@@ -19,12 +15,12 @@ _UNDER_THE_FINGER = 0.5  # of the share of the site that bears most of a touch
 class SiteLoads(NamedTuple):
     """What n moments load the sites with, each (n, sites) in the order of the plate's site_ids."""
 
-    force_newton: FloatArray
-    contact_kelvin: FloatArray  # NaN where nothing touches, or what does has the plate's temperature
-    touch_id: IntegerArray  # of the contact that presses hardest there; 0 where none does
+    force_newton: Floats
+    contact_kelvin: Floats  # NaN where nothing touches, or what does has the plate's temperature
+    touch_id: Integers  # of the contact that presses hardest there; 0 where none does
 
 
-def site_loads(pressing: Pressing, plate: Plate, whole_plate: BoolArray) -> SiteLoads:
+def site_loads(pressing: Pressing, plate: Plate, whole_plate: Bools) -> SiteLoads:
     """Share the touches (n, k) of n moments among the sites; `whole_plate` (k,) touches press every site with all.
 
     Loads of several touches add up. A touch warms the sites that bear at least half as much of it as the one that bears
@@ -58,19 +54,19 @@ def site_loads(pressing: Pressing, plate: Plate, whole_plate: BoolArray) -> Site
     return SiteLoads(force, contact_kelvin, touch_id)
 
 
-def _shares(positions_m: FloatArray, plate: Plate) -> FloatArray:
+def _shares(positions_m: Floats, plate: Plate) -> Floats:
     """Share (..., sites) that each site bears of a touch at each place (..., 2).
 
     Under a cover of width w that is (1 + r^2/w^2)^(-3/2); else r^-exponent relative to all sites, so that a touch
     exactly on a site loads that one alone.
     """
     offset_m = positions_m[..., np.newaxis, :] - plate.site_positions_m
-    distance_m: FloatArray = np.hypot(offset_m[..., 0], offset_m[..., 1])
+    distance_m: Floats = np.hypot(offset_m[..., 0], offset_m[..., 1])
     if plate.spread_width_m is not None:
-        spread: FloatArray = (1.0 + (distance_m / plate.spread_width_m) ** 2) ** -1.5
+        spread: Floats = (1.0 + (distance_m / plate.spread_width_m) ** 2) ** -1.5
         return spread
     # Relative to the nearest site, so that a touch on a site is the limit and not a division by 0.
     distance_m = np.maximum(distance_m, 1e-12)
     weight = (distance_m / distance_m.min(axis=-1, keepdims=True)) ** -(plate.load_sharing_exponent or np.inf)
-    shares: FloatArray = weight / weight.sum(axis=-1, keepdims=True)
+    shares: Floats = weight / weight.sum(axis=-1, keepdims=True)
     return shares

@@ -4,9 +4,8 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from simulators.arrays import Floats
 
 _LOWEST_POLE_HZ: Final = 1e-5
 _POLES_PER_DECADE: Final = 2
@@ -21,9 +20,9 @@ _STEP_SHARE: Final = 0.5 + math.sqrt(1.0 / 12.0)
 class GateNoise(NamedTuple):
     """Noise of n gates, each (n, oscillators). Phase time is the integral of the relative frequency shift."""
 
-    relative_shift: FloatArray  # mean over the gate
-    phase_mean_s: FloatArray  # phase time less the line between its values at the gate's two ends, averaged
-    regression_excess: FloatArray  # slope of a regression of the phase time over the gate, less relative_shift
+    relative_shift: Floats  # mean over the gate
+    phase_mean_s: Floats  # phase time less the line between its values at the gate's two ends, averaged
+    regression_excess: Floats  # slope of a regression of the phase time over the gate, less relative_shift
 
 
 class OscillatorNoise:

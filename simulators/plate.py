@@ -8,8 +8,7 @@ import numpy.typing as npt
 
 from firmware_protocol.layouts import Field
 from firmware_protocol.messages import Description
-
-FloatArray = npt.NDArray[np.float64]
+from simulators.arrays import Floats
 
 REFERENCE_ERROR = 1.5e-6  # the board's reference oscillator is that much fast, where no scenario says otherwise
 
@@ -63,9 +62,9 @@ class EmulatedPlate(Protocol):
         """
 
 
-def gate_middles_s(scenario_ticks: int, gate_ticks: int, frames: int, tick_rate_hz: float) -> FloatArray:
+def gate_middles_s(scenario_ticks: int, gate_ticks: int, frames: int, tick_rate_hz: float) -> Floats:
     """Scenario time (frames,) at the middle of each gate."""
-    middles: FloatArray = (scenario_ticks + (np.arange(frames, dtype=np.float64) + 0.5) * gate_ticks) / tick_rate_hz
+    middles: Floats = (scenario_ticks + (np.arange(frames, dtype=np.float64) + 0.5) * gate_ticks) / tick_rate_hz
     return middles
 
 
@@ -74,7 +73,7 @@ def record_type(fields: Sequence[Field]) -> np.dtype[np.void]:
     return np.dtype([(field.name, "<" + field.code) for field in fields])
 
 
-def corner_levels_db(positions_m: FloatArray, transducers_m: FloatArray, random: np.random.Generator) -> FloatArray:
+def corner_levels_db(positions_m: Floats, transducers_m: Floats, random: np.random.Generator) -> Floats:
     """Return the level (n, corners) below full scale at which the corners hear tones from positions (n, 2).
 
     What reaches a corner spreads over the plate, leaks away and interferes with its own echoes, which scatter the level
@@ -82,10 +81,10 @@ def corner_levels_db(positions_m: FloatArray, transducers_m: FloatArray, random:
     """
     distance_m = np.linalg.norm(positions_m[:, np.newaxis] - transducers_m, axis=-1)
     spread_db = -10.0 * np.log10(1.0 + distance_m / 1e-3) - 20.0 * np.log10(np.e) * 30.0 * distance_m
-    levels: FloatArray = -50.0 + spread_db + random.normal(0.0, 4.0, distance_m.shape)
+    levels: Floats = -50.0 + spread_db + random.normal(0.0, 4.0, distance_m.shape)
     return levels
 
 
-def attenuation_db256(level_db: FloatArray) -> npt.NDArray[np.uint16]:
+def attenuation_db256(level_db: Floats) -> npt.NDArray[np.uint16]:
     """Level below full scale as the wire carries it, in 1/256 dB."""
     return np.clip(np.rint(level_db * -256.0), 0, 0xFFFF).astype(np.uint16)

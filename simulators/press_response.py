@@ -1,11 +1,9 @@
 """What a pressed site feels of its force: hysteresis and creep."""
 
 import numpy as np
-import numpy.typing as npt
 
+from simulators.arrays import Floats
 from simulators.relaxation import Relaxation
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class PressResponse:
@@ -32,7 +30,7 @@ class PressResponse:
         self._play_newton = np.zeros(sites)
         self._creep = Relaxation(creep_time_s, np.zeros(sites))
 
-    def advance(self, dt_s: float, force_newton: FloatArray) -> FloatArray:
+    def advance(self, dt_s: float, force_newton: Floats) -> Floats:
         """Return F_e (n, sites) in the next n gates of dt_s each, for the forces F (n, sites) in them."""
         felt = force_newton
         if self._half_width_newton:
@@ -42,7 +40,7 @@ class PressResponse:
             felt = (1.0 - self._creep_fraction) * felt + self._creep_fraction * crept
         return felt
 
-    def _play(self, force_newton: FloatArray) -> FloatArray:
+    def _play(self, force_newton: Floats) -> Floats:
         lowest = force_newton - self._half_width_newton
         highest = force_newton + self._half_width_newton
         play = np.empty_like(force_newton)

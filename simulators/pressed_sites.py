@@ -3,22 +3,20 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
+from simulators.arrays import Floats
 from simulators.load_sharing import site_loads
 from simulators.plate import Contact, gate_middles_s
 from simulators.scenario import Scenario
 from simulators.site_physics import SiteFrames, SitePhysics
 
-FloatArray = npt.NDArray[np.float64]
-
 
 class PressedGates(NamedTuple):
     """n gates of the sites, in the order of the plate's site_ids."""
 
-    force_newton: FloatArray  # (n, sites)
-    frequency_hz: FloatArray  # (n, sites, channels), mean over the gate
+    force_newton: Floats  # (n, sites)
+    frequency_hz: Floats  # (n, sites, channels), mean over the gate
     sites: SiteFrames
     contacts: list[list[Contact]]  # of each gate
 

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_FIELDS, RecordFlag
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate
+from simulators.arrays import Floats, Indices
 from simulators.beats import INTERFERERS, Beats
 from simulators.plate import CountedFrame, attenuation_db256, corner_levels_db, record_type
 from simulators.pressed_sites import PressedSites
@@ -15,10 +16,6 @@ from simulators.scenario import Scenario
 from simulators.stamp_sums import closed_form_sums
 from simulators.stamps import stamped_sums
 from simulators.strides import StampErrors, StampSums, StrideCounter
-
-FloatArray = npt.NDArray[np.float64]
-IndexArray = npt.NDArray[np.intp]
-BoolArray = npt.NDArray[np.bool_]
 
 _STRIDE_EDGES = 10
 _GATE_S = (0.2e-3, 50e-3)  # a record counts at most 65535 stamps
@@ -134,7 +131,7 @@ class QuartzPlate:
         records = _records(sums, attenuation_db256(20.0 * np.log10(carrier_amplitude)), flags)
         return list(map(CountedFrame, records, gates.contacts, sites.plate_kelvin.tolist()))
 
-    def _start_turns(self, gate_turns: FloatArray) -> FloatArray:
+    def _start_turns(self, gate_turns: Floats) -> Floats:
         """Phase of every tone at the start of each gate, from the turns it makes; goes on from call to call."""
         turns = np.concatenate([self._turns[np.newaxis], gate_turns])
         turns -= np.floor(turns)
@@ -142,16 +139,16 @@ class QuartzPlate:
         self._turns = turns[-1] % 1.0
         return turns[:-1]
 
-    def _amplitudes(self, force_newton: FloatArray) -> FloatArray:
+    def _amplitudes(self, force_newton: Floats) -> Floats:
         """Amplitude (frames, sites and pilot, channels) of every tone at every corner."""
         activation = np.minimum(force_newton / self._full_contact_newton, 1.0)
         amplitude = np.full((len(force_newton), *self._turns.shape), self._pilot_amplitude)
         np.multiply(activation[..., np.newaxis], self._full_amplitude, out=amplitude[:, :-1])
         return amplitude
 
-    def _capture(self, amplitude: FloatArray) -> IndexArray:
+    def _capture(self, amplitude: Floats) -> Indices:
         """Tone (frames, channels) that each corner counts: the strongest, unless the last one is nearly as strong."""
-        strongest: IndexArray = amplitude.argmax(axis=1)
+        strongest: Indices = amplitude.argmax(axis=1)
         strongest[amplitude.max(axis=1) < _AUDIBLE_RATIO * self._noise_amplitude] = _SILENT
         if (strongest == self._captured).all():
             return strongest
@@ -167,9 +164,7 @@ class QuartzPlate:
             candidates[:] = held
         return strongest
 
-    def _beats(
-        self, ratio: FloatArray, frequency_hz: FloatArray, start_turns: FloatArray, captured: IndexArray
-    ) -> Beats | None:
+    def _beats(self, ratio: Floats, frequency_hz: Floats, start_turns: Floats, captured: Indices) -> Beats | None:
         """Beats of the strongest other tones, of amplitude `ratio` (frames, tones, channels) to the captured one's."""
         if ratio.max() < _INAUDIBLE_BEAT:
             return None
@@ -191,8 +186,8 @@ class QuartzPlate:
         )
 
 
-def _amplitude(level_db: npt.ArrayLike) -> FloatArray:
-    amplitude: FloatArray = 10.0 ** (np.asarray(level_db) / 20.0)
+def _amplitude(level_db: npt.ArrayLike) -> Floats:
+    amplitude: Floats = 10.0 ** (np.asarray(level_db) / 20.0)
     return amplitude
 
 

@@ -3,10 +3,9 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
-FloatArray = npt.NDArray[np.float64]
+from simulators.arrays import Floats
 
 
 class Relaxation:
@@ -20,11 +19,11 @@ class Relaxation:
         x (k,) at the start of the first gate.
     """
 
-    def __init__(self, time_s: float, start: FloatArray) -> None:
+    def __init__(self, time_s: float, start: Floats) -> None:
         self._time_s = time_s
         self._now = start
 
-    def advance(self, dt_s: float, target: FloatArray) -> FloatArray:
+    def advance(self, dt_s: float, target: Floats) -> Floats:
         """Return x (n, k) in the middle of each of n gates, for the targets (n, k) in them."""
         if not target.any() and not self._now.any():  # at rest
             return np.zeros_like(target)
@@ -34,10 +33,10 @@ class Relaxation:
         if len(target) == 1:  # the filter's own set-up costs more than all the rest of a gate
             starts = self._now[np.newaxis]
             self._now = gain * target[0] + decay * self._now
-            single: FloatArray = target + half * (starts - target)
+            single: Floats = target + half * (starts - target)
             return single
         ends, _ = lfilter([gain], [1.0, -decay], target, axis=0, zi=decay * self._now[np.newaxis])
         starts = np.concatenate([self._now[np.newaxis], ends[:-1]])
         self._now = ends[-1]
-        middles: FloatArray = target + half * (starts - target)
+        middles: Floats = target + half * (starts - target)
         return middles

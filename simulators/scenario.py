@@ -7,12 +7,11 @@ import numpy as np
 import numpy.typing as npt
 
 from resonator_daemon.plate import Plate
+from simulators.arrays import Floats
 from simulators.faults import FaultPlan
 from simulators.physics import Physics
 from simulators.plate import Contact
 from simulators.scenario_file import ScenarioFile, TimedKelvin, Touch, read_scenario
-
-FloatArray = npt.NDArray[np.float64]
 
 FRICTION_COEFFICIENT = 0.5  # of every touch
 
@@ -30,9 +29,9 @@ class Pressing(NamedTuple):
     """
 
     ids: npt.NDArray[np.int64]  # (n, touches)
-    force_newton: FloatArray  # (n, touches, 3): x, y, z; z presses
-    position_m: FloatArray  # (n, touches, 2); of the whole plate: the middle of its outline
-    contact_kelvin: FloatArray  # (n, touches); NaN where a touch has the plate's temperature
+    force_newton: Floats  # (n, touches, 3): x, y, z; z presses
+    position_m: Floats  # (n, touches, 2); of the whole plate: the middle of its outline
+    contact_kelvin: Floats  # (n, touches); NaN where a touch has the plate's temperature
 
 
 class Scenario:
@@ -82,7 +81,7 @@ class Scenario:
         directions = np.radians([touch.shear.direction_deg if touch.shear else 0.0 for touch in touches])
         self._shear_direction = np.stack([np.cos(directions), np.sin(directions)], axis=-1)
 
-    def at(self, times_s: FloatArray) -> Pressing:
+    def at(self, times_s: Floats) -> Pressing:
         """Return what every touch does at times (n,)."""
         since_s = times_s[:, np.newaxis] - self._start_s
         round_number = np.zeros_like(since_s)
@@ -102,7 +101,7 @@ class Scenario:
         ids = self._first_ids + round_number.astype(np.int64) * self._ids_per_round
         return Pressing(ids, force_newton, position_m, kelvin)
 
-    def _force_newton(self, since_s: FloatArray, touch: npt.NDArray[np.intp]) -> FloatArray:
+    def _force_newton(self, since_s: Floats, touch: npt.NDArray[np.intp]) -> Floats:
         """Return the force (n, k, 3) of touches (k,) at times (n, k) since their start."""
         rise = _ramp(since_s / self._rise_s[touch])
         fall = _ramp((since_s - self._rise_s[touch] - self._hold_s[touch]) / self._fall_s[touch])
@@ -115,9 +114,9 @@ class Scenario:
             force_newton[..., :2] = tangential[..., np.newaxis] * self._shear_direction[touch]
         return force_newton
 
-    def _held(self, since_s: FloatArray, touch: npt.NDArray[np.intp] | slice = slice(None)) -> FloatArray:
+    def _held(self, since_s: Floats, touch: npt.NDArray[np.intp] | slice = slice(None)) -> Floats:
         """Return which share of their holds has passed for touches (k,) at times (n, k) since their start."""
-        held: FloatArray = np.minimum(np.maximum((since_s - self._rise_s[touch]) / self._hold_s[touch], 0.0), 1.0)
+        held: Floats = np.minimum(np.maximum((since_s - self._rise_s[touch]) / self._hold_s[touch], 0.0), 1.0)
         return held
 
     def contacts(self, pressing: Pressing) -> list[list[Contact]]:
@@ -142,11 +141,11 @@ class Scenario:
             contacts[moment].append(Contact(contact_id, site_id, position_m, force_newton))
         return contacts
 
-    def environment_kelvin(self, times_s: FloatArray) -> FloatArray:
+    def environment_kelvin(self, times_s: Floats) -> Floats:
         """Return the temperature around the plate at times (n,)."""
         if len(self._environment_kelvin) == 1:
             return np.full(times_s.shape, self._environment_kelvin[0])
-        kelvin: FloatArray = np.interp(times_s, self._environment_s, self._environment_kelvin)
+        kelvin: Floats = np.interp(times_s, self._environment_s, self._environment_kelvin)
         return kelvin
 
 
@@ -164,15 +163,15 @@ def load_scenario(name_or_path: str, plate: Plate) -> Scenario:
     )
 
 
-def _site_at(position_m: FloatArray, plate: Plate) -> int | None:
+def _site_at(position_m: Floats, plate: Plate) -> int | None:
     """Return the id of the site that is exactly there, None where none is."""
     distance_m = np.hypot(*(plate.site_positions_m - position_m).T)
     nearest = int(distance_m.argmin())
     return int(plate.site_ids[nearest]) if distance_m[nearest] < _ON_SITE_M else None
 
 
-def _start_m(touch: Touch, plate: Plate) -> FloatArray:
-    position_m: FloatArray = (plate.outline_m.min(axis=0) + plate.outline_m.max(axis=0)) / 2.0
+def _start_m(touch: Touch, plate: Plate) -> Floats:
+    position_m: Floats = (plate.outline_m.min(axis=0) + plate.outline_m.max(axis=0)) / 2.0
     if touch.site is not None:
         position_m = plate.site_positions_m[plate.site_ids.tolist().index(touch.site)]
     elif touch.position_mm is not None:
@@ -180,7 +179,7 @@ def _start_m(touch: Touch, plate: Plate) -> FloatArray:
     return position_m
 
 
-def _ramp(progress: FloatArray) -> FloatArray:
+def _ramp(progress: Floats) -> Floats:
     """Rise from 0 to 1 as a raised cosine while progress goes from 0 to 1."""
-    ramp: FloatArray = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.maximum(progress, 0.0), 1.0))
+    ramp: Floats = 0.5 - 0.5 * np.cos(np.pi * np.minimum(np.maximum(progress, 0.0), 1.0))
     return ramp

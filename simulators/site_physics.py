@@ -3,17 +3,14 @@
 from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
+from simulators.arrays import Floats, Integers
 from simulators.oscillator_noise import OscillatorNoise
 from simulators.physics import Physics
 from simulators.press_response import PressResponse
 from simulators.site_temperature import SiteTemperature
-
-FloatArray = npt.NDArray[np.float64]
-IntegerArray = npt.NDArray[np.int64]
 
 _DAY_S: Final = 86_400.0
 
@@ -24,13 +21,13 @@ class SiteFrames(NamedTuple):
     A tone is at f0 (1 + relative_shift) / (1 - K sensitivity_factor felt_newton).
     """
 
-    felt_newton: FloatArray  # (n, sites)
-    relative_shift: FloatArray  # (n, sites + 1)
-    phase_mean_s: FloatArray  # (n, sites + 1), of the oscillator noise within a gate: see GateNoise
-    regression_excess: FloatArray  # (n, sites + 1), likewise
-    sensitivity_factor: FloatArray  # (n, sites, channels)
-    kelvin: FloatArray  # (n, sites)
-    plate_kelvin: FloatArray  # (n,), where nothing touches it
+    felt_newton: Floats  # (n, sites)
+    relative_shift: Floats  # (n, sites + 1)
+    phase_mean_s: Floats  # (n, sites + 1), of the oscillator noise within a gate: see GateNoise
+    regression_excess: Floats  # (n, sites + 1), likewise
+    sensitivity_factor: Floats  # (n, sites, channels)
+    kelvin: Floats  # (n, sites)
+    plate_kelvin: Floats  # (n,), where nothing touches it
 
 
 class SitePhysics:
@@ -65,10 +62,10 @@ class SitePhysics:
     def advance(
         self,
         dt_s: float,
-        force_newton: FloatArray,
-        contact_kelvin: FloatArray,
-        touch_id: IntegerArray,
-        environment_kelvin: FloatArray,
+        force_newton: Floats,
+        contact_kelvin: Floats,
+        touch_id: Integers,
+        environment_kelvin: Floats,
     ) -> SiteFrames:
         """Go on by n gates.
 
@@ -110,9 +107,9 @@ class _TouchScatter:
         self._std = std
         self._shape = (sites, CHANNEL_COUNT)
         self._key = int(random.integers(2**63))
-        self._by_touch: dict[int, FloatArray] = {}
+        self._by_touch: dict[int, Floats] = {}
 
-    def factors(self, touch_id: IntegerArray) -> FloatArray:
+    def factors(self, touch_id: Integers) -> Floats:
         """Return (n, sites, channels) for touches (n, sites); 1 where the touch is 0."""
         if not self._std:
             return np.broadcast_to(1.0, (len(touch_id), *self._shape))
@@ -124,12 +121,12 @@ class _TouchScatter:
             np.copyto(factors, factor, where=(touch_id == touch)[..., np.newaxis])
         return factors
 
-    def _drawn(self, touch: int) -> FloatArray:
+    def _drawn(self, touch: int) -> Floats:
         random = np.random.Generator(np.random.Philox(key=self._key | touch << 64))
         return 1.0 + self._std * random.standard_normal(self._shape)
 
 
-def _temperature_coefficients(plate: Plate, physics: Physics, random: np.random.Generator) -> FloatArray:
+def _temperature_coefficients(plate: Plate, physics: Physics, random: np.random.Generator) -> Floats:
     """Return a, b and c (sites + 1, 3) of every site and of the pilot."""
     sites = len(plate.site_ids)
     drawn = random.normal(physics.temperature_coefficient, physics.temperature_coefficient_std, sites + 1)

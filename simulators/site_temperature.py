@@ -3,18 +3,16 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from simulators.arrays import Floats
 from simulators.relaxation import Relaxation
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class SiteWarmth(NamedTuple):
     """Temperatures and what they do, each (n, sites)."""
 
-    kelvin: FloatArray
-    relative_shift: FloatArray
+    kelvin: Floats
+    relative_shift: Floats
 
 
 class SiteTemperature:
@@ -35,14 +33,14 @@ class SiteTemperature:
         The time constant of a site.
     """
 
-    def __init__(self, coefficients: FloatArray, transient_s: float, reference_kelvin: float, time_s: float) -> None:
+    def __init__(self, coefficients: Floats, transient_s: float, reference_kelvin: float, time_s: float) -> None:
         self._coefficients = coefficients
         self._transient_s = transient_s
         self._reference_kelvin = reference_kelvin
         self._time_s = time_s
         self._deviation: Relaxation | None = None
 
-    def advance(self, dt_s: float, surroundings_kelvin: FloatArray, contact_kelvin: FloatArray) -> SiteWarmth:
+    def advance(self, dt_s: float, surroundings_kelvin: Floats, contact_kelvin: Floats) -> SiteWarmth:
         """Go on by n gates of dt_s each.
 
         Parameters

@@ -3,11 +3,11 @@
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate, Skin
+from simulators.arrays import Floats
 from simulators.contact import PressedSpot, hertz_parts
 from simulators.plate import (
     REFERENCE_ERROR,
@@ -19,8 +19,6 @@ from simulators.plate import (
 )
 from simulators.scenario import FRICTION_COEFFICIENT, Scenario
 from simulators.tone_records import ToneRecords, even_oscillators
-
-FloatArray = npt.NDArray[np.float64]
 
 RADIUS_M_AT_1_NEWTON = 2.5e-3
 SIGNAL_TO_NOISE_DB = 30.0  # at 1 N without shear, rms over array and signals, corners combined
@@ -80,7 +78,7 @@ class SkinPlate:
         self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
         self._attenuation = attenuation_db256(level_db)
         self._gate_s = 0.0  # of the following
-        self._sigma_hz: FloatArray
+        self._sigma_hz: Floats
         self._records: ToneRecords
         self.start()
 
@@ -109,7 +107,7 @@ class SkinPlate:
         self._sigma_hz = self._own_sigma_hz * (self._own_gate_s / gate_s) ** 1.5
         self._records = ToneRecords(self._sigma_hz, self._attenuation, self._half_spacing_hz)
 
-    def _count_gate(self, signals: FloatArray | None) -> list[bytes]:
+    def _count_gate(self, signals: Floats | None) -> list[bytes]:
         """Return the records of each channel in the next gate, under signals (3, sites)."""
         true_hz = self._still_hz  # (1 or channels, tones)
         if signals is not None:
@@ -123,7 +121,7 @@ class SkinPlate:
         self._turns -= np.floor(self._turns)
         return self._records.gate(offset_hz, middle_turns)
 
-    def _noise_hz(self, plate: Plate, skin: Skin, level_db: FloatArray) -> FloatArray:
+    def _noise_hz(self, plate: Plate, skin: Skin, level_db: Floats) -> Floats:
         """Return the standard deviation (channels, tones) of a tone's frequency in a gate of the plate's own length."""
         to_triple = np.array([1.5 / skin.youngs_modulus_pascal, 1.0, 1.0])
         centre = plate.site_positions_m.mean(axis=0)
@@ -131,10 +129,10 @@ class SkinPlate:
         triple_std = math.sqrt((triple**2).mean()) * 10.0 ** (-SIGNAL_TO_NOISE_DB / 20.0)
         tone_std_hz = plate.tones.f0_hz.T * np.abs(plate.tones.sensitivity.T) * triple_std / to_triple[self._where[0]]
         power = 10.0 ** (level_db / 10.0)
-        sigma_hz: FloatArray = tone_std_hz / np.sqrt(power / power.sum(axis=0))
+        sigma_hz: Floats = tone_std_hz / np.sqrt(power / power.sum(axis=0))
         return sigma_hz
 
-    def _contact(self, touch: int, contact_id: int, force: FloatArray) -> Contact:
+    def _contact(self, touch: int, contact_id: int, force: Floats) -> Contact:
         radius_m, stick_radius_m = hertz_parts(force, RADIUS_M_AT_1_NEWTON, FRICTION_COEFFICIENT)[0].tolist()
         x, y = self._scenario.positions_m[touch].tolist()
         return Contact(
@@ -148,7 +146,7 @@ class SkinPlate:
         )
 
 
-def _alike(channels: FloatArray) -> FloatArray:
+def _alike(channels: Floats) -> Floats:
     """Return only the first of the channels (channels, tones) where they are all alike."""
     return channels[:1] if (channels == channels[0]).all() else channels
 

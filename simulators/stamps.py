@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from simulators.arrays import Floats, Integers
 from simulators.beats import Beats, displaced_ticks
-from simulators.strides import FloatArray, IntegerArray, StampErrors, StampSums, Strides
+from simulators.strides import StampErrors, StampSums, Strides
 
 
 def stamped_sums(strides: Strides, errors: StampErrors, beats: Beats | None, random: np.random.Generator) -> StampSums:
@@ -17,24 +18,24 @@ def stamped_sums(strides: Strides, errors: StampErrors, beats: Beats | None, ran
 
 def _stamps(
     strides: Strides, errors: StampErrors, beats: Beats | None, random: np.random.Generator, at: tuple[int, int]
-) -> IntegerArray:
+) -> Integers:
     """Return the stamps (n,) of one gate on one channel, in ticks since the gate's start."""
     times = strides.first_ticks[at] + strides.period_ticks[at] * np.arange(strides.stamps[at])
     exact = times if beats is None else displaced_ticks(times, Beats(*(field[at] for field in beats)))
     strayed = _strayed(len(times), errors.strayed_ticks[at], errors.tilt_ticks[at])
     jitter = errors.jitter_ticks[at] * random.standard_normal(len(times))
-    stamps: IntegerArray = np.floor(exact + strayed + jitter).astype(np.int64)
+    stamps: Integers = np.floor(exact + strayed + jitter).astype(np.int64)
     return stamps
 
 
-def _strayed(stamps: int, mean_ticks: float, tilt_ticks: float) -> FloatArray:
+def _strayed(stamps: int, mean_ticks: float, tilt_ticks: float) -> Floats:
     """Return a smooth path (stamps,) from 0 to 0 of this mean, which tilts a regression by so much from end to end."""
     share = (np.arange(stamps) + 0.5) / stamps
-    path: FloatArray = share * (1.0 - share) * (6.0 * mean_ticks + 5.0 * tilt_ticks * (2.0 * share - 1.0))
+    path: Floats = share * (1.0 - share) * (6.0 * mean_ticks + 5.0 * tilt_ticks * (2.0 * share - 1.0))
     return path
 
 
-def _record(stamps: IntegerArray, strides: Strides, at: tuple[int, int]) -> tuple[int, ...]:
+def _record(stamps: Integers, strides: Strides, at: tuple[int, int]) -> tuple[int, ...]:
     since = stamps - stamps[0]
     return (
         int(strides.first_edge[at]),

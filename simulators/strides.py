@@ -3,21 +3,18 @@
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntegerArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
+from simulators.arrays import Bools, Floats, Integers
 
 
 class Strides(NamedTuple):
     """The undisturbed stamps of n gates, each (n, channels); all 0 where nothing was heard."""
 
-    gate_start_ticks: IntegerArray  # (n, 1), not wrapped
-    first_edge: IntegerArray  # of the first stamp, not wrapped
-    stamps: IntegerArray
-    first_ticks: FloatArray  # of the first stamp since the gate's start, not rounded
-    period_ticks: FloatArray  # from stamp to stamp
+    gate_start_ticks: Integers  # (n, 1), not wrapped
+    first_edge: Integers  # of the first stamp, not wrapped
+    stamps: Integers
+    first_ticks: Floats  # of the first stamp since the gate's start, not rounded
+    period_ticks: Floats  # from stamp to stamp
 
 
 class StampErrors(NamedTuple):
@@ -26,21 +23,21 @@ class StampErrors(NamedTuple):
     Each (n, channels). The frequency of a gate is its mean one; within it the phase strays, and is back at the end.
     """
 
-    jitter_ticks: FloatArray  # standard deviation, white
-    strayed_ticks: FloatArray  # mean over the gate's stamps, of where they are off the line by the phase that strays
-    tilt_ticks: FloatArray  # what that adds from the gate's start to its end to a regression through its stamps
+    jitter_ticks: Floats  # standard deviation, white
+    strayed_ticks: Floats  # mean over the gate's stamps, of where they are off the line by the phase that strays
+    tilt_ticks: Floats  # what that adds from the gate's start to its end to a regression through its stamps
 
 
 class StampSums(NamedTuple):
     """Fields of a single-tone record, each (n, channels), all 0 where nothing was heard."""
 
-    first_edge: IntegerArray  # not wrapped yet
-    first_ticks: IntegerArray  # not wrapped yet
-    stamps: IntegerArray
-    span_ticks: IntegerArray
-    s1_ticks: IntegerArray
-    s2_ticks: IntegerArray
-    q2_ticks2: IntegerArray
+    first_edge: Integers  # not wrapped yet
+    first_ticks: Integers  # not wrapped yet
+    stamps: Integers
+    span_ticks: Integers
+    s1_ticks: Integers
+    s2_ticks: Integers
+    q2_ticks2: Integers
 
 
 class StrideCounter:
@@ -66,7 +63,7 @@ class StrideCounter:
         self._strides = np.full(channels, strides, dtype=np.int64)
         self._phase = random.random(channels)  # fraction of a stride since the last stamp
 
-    def count(self, board_ticks: int, gate_ticks: int, period_ticks: FloatArray, broken: BoolArray) -> Strides:
+    def count(self, board_ticks: int, gate_ticks: int, period_ticks: Floats, broken: Bools) -> Strides:
         """Count n gates.
 
         Parameters

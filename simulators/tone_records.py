@@ -5,15 +5,14 @@ import numpy.typing as npt
 
 from firmware_protocol.layouts import TONE_FIELDS, ToneFlag
 from resonator_daemon.plate import Plate
+from simulators.arrays import Floats
 from simulators.plate import record_type
-
-FloatArray = npt.NDArray[np.float64]
 
 _TONE = record_type(TONE_FIELDS)
 _OUT_OF_BAND = np.uint8(ToneFlag.OUT_OF_BAND)
 
 
-def even_oscillators(plate: Plate) -> tuple[FloatArray, float]:
+def even_oscillators(plate: Plate) -> tuple[Floats, float]:
     """Return the frequencies (tones,) that tones are counted against, evenly spaced, and their spacing."""
     f0_hz = plate.tones.f0_hz.mean(axis=1)
     spacing_hz = float(f0_hz[-1] - f0_hz[0]) / max(len(f0_hz) - 1, 1)
@@ -40,13 +39,13 @@ class ToneRecords:
         Offset beyond which a tone is out of its band.
     """
 
-    def __init__(self, sigma_hz: FloatArray, attenuation_db256: npt.NDArray[np.uint16], half_spacing_hz: float) -> None:
+    def __init__(self, sigma_hz: Floats, attenuation_db256: npt.NDArray[np.uint16], half_spacing_hz: float) -> None:
         self._half_spacing_hz = half_spacing_hz
         self._records = np.zeros(sigma_hz.shape, dtype=_TONE)
         self._records["attenuation_db256"] = attenuation_db256
         self._records["sigma_code"] = np.clip(np.rint(128.0 + 8.0 * np.log2(sigma_hz)), 0, 255)
 
-    def gate(self, offset_hz: FloatArray, middle_turns: FloatArray) -> list[bytes]:
+    def gate(self, offset_hz: Floats, middle_turns: Floats) -> list[bytes]:
         """Return the records of each channel in one gate.
 
         Parameters

@@ -21,12 +21,13 @@ from firmware_protocol.messages import Configuration
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import HostState
 from resonator_daemon import ports
-from resonator_daemon.acquisition import port_inquiry, usb_devices
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.port_holders import Holders
-from resonator_daemon.acquisition.serial_link import open_serial
 from resonator_daemon.cli import main
 from resonator_daemon.config import SerialLink
+from resonator_daemon.links import usb_devices
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.links.port_holders import Holders
+from resonator_daemon.links.serial import open_serial
+from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

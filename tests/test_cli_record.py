@@ -15,13 +15,13 @@ from emulation import emulated
 from jsonschema import validate
 from mcap.reader import make_reader
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.recording_budget import Series
-from resonator_daemon.acquisition.recording_file import open_recording
-from resonator_daemon.acquisition.wire_events import Closed, Goodbye, Received, Said
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.plate import load_plate
 from resonator_daemon.record import NoBoardError, RecordOptions, record
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import open_recording
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.link_events import Closed, Goodbye, Received, Said
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 

@@ -16,12 +16,12 @@ from observer import observe
 from test_cli_record import config as record_config
 
 from resonator_daemon import cli
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.recording_file import open_recording
 from resonator_daemon.demo import latency, latency_figures, latency_report
 from resonator_daemon.doctor import run as doctor_run
 from resonator_daemon.plate import load_plate
-from resonator_daemon.playback import checking
+from resonator_daemon.recording.reader import open_recording
+from resonator_daemon.replay import checking
+from resonator_daemon.session.board_reader import BoardReader
 from simulators.emulator import EmulatorOptions
 
 CORPUS: Final = Path(__file__).parent / "corpus"
@@ -77,7 +77,7 @@ def test_a_verb_with_an_end_of_its_own_fails(
     ("arguments", "where"),
     [
         (("watch",), "resonator_daemon.view.watch.broker_at"),
-        (("run", "--config", "hand.toml"), "resonator_daemon.service.config_store.ConfigStore.__init__"),
+        (("run", "--config", "hand.toml"), "resonator_daemon.daemon.config_store.ConfigStore.__init__"),
         (("decode", "--config", "hand.toml"), "resonator_daemon.config.decoder.load_decoder_config"),
         (("emulate", "--plate", "quartz16", "--pty", "board"), "simulators.emulator.run"),
         (("status", "--watch", "--json"), "resonator_daemon.status_verb.ask_all"),

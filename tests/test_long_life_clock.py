@@ -10,10 +10,10 @@ from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench
 
-from resonator_daemon.acquisition.recording_file import open_recording
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.plate import load_plate
-from resonator_daemon.service.config_store import ConfigStore
-from resonator_daemon.service.daemon import Service
+from resonator_daemon.recording.reader import open_recording
 
 S = 1_000_000_000
 DAY_NS = 86_400 * S

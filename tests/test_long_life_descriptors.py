@@ -26,8 +26,8 @@ DEADLINE_S = 60.0
 # A recording that failed is tried again every half second: after ten, as it is, the test only waits.
 RUN = "; ".join(
     (
-        "from resonator_daemon.acquisition import recording",
-        "recording._RETRY_S = 0.5",
+        "from resonator_daemon.recording import recorder",
+        "recorder._RETRY_S = 0.5",
         "from resonator_daemon.cli import main",
         "raise SystemExit(main())",
     )

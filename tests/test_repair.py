@@ -12,15 +12,15 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from resonator_daemon import cli
-from resonator_daemon.acquisition import recording
-from resonator_daemon.acquisition.host_time import HostTime
-from resonator_daemon.acquisition.recording import Recorder
-from resonator_daemon.acquisition.recording_file import DAMAGE, Mark, Origin, open_recording
-from resonator_daemon.acquisition.wire_events import Closed, Received, Skipped, WireEvent, encode
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
 from resonator_daemon.record import RecordOptions, record
+from resonator_daemon.recording import recorder as recording
+from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.repair import RepairError, repaired
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import Closed, Received, Skipped, WireEvent, encode
 from simulators.emulator import EmulatorOptions
 
 ORIGIN = Origin(load_plate("quartz16"), "tcp://board:1", name="left", plate_text="a = 1\n", settings_text="b = 2\n")

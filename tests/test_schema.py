@@ -12,7 +12,7 @@ from jsonschema import Draft7Validator
 from observer import Observer, observe
 from service_bench import Bench
 from system_parts import SMALL_SKIN
-from test_skin_service import SHEARED
+from test_skin_daemon import SHEARED
 
 from resonator_daemon.publishing.asyncapi import document
 from resonator_daemon.schema import print_schema

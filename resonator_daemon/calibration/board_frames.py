@@ -7,8 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import (
+from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
+from resonator_daemon.config import Config
+from resonator_daemon.errors import ConfigError, IncompatibleBoardError
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
@@ -16,9 +19,6 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
-from resonator_daemon.config import Config
-from resonator_daemon.errors import ConfigError, IncompatibleBoardError
 
 FromBoard = BoardOnline | SingleToneFrame | ChannelisedFrame
 

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Floats, Heard
+from resonator_daemon.arrays import Floats
+from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Heard
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.site_codes import site_codes
-from resonator_daemon.measurement.counting import oscillator_std
-from resonator_daemon.measurement.force_tones import SIGMA_HZ
-from resonator_daemon.measurement.tone_merging import merge_tones
+from resonator_daemon.forces.force_tones import SIGMA_HZ
 from resonator_daemon.plate import Plate
+from resonator_daemon.tones.frequency_estimators import oscillator_std
+from resonator_daemon.tones.tone_merging import merge_tones
 
 REST_READINGS: Final = 10  # whose mean is f0
 TOUCH_SHARE: Final = 0.01  # of the plate's largest force: below it is what an earlier touch has left

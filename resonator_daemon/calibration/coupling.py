@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.guide import Guide, Loading
-from resonator_daemon.calibration.hearing import Floats
 from resonator_daemon.plate import Plate
 
 SIGMAS: Final = 3.0

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.guide import Guide, Loading
-from resonator_daemon.calibration.hearing import Floats
-from resonator_daemon.measurement.calibration_fit import CalibrationFit
-from resonator_daemon.measurement.loading_fit import RESPONSE_USUAL
+from resonator_daemon.forces.calibration_fit import CalibrationFit
+from resonator_daemon.forces.loading_fit import RESPONSE_USUAL
 
 SIGMAS: Final = 2.0  # of the pace, so that holds too short to tell creep do not rule it out
 CARRIED_ON_S: Final = math.exp(RESPONSE_USUAL[2])  # creep that begins at some pace and dies out goes on for its time

@@ -9,7 +9,8 @@ from typing import Final, Literal
 
 import numpy as np
 
-from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Floats, Heard
+from resonator_daemon.arrays import Floats
+from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Heard
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import Step

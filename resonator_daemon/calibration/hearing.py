@@ -5,17 +5,15 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.site_codes import site_codes
-from resonator_daemon.measurement.counting import counter_std, frequency_hz, oscillator_std
-from resonator_daemon.measurement.gate_block import GateBlock
-from resonator_daemon.measurement.single_tone_chain import BAND_MARGIN, PILOT_TOLERANCE
-from resonator_daemon.measurement.tone_windows import ToneWindows
 from resonator_daemon.plate import Plate
-
-Floats = NDArray[np.float64]
+from resonator_daemon.sensors.single_tone import BAND_MARGIN, PILOT_TOLERANCE
+from resonator_daemon.tones.frequency_estimators import counter_std, frequency_hz, oscillator_std
+from resonator_daemon.tones.gate_block import GateBlock
+from resonator_daemon.tones.tone_windows import ToneWindows
 
 READING_S: Final = 0.1
 PILOT: Final = -1

@@ -8,7 +8,7 @@ import numpy as np
 
 from resonator_daemon.calibration.guide import Guide, Loading
 from resonator_daemon.calibration.steps import Wanted
-from resonator_daemon.measurement.loadings import Readings, Steps
+from resonator_daemon.forces.loadings import Readings, Steps
 
 COMMON_MODE_STD: Final = 1e-9  # of the pilot's mean over some tenths of a second
 

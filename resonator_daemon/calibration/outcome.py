@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.calibration.creep_seen import creep_share
 from resonator_daemon.calibration.guide import Guide, Loading
@@ -15,10 +16,9 @@ from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_hist
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
-from resonator_daemon.measurement.calibration_fit import CalibrationFit, fit_calibration
-from resonator_daemon.measurement.force import FloatArray
-from resonator_daemon.measurement.site_response import SiteResponse
-from resonator_daemon.measurement.temperature_fit import fit_temperature
+from resonator_daemon.forces.calibration_fit import CalibrationFit, fit_calibration
+from resonator_daemon.forces.site_response import SiteResponse
+from resonator_daemon.forces.temperature_fit import fit_temperature
 from resonator_daemon.plate import Plate
 
 KELVIN_MARGIN: Final = 5.0  # on either side of the temperatures of a calibration
@@ -47,13 +47,13 @@ class Outcome:
         return 0.0 if self.fit.response is not None else self.creep_share
 
     @property
-    def loads_std(self) -> FloatArray:
+    def loads_std(self) -> Floats:
         """By how much each site's K (s,) is unknown for its loads and masses, relative."""
-        std: FloatArray = np.sqrt(np.mean((self.fit.sensitivity_std / self.fit.sensitivity) ** 2, axis=1))
+        std: Floats = np.sqrt(np.mean((self.fit.sensitivity_std / self.fit.sensitivity) ** 2, axis=1))
         return std
 
     @property
-    def sensitivity_std(self) -> FloatArray:
+    def sensitivity_std(self) -> Floats:
         """By how much each site's K (s,) is unknown in all, relative."""
         return np.hypot(self.loads_std, self.creep_std)
 
@@ -65,7 +65,7 @@ def fit_loadings(
     loadings: Sequence[Loading],
     *,
     with_response: bool,
-    untouched_hz: FloatArray | None = None,
+    untouched_hz: Floats | None = None,
 ) -> Outcome:
     """Fit loads of any of the sites, those of a temperature sweep aside.
 
@@ -114,7 +114,7 @@ def make_record(
     unit: str,
     today: date,
     valid_days: int,
-    untouched_hz: FloatArray | None = None,
+    untouched_hz: Floats | None = None,
 ) -> Record:
     """Return what goes into the plate file; `untouched_hz` (sites, 4) where the untouched plate gave f0."""
     fit = outcome.fit
@@ -189,9 +189,7 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
     return found
 
 
-def _fit_temperature(
-    plate: Plate, wanted: Wanted, guide: Guide, fit: CalibrationFit, kelvin: float
-) -> FloatArray | None:
+def _fit_temperature(plate: Plate, wanted: Wanted, guide: Guide, fit: CalibrationFit, kelvin: float) -> Floats | None:
     """Coefficients (s, 3) from the heaviest mass at each temperature; None where there was no sweep."""
     if not wanted.temperatures_kelvin:
         return None
@@ -213,9 +211,9 @@ def _fit_temperature(
     return found.coefficient
 
 
-def _temperature_shift(coefficients: FloatArray, kelvin: float) -> FloatArray:
+def _temperature_shift(coefficients: Floats, kelvin: float) -> Floats:
     """Relative shift (m,) at a distance from the reference temperature; 0 where the plate file does not tell."""
-    shift: FloatArray = np.nan_to_num(coefficients) @ kelvin ** np.arange(1, 4)
+    shift: Floats = np.nan_to_num(coefficients) @ kelvin ** np.arange(1, 4)
     return shift
 
 

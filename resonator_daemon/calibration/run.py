@@ -7,12 +7,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.acquisition.fit import oscillator_hz
-from resonator_daemon.acquisition.frames import BoardOnline, SingleToneFrame
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.board_frames import FromBoard, board_frames
 from resonator_daemon.calibration.comb_hearing import CombEar
 from resonator_daemon.calibration.guide import Guide, Loading, News
-from resonator_daemon.calibration.hearing import Ear, Floats, Heard
+from resonator_daemon.calibration.hearing import Ear, Heard
 from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
 from resonator_daemon.calibration.plate_file import (
@@ -30,6 +29,8 @@ from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.plate import FORCE_SIGNAL
+from resonator_daemon.session.compatibility import oscillator_hz
+from resonator_daemon.session.frames import BoardOnline, SingleToneFrame
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
-
-Floats = NDArray[np.float64]
 
 
 class SiteCodes(NamedTuple):

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
 from resonator_daemon.elastic import HalfSpace
@@ -22,7 +22,6 @@ from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import SIGNALS, TOPICS
 
-Floats = NDArray[np.float64]
 Tell = Callable[[str], None]
 
 FEWEST_FRAMES: Final = 5  # with load

@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
+from resonator_daemon.pipeline.surface_reports import MeasuredFields
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
-from resonator_daemon.reporting.surface_reports import MeasuredFields
 
 
 class FollowedContacts:

@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from resonator_daemon.arrays import Floats
 
 
 @dataclass(frozen=True)

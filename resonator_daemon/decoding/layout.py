@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-Floats = NDArray[np.float64]
+from resonator_daemon.arrays import Floats
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
 _CELL_STEPS = 4  # of half a spacing: how finely cells are measured

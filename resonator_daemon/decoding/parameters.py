@@ -1,9 +1,9 @@
 """What decoders share: limits by which a frame is judged, and checks of parameters that raise a clear ValueError."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from resonator_daemon.arrays import Floats
 
 SIGNAL_LIMIT = 10.0  # a strain of ten: far beyond linear elasticity, only damage produces it
 KNOWN_LIMIT = 0.5  # smallest share of known signals

@@ -4,12 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.patches import Patch
-
-Floats = NDArray[np.float64]
 
 _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 

@@ -10,9 +10,9 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import as_grid, at_border, neighbours, spacing_m
 
-Floats = NDArray[np.float64]
 Places = NDArray[np.intp]
 Labels = NDArray[np.int32]
 

@@ -3,12 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

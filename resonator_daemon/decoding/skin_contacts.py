@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
@@ -15,8 +15,6 @@ from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.decoding.patch_tracks import PatchTracker
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.decoding.skin import Skin
-
-Floats = NDArray[np.float64]
 
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
 from resonator_daemon.decoding.surface_readers import surface_reader
-
-Floats = NDArray[np.float64]
 
 _NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
 _NOISY = 3.0  # times a signal's usual noise: it counts as lost

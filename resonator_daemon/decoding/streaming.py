@@ -5,8 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import Skin, Wanted
@@ -15,7 +15,6 @@ from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, 
 
 log = logging.getLogger(__name__)
 
-Floats = NDArray[np.float64]
 
 CANNOT_DECODE = (ValueError, ArithmeticError, MemoryError)
 

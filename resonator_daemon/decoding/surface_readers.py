@@ -5,8 +5,8 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
@@ -15,8 +15,6 @@ from resonator_daemon.decoding.layout import as_grid, cell_areas_m2
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import Patch, PatchFinder
 from resonator_daemon.decoding.skin import Skin, Wanted
-
-Floats = NDArray[np.float64]
 
 # Of sums, relative, inside and at the border of the sites; both to fit closed-form contacts.
 _CUT_BIAS = 0.07, 0.15  # over a map cut to its support

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from resonator_daemon.acquisition.recording_budget import Series
 from resonator_daemon.config import Recording
 from resonator_daemon.doctor.finding import Area, Check, Finding
+from resonator_daemon.recording.file_series import Series
 
 STATE: Final = Check("disk.state", Area.SOFTWARE, "room for state")
 RECORDINGS: Final = Check("disk.recordings", Area.SOFTWARE, "room for recordings")

@@ -7,18 +7,16 @@ from itertools import combinations
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.acquisition.frames import ChannelisedFrame, SingleToneFrame
-from resonator_daemon.measurement.counting import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
-from resonator_daemon.measurement.force_tones import SIGMA_HZ
-from resonator_daemon.measurement.single_tone_chain import BAND_MARGIN, PILOT_TOLERANCE
-from resonator_daemon.measurement.tone_merging import merge_tones
-from resonator_daemon.measurement.tone_windows import ToneWindows
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.force_tones import SIGMA_HZ
 from resonator_daemon.plate import FORCE_SIGNAL, SKIN_SIGNALS, Plate
-
-Floats = NDArray[np.float64]
+from resonator_daemon.sensors.single_tone import BAND_MARGIN, PILOT_TOLERANCE
+from resonator_daemon.session.frames import ChannelisedFrame, SingleToneFrame
+from resonator_daemon.tones.frequency_estimators import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
+from resonator_daemon.tones.tone_merging import merge_tones
+from resonator_daemon.tones.tone_windows import ToneWindows
 
 READING_S: Final = 0.1
 PAIRS: Final = tuple(combinations(range(CHANNEL_COUNT), 2))

@@ -4,13 +4,13 @@ from collections.abc import Iterator
 from typing import Final
 
 from firmware_protocol.messages import ResetCause
-from resonator_daemon.acquisition.clock import TOLERANCE_PPM
-from resonator_daemon.acquisition.fit import misfits
-from resonator_daemon.acquisition.port_inquiry import Inquiry, round_trip_s
 from resonator_daemon.config import LinkTarget, TcpLink, UsbLink
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.doctor.sitting import OPEN_S, Sitting
 from resonator_daemon.plate import Plate
+from resonator_daemon.session.clock import TOLERANCE_PPM
+from resonator_daemon.session.compatibility import misfits
+from resonator_daemon.session.probe import Inquiry, round_trip_s
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.acquisition.port_holders import Holder, Holders, is_pseudo_terminal
 from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
+from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal
 
 EXISTS: Final = Check("port.exists", Area.WIRING, "port")
 PERMISSION: Final = Check("port.permission", Area.WIRING, "permission on the port")

@@ -9,10 +9,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.port_holders import Holders, port_holders
-from resonator_daemon.acquisition.port_inquiry import Inquiry, NoBoardError, inquire
-from resonator_daemon.acquisition.port_opening import open_link
 from resonator_daemon.config import (
     Config,
     LinkTarget,
@@ -40,7 +36,11 @@ from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError, failure_told
 from resonator_daemon.host.places import state_directory
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.links.opening import open_link
+from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
+from resonator_daemon.session.probe import Inquiry, NoBoardError, inquire
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"

@@ -7,8 +7,9 @@ from typing import Final
 import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.arrays import Floats
 from resonator_daemon.doctor.finding import Area, Check, Finding, Outcome, graded, not_checked
-from resonator_daemon.doctor.hearing import PAIRS, Floats, Hearing
+from resonator_daemon.doctor.hearing import PAIRS, Hearing
 from resonator_daemon.doctor.sitting import Sitting
 from resonator_daemon.plate import SKIN_SIGNALS, Plate
 

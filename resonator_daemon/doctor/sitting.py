@@ -9,10 +9,15 @@ from typing import Final
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
 from firmware_protocol.packets import Packet, PacketDecoder
-from resonator_daemon.acquisition.account import LinkAccount
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.fit import oscillator_hz
-from resonator_daemon.acquisition.frames import (
+from resonator_daemon.config import LinkTarget
+from resonator_daemon.doctor.hearing import Hearing, Reading, make_hearing
+from resonator_daemon.doctor.host import Host
+from resonator_daemon.doctor.load import Load
+from resonator_daemon.plate import Plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.compatibility import oscillator_hz
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
@@ -20,12 +25,7 @@ from resonator_daemon.acquisition.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.acquisition.wire_events import Received, WireEvent
-from resonator_daemon.config import LinkTarget
-from resonator_daemon.doctor.hearing import Hearing, Reading, make_hearing
-from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.load import Load
-from resonator_daemon.plate import Plate
+from resonator_daemon.session.link_events import Received, WireEvent
 
 OPEN_S: Final = 6.0  # in which a board must count
 _TURN_S: Final = 0.1

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.elastic.checks import check_tolerance
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 LinearMap = Callable[[Floats], Floats]
 
 _BEYOND_NUMBERS = "tractions or displacements are too large or too small to square; choose other units"

@@ -5,16 +5,14 @@ from itertools import pairwise, product
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.special import roots_legendre
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 Method = Literal["periodic", "padded", "wrap-free"]
 

@@ -5,16 +5,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.elastic.checks import check_tolerance, real_array
 from resonator_daemon.elastic.constrained import Face, Friction, NotConvergedError, Pushing, minimise
 from resonator_daemon.elastic.contact import check_object, press
 from resonator_daemon.elastic.influence import Convolution, RoughStiffness, SurfaceCompliance, X, Y, Z
 from resonator_daemon.elastic.windows import Window, window_around
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 _MARGIN = 2  # pixels around the contact in which it is free to grow between two looks at the whole grid
 _REMEMBERED = 5  # passes from which the next limit of friction is extrapolated

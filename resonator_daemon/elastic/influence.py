@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace
 
-Floats = NDArray[np.float64]
 Lags = NDArray[np.intp]
 
 X, Y, Z = 0, 1, 2

@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 Quantity = Literal["u_x", "u_y", "u_z", "f_x", "f_y", "f_z"]
 _QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)

@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.checks import real_array
 from resonator_daemon.elastic.constrained import Prescribed, minimise
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance, X, Y, Z
 from resonator_daemon.elastic.windows import window_around
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

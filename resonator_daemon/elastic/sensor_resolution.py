@@ -17,10 +17,10 @@ from typing import Final, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.sensor_sets import SensorSet
 
-Floats = NDArray[np.float64]
 Load = Literal["normal", "shear", "normal_alone"]
 
 LOADS: Final[tuple[Load, ...]] = ("normal", "shear", "normal_alone")

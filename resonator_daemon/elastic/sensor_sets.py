@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import roots_laguerre
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.half_space import HalfSpace, Output
 
-Floats = NDArray[np.float64]
 Loss = Literal["none", "too_few", "incompressible", "dependent"]
 
 _TENSOR: Final = ("xx", "yy", "zz", "xy", "xz", "yz")

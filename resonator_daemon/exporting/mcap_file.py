@@ -9,16 +9,16 @@ from typing import Any, Final
 
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.acquisition.mcap_messages import CHUNK_BYTES
-from resonator_daemon.acquisition.recording_file import MARK_SCHEMA_DATA, MARKS
 from resonator_daemon.exporting.clouds import WITH_CLOUD, Clouds, Points
 from resonator_daemon.exporting.severity import Severity, severity
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
-from resonator_daemon.playback.course import Moment
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import WITH_ARRAYS, Header, Message, State
 from resonator_daemon.publishing.topics import TOPICS, Topic
+from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
+from resonator_daemon.recording.reader import MARK_SCHEMA_DATA, MARKS
+from resonator_daemon.replay.recorded_pipeline import Moment
 
 METADATA: Final = "resonatord"
 

@@ -7,7 +7,7 @@ from resonator_daemon.exporting.mcap_file import begun_writer
 from resonator_daemon.exporting.ros2_messages import RosMessages, ros_name
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
-from resonator_daemon.playback.course import Moment
+from resonator_daemon.replay.recorded_pipeline import Moment
 
 
 class Ros2Output:

@@ -11,8 +11,6 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
-from resonator_daemon.acquisition.link import LinkUnavailableError
-from resonator_daemon.acquisition.recording_file import PLATE_FILE, SETTINGS_FILE
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.errors import ExitCode, OperatorError, failure_told
@@ -20,11 +18,13 @@ from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
 from resonator_daemon.host.new_file import check_new, interruptible, takes_a_stream
 from resonator_daemon.host.printable import printable
-from resonator_daemon.playback.course import Moment, Playback
-from resonator_daemon.playback.progress import Progress
-from resonator_daemon.playback.source import open_playback
-from resonator_daemon.playback.span import Span, find_span
+from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.publishing.units import UNITS
+from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE
+from resonator_daemon.replay.progress import Progress
+from resonator_daemon.replay.recorded_pipeline import Moment, Playback
+from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.span import Span, find_span
 
 
 class ExportFailedError(OperatorError):

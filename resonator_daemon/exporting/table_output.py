@@ -7,8 +7,8 @@ from typing import Any, Final, Protocol
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.tables import Table, make_table
 from resonator_daemon.plate import Plate
-from resonator_daemon.playback.course import Moment
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.replay.recorded_pipeline import Moment
 
 _BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
 _SCALAR_BYTES: Final = 8

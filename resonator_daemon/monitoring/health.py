@@ -9,7 +9,6 @@ from typing import NamedTuple, TypedDict
 
 import psutil
 
-from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     DecoderProcessInfo,
@@ -17,6 +16,7 @@ from resonator_daemon.publishing.payloads import (
     MessageAccount,
     RecordingInfo,
 )
+from resonator_daemon.session.counters import LinkAccount
 
 
 class Vitals(TypedDict):

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.errors import ConfigError
-from resonator_daemon.measurement.force_sites import USUAL_COEFFICIENT_STD
+from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import Plate
 from resonator_daemon.toml_files.reading import TomlFile, load_model
@@ -19,8 +19,6 @@ from resonator_daemon.toml_files.reading import TomlFile, load_model
 LEAST_BORDER_M: Final = 2e-3
 PILOT_ABOVE: Final = 1e-3  # the tone that no code has, relative
 REFERENCE_KELVIN: Final = 298.15
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.errors import ConfigError
-from resonator_daemon.measurement.code_plan import Limits, stamp_noise
-from resonator_daemon.measurement.counting import oscillator_std
-from resonator_daemon.measurement.force_sites import USUAL_COEFFICIENT_STD
-from resonator_daemon.measurement.matching import MODEL_ERROR
+from resonator_daemon.forces.code_plan import Limits, stamp_noise
+from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
+from resonator_daemon.forces.site_identification import MODEL_ERROR
+from resonator_daemon.pipeline.chains import force_sites
 from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
 from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
-from resonator_daemon.reporting.chains import force_sites
+from resonator_daemon.tones.frequency_estimators import oscillator_std
 
 JITTER_S: Final = 0.3e-9  # of a counter's input
 TEMPCO_STDS: Final = 6.0  # between the temperature coefficients of two sites

@@ -15,10 +15,11 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.calibration.plate_file import write_plate_file
 from resonator_daemon.config import frame_bytes
 from resonator_daemon.errors import ExitCode
-from resonator_daemon.measurement import code_placement, code_trials
-from resonator_daemon.measurement.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
-from resonator_daemon.measurement.code_trials import Codes, Outcomes, Scatter
-from resonator_daemon.measurement.counting import oscillator_std
+from resonator_daemon.forces import code_placement, code_trials
+from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
+from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
+from resonator_daemon.pipeline import code_check
+from resonator_daemon.pipeline.chains import force_sites
 from resonator_daemon.planning.plate_file import (
     PILOT_ABOVE,
     Layout,
@@ -29,8 +30,7 @@ from resonator_daemon.planning.plate_file import (
 from resonator_daemon.planning.refusal import PlanRefusedError, PlanUsageError
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
 from resonator_daemon.plate import Plate
-from resonator_daemon.reporting import code_check
-from resonator_daemon.reporting.chains import force_sites
+from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.view.code_plan import BITS_A_BYTE, CodePlan, Trials
 
 COMMON_STD: Final = 2e-7  # of what is left of the common mode, learnt from a pilot

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.pipeline.surface_reports import MeasuredFields
 from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION
-from resonator_daemon.reporting.surface_reports import MeasuredFields
-
-Floats = NDArray[np.float64]
 
 NO_INFO = "no info yet"
 DECODED_BY_DAEMON = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"

@@ -18,8 +18,8 @@ from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.errors import ExitCode, OperatorError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.systemd import ServiceManager
-from resonator_daemon.monitoring.flow_watch import FlowWatch
 from resonator_daemon.monitoring.health import ProcessUsage
+from resonator_daemon.monitoring.liveness import FlowWatch
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount

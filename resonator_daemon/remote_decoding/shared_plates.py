@@ -12,6 +12,7 @@ from resonator_daemon.config import plate_name
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.monitoring.latency import LatencyHistogram
+from resonator_daemon.pipeline.surface_reports import SurfaceReporter
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.publishing.publisher import Subscription
@@ -19,7 +20,6 @@ from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, S
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
-from resonator_daemon.reporting.surface_reports import SurfaceReporter
 
 PLATES_MAX: Final = 1000
 PROBLEMS_MAX: Final = 100  # of plates that are not in the table

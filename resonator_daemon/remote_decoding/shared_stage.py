@@ -9,10 +9,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
@@ -20,7 +19,6 @@ from resonator_daemon.remote_decoding.plate import SkinPlate, told
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
 
-Floats = NDArray[np.float64]
 Origin = TypeVar("Origin")
 
 log = logging.getLogger(__name__)

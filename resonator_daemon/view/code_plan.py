@@ -13,9 +13,9 @@ from rich.table import Table
 
 from resonator_daemon.config import frame_bytes
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.measurement.code_plan import ForceNoise, GuardBand
-from resonator_daemon.measurement.code_trials import Outcomes
-from resonator_daemon.measurement.codes import CodeOverlap
+from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
+from resonator_daemon.forces.code_trials import Outcomes
+from resonator_daemon.forces.codes import CodeOverlap
 from resonator_daemon.plate import Counter, Plate
 from resonator_daemon.view.words import quantity
 

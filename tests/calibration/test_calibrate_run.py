@@ -17,10 +17,10 @@ import pytest
 from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, true_text
 from emulation import emulated
 
-from resonator_daemon.acquisition.serial_link import open_serial
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
 from resonator_daemon.cli import main
 from resonator_daemon.config import SerialLink
+from resonator_daemon.links.serial import open_serial
 from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
 

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brokers import Mosquitto, free_port
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration import skin as calibrate_module
 from resonator_daemon.cli import main
 from resonator_daemon.config import Mqtt, load_config
@@ -24,7 +24,6 @@ from resonator_daemon.publishing.publisher import Publisher
 from resonator_daemon.publishing.topics import SIGNALS
 from simulators.half_space_fields import hertz_fields
 
-Floats = NDArray[np.float64]
 Said = tuple[int | None, str, str]  # exit code, stdout and stderr
 Calibrate = Callable[..., Awaitable[Said]]
 

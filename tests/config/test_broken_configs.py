@@ -6,9 +6,9 @@ import pytest
 
 from resonator_daemon.config import load_config
 from resonator_daemon.config.text import plate_text
+from resonator_daemon.daemon.config_store import load_checked
 from resonator_daemon.errors import ConfigError
 from resonator_daemon.plate import load_plate
-from resonator_daemon.service.config_store import load_checked
 
 TOP = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 SERIAL = 'plate = "quartz16"\nlink = "serial:/dev/ttyACM0?baud=4000000"\n'

@@ -18,17 +18,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.acquisition.board import BoardReader
-from resonator_daemon.acquisition.frames import BoardOnline
-from resonator_daemon.acquisition.recording_file import Origin
-from resonator_daemon.acquisition.recording_switch import RecordingSwitch
 from resonator_daemon.config import Measurement, parse_link
 from resonator_daemon.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.errors import OperatorError
+from resonator_daemon.pipeline.control_requests import MeasureOver, Order, Tare
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.playback.case import EXPECTED_FILE, RECORDING_FILE, play_whole, save_case, write_expected
-from resonator_daemon.playback.source import open_playback
-from resonator_daemon.reporting.steering import MeasureOver, Order, Tare
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.replay.case import EXPECTED_FILE, RECORDING_FILE, play_whole, save_case, write_expected
+from resonator_daemon.replay.source import open_playback
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import BoardOnline
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 

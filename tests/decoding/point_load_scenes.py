@@ -4,12 +4,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import Decoded, FourierDecoder
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 E = 2e5
 PITCH, DEPTH = 4e-4, 1e-3

@@ -4,12 +4,10 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from simulators.contact import hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 YOUNGS_PASCAL = 2e5
 PITCH_M, DEPTH_M, RADIUS_M, FRICTION = 4e-4, 1e-3, 2.5e-3, 0.5

@@ -1,14 +1,12 @@
 """A small skin and frames of contacts on it, from closed forms in space; the decoders work on spectra."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 E, NU, DEPTH_M, PITCH_M = 2e5, 0.5, 1e-3, 4e-4
 SHAPE = NY, NX = 12, 24

@@ -3,16 +3,14 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 from skin_scenes import DEPTH_M, NU, E, grid, noisy, press
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 SHAPE, SITES = (12, 12), 144
 SKIN = Skin(HalfSpace(E, NU), grid(SHAPE), DEPTH_M)

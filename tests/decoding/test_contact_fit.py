@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import fit
-
-Floats = NDArray[np.float64]
 
 RNG = np.random.default_rng(0)
 COLUMNS = RNG.standard_normal((3, 200))

@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting import contact_model
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 
 def hertz(centre_m: Floats, radius_m: float, depth_m: float = DEPTH_M, nu: float = NU) -> Floats:

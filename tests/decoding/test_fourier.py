@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from point_load_scenes import DEPTH, FORCE, PITCH, E, Scene, decoder, partial_slip, sites
 
 from resonator_daemon.decoding import Decoded, FourierDecoder
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -5,18 +5,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from point_load_scenes import DEPTH, PITCH, E, Scene, decoder, partial_slip
 from scipy import fft
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.decoding import FourierDecoder
 from resonator_daemon.decoding.fourier.spectra import prior_root, weighted_norm
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 SKIN = HalfSpace(E, 0.5)
 ODD = (5, 7)  # no Nyquist frequencies

@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.hertz_surface import hertz_displacement, hertz_traction
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
 RADIUS_M = 1.7e-3
 
 

@@ -4,16 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, E, Scene, model, noise_std, noisy
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 SCENE = Scene((3e-4, -1.1e-3), 2.4e-3, 0.6, 0.8)
 

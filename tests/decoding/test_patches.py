@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import PITCH_M, SITES_M
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.patches import Patch, PatchFinder
 from simulators.contact import pixel_tractions
-
-Floats = NDArray[np.float64]
 
 FINDER = PatchFinder(SITES_M, PITCH_M**2, 1e-3)
 STD = np.full((3, len(SITES_M)), 100.0)

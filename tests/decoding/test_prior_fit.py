@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions, scene
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
 SITES_M = grid_positions((8, 8))

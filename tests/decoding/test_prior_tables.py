@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import jv, k1
 
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 L, Z, RATIO, STD = 1.3e-3, 0.8e-3, 0.3, 700.0
 

@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, Scene, model, noise_std, noisy
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_start import ContactStart
 from resonator_daemon.decoding.fitting.shape import ShapeFitter
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 START = ContactStart((1e-4, -4e-4), 2.2e-3)
 

@@ -5,17 +5,15 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from skin_scenes import DEPTH_M, FRICTION, NOISE, NU, RADIUS_M, SITES, SITES_M, SKIN, E, noisy, press
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.layout import cell_areas_m2
 from resonator_daemon.decoding.patches import PatchFinder
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
 from resonator_daemon.decoding.surface_readers import net_patches
-
-Floats = NDArray[np.float64]
 
 FINDER = PatchFinder(SITES_M, cell_areas_m2(SITES_M), DEPTH_M)
 NOTHING = np.zeros((3, SITES))

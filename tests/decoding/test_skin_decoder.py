@@ -5,16 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from skin_scenes import DEPTH_M, FRICTION, NU, PITCH_M, SITES_M, E, grid, noisy, press
 from skin_scenes import SKIN as SKIN_LONG
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 SHAPE, SITES = (12, 12), 144
 HALF_SPACE = HalfSpace(E, NU)

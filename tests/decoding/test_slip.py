@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model, noise_std
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.slip import SlipEvent, SlipWatch, margin_from_forces
 from simulators.contact import PressedSpot
-
-Floats = NDArray[np.float64]
 
 CENTRE_M, RADIUS_M, MU = (-6e-4, 9e-4), 2.4e-3, 0.6
 START = ContactStart((-3e-4, 7e-4), 2.1e-3)

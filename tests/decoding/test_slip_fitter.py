@@ -4,15 +4,12 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from slip_scenes import Scene, model, noise_std
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
 from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip_fitter import SlipFitter, fit_partial_slip
-
-Floats = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

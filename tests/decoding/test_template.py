@@ -5,16 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import norm
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 E, NU, RADIUS_M = 2e5, 0.5, 2e-3
 SKIN = HalfSpace(E, NU)

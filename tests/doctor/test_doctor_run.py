@@ -8,12 +8,12 @@ import pytest
 from brokers import Mosquitto
 from emulation import emulated
 
-from resonator_daemon.acquisition.serial_link import open_serial
 from resonator_daemon.cli import main
 from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor import clock_checks, run
 from resonator_daemon.doctor.finding import FINE, Area, Check
 from resonator_daemon.doctor.report import WIDTH, Report
+from resonator_daemon.links.serial import open_serial
 from resonator_daemon.monitoring.status_client import Answer
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
@@ -123,7 +123,7 @@ def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(
 
 
 def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from resonator_daemon.acquisition import port_inquiry
+    from resonator_daemon.session import probe as port_inquiry
 
     monkeypatch.setattr(port_inquiry, "_ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:

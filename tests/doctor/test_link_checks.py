@@ -6,12 +6,12 @@ import pytest
 from emulation import emulated
 
 from firmware_protocol.messages import Description, Identity, ResetCause
-from resonator_daemon.acquisition.port_inquiry import Inquiry, TickRate, inquire
-from resonator_daemon.acquisition.port_opening import open_link
 from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.link_checks import check_inquiry
+from resonator_daemon.links.opening import open_link
 from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.session.probe import Inquiry, TickRate, inquire
 from simulators.emulator import EmulatorOptions
 
 UNCALIBRATED = {"board.unit"}  # what a plate file without a calibration leaves unchecked

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 from made_up_host import USB, MadeUpHost
 
-from resonator_daemon.acquisition.port_holders import Holder, Holders
 from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.port_checks import check_port
+from resonator_daemon.links.port_holders import Holder, Holders
 
 LINK = SerialLink("/dev/ttyUSB0", 4_000_000)
 NOBODY = Holders((), True)

@@ -11,7 +11,6 @@ from made_up_host import MadeUpHost
 from observer import observe
 from service_bench import Bench
 
-from resonator_daemon.acquisition.port_holders import Holder, Holders
 from resonator_daemon.cli import main
 from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, TcpLink, UsbLink, parse_link
 from resonator_daemon.doctor import run, running_daemon
@@ -19,6 +18,7 @@ from resonator_daemon.doctor.daemon_checks import check_daemon, told
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
 from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, same_link
+from resonator_daemon.links.port_holders import Holder, Holders
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 
 STATUS: dict[str, Any] = {

@@ -1,13 +1,11 @@
 """A rigid paraboloid pressed into a square surface, with friction, and the load of Hertz for a contact radius."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.friction import FrictionalContact
 from resonator_daemon.elastic.influence import SurfaceCompliance
-
-Floats = NDArray[np.float64]
 
 SIDE_M, A_M, R_M, G_PASCAL = 12.8e-3, 2.5e-3, 20e-3, 7e4
 

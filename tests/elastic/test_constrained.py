@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.constrained import (
     Bounds,
@@ -17,7 +17,6 @@ from resonator_daemon.elastic.constrained import (
 )
 from resonator_daemon.elastic.influence import RoughStiffness, SurfaceCompliance
 
-Floats = NDArray[np.float64]
 SHAPE = (4, 5)
 
 

@@ -4,16 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.special import erf
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.fields import Method, SurfaceFields
 from resonator_daemon.elastic.half_space import Input, Output
 from simulators.contact import pixel_tractions
 from simulators.half_space_fields import hertz_fields
-
-Floats = NDArray[np.float64]
 
 E = 2.0e5
 A = 2e-3  # radius of the Hertz distributions

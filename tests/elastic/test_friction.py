@@ -6,17 +6,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from dense_surface import dense_compliance
-from numpy.typing import NDArray
 from paraboloid_contact import A_M, G_PASCAL, R_M, SIDE_M, body, hertz_load, paraboloid, squared_radius
 from scipy.optimize import brentq
 from scipy.special import ellipk
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.friction import FrictionalContact, FrictionState
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from simulators.contact import pixel_tractions
-
-Floats = NDArray[np.float64]
 
 NAN = np.nan
 

@@ -8,10 +8,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import Convention, HalfSpace, SpectralGrid
 from resonator_daemon.elastic.half_space import Input, Output
-
-Floats = NDArray[np.float64]
 
 POISSON = [-0.7, 0.0, 0.3, 0.49, 0.5]
 E = 2.0e5

@@ -5,13 +5,10 @@ from itertools import combinations, product
 import numpy as np
 import pytest
 from boundary_value_problem import BoundaryValueProblem, mp
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 from resonator_daemon.elastic.mixed import MixedBoundary, Quantity
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 E, PITCH_M = 2e5, 4e-4
 NAMES: tuple[Quantity, ...] = ("u_x", "u_y", "u_z", "f_x", "f_y", "f_z")

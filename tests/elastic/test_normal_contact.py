@@ -4,18 +4,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.special import ellipe, ellipk, gamma
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.constrained import NotConvergedError
 from resonator_daemon.elastic.contact import NormalContact, press
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from resonator_daemon.elastic.profiles import flat_punch, paraboloid, relief, sphere
 from simulators.contact import pixel_tractions
-
-Floats = NDArray[np.float64]
 
 SIDE_M = 12.8e-3
 YOUNGS_PASCAL = 2e5

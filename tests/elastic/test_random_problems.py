@@ -6,16 +6,13 @@ from itertools import combinations
 import numpy as np
 import pytest
 from dense_surface import dense_compliance
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from resonator_daemon.elastic.mixed import MixedBoundary
 from resonator_daemon.elastic.regions import solve_regions
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 NAMES = ("u_x", "u_y", "u_z", "f_x", "f_y", "f_z")
 TRIPLES = list(combinations(NAMES, 3))

@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 from dense_surface import dense_compliance
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from resonator_daemon.elastic.regions import RegionSolution, solve_regions
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 MU, PITCH_M = 7e4, 4e-4
 NU = [-0.5, 0.0, 0.3, 0.5]

@@ -5,15 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import linalg
 
+from resonator_daemon.arrays import Complexes
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
 from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
-
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 
 BEST = ("p_n", "xz", "yz")
 SKIN = HalfSpace(2e5, 0.5)

@@ -5,12 +5,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_sets import CANDIDATES, COMPONENTS, SensorSet
-
-Floats = NDArray[np.float64]
 
 E = 2.0e5
 DEPTH_M = 1.3e-3

@@ -10,11 +10,9 @@ import pytest
 from brokers import Amqtt, Mosquitto
 from example_messages import decoded, force, forces, publish
 from example_programs import LANGUAGES, next_line, running
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.publishing.payloads import Grid
-
-Floats = NDArray[np.float64]
 
 
 @pytest.fixture

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from resonator_daemon.config import Config
 from resonator_daemon.exporting.run import Output
-from resonator_daemon.playback.course import Moment
-from resonator_daemon.playback.source import open_playback
+from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.replay.source import open_playback
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 METADATA = {"plate": "quartz16", "source_sha256": "00ff"}

@@ -15,7 +15,7 @@ import pytest
 from export_bench import played, recording
 
 from resonator_daemon.cli import main
-from resonator_daemon.playback.course import Playback
+from resonator_daemon.replay.recorded_pipeline import Playback
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
 SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP], strict=True))

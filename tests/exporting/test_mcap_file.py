@@ -12,11 +12,11 @@ from export_bench import METADATA, played, write
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
-from resonator_daemon.acquisition.host_time import HostTime
 from resonator_daemon.exporting.mcap_file import McapOutput
 from resonator_daemon.exporting.target import TOPICS
-from resonator_daemon.playback.course import Moment
 from resonator_daemon.publishing.codec import encode
+from resonator_daemon.replay.recorded_pipeline import Moment
+from resonator_daemon.session.host_time import HostTime
 
 FORMS = {3: "<u2", 7: "<f4", 8: "<f8"}
 

@@ -55,7 +55,7 @@ def journal_socket(tmp_path: Path) -> Iterator[socket.socket]:
 
 
 def line(message: str, level: int = logging.INFO) -> logging.LogRecord:
-    return logging.LogRecord("resonator_daemon.service.daemon", level, "/x/service.py", 7, message, (), None, "run")
+    return logging.LogRecord("resonator_daemon.daemon.daemon", level, "/x/service.py", 7, message, (), None, "run")
 
 
 def fields(datagram: bytes) -> dict[str, str]:
@@ -82,7 +82,7 @@ def test_a_line_has_its_fields(handler: JournalHandler, journal_socket: socket.s
         "CODE_FILE": "/x/service.py",
         "CODE_LINE": "7",
         "CODE_FUNC": "run",
-        "RESONATORD_MODULE": "resonator_daemon.service.daemon",
+        "RESONATORD_MODULE": "resonator_daemon.daemon.daemon",
         "RESONATORD_THREAD": "MainThread",
     }
 

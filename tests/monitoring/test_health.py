@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.acquisition.account import LinkAccount
 from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor, Vitals
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost, MessageAccount, RecordingInfo
+from resonator_daemon.session.counters import LinkAccount
 
 MESSAGES = MessageAccount(
     made=28,

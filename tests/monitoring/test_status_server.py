@@ -103,7 +103,7 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
     path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(status_server, "_AGAIN_S", 0.01)
-    tests = Path(__file__).parents[1]
+    tests = Path(__file__).parents[1] / "support"
     with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests)]) as other:
         try:
             await until(lambda: path.exists() and listens(path))

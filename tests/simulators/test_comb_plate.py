@@ -1,10 +1,10 @@
 """The emulated plate whose force tones are all heard: forces, noise, phase and warmth, read back from its records."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from firmware_protocol.layouts import ToneFlag
+from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics
@@ -24,7 +24,6 @@ RECORD = np.dtype(
         ("flags", "u1"),
     ]
 )
-Array = npt.NDArray[np.float64]
 
 
 def held(force_newton: float, **keys: object) -> Touch:
@@ -36,14 +35,14 @@ def emulated(*touches: Touch, plate: Plate = PLATE, seed: int = 4, **physics: fl
     return CombPlate(plate, Scenario(touches, None, plate, physics=chosen), seed)
 
 
-def count(plate: CombPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Array]:
+def count(plate: CombPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Floats]:
     """Fields (frames, channels, tones)."""
     counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
     rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
     return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
 
 
-def frequency_hz(plate: CombPlate, fields: dict[str, Array]) -> Array:
+def frequency_hz(plate: CombPlate, fields: dict[str, Floats]) -> Floats:
     description = plate.description
     oscillator_hz = (
         description.oscillator_millihertz + description.oscillator_spacing_millihertz * np.arange(description.tones)

@@ -5,15 +5,16 @@ import math
 import numpy as np
 import pytest
 
+from resonator_daemon.arrays import Floats
 from simulators.contact import PressedSpot, contact_radius_m, hertz_parts, pixel_tractions
-from simulators.half_space_fields import FloatArray, hertz_fields
+from simulators.half_space_fields import hertz_fields
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
 E, NU, DEPTH = 2e5, 0.5, 1e-3
 SHAPE, PITCH = (32, 32), 4e-4
 
 
-def sampled_traction(force: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
+def sampled_traction(force: Floats, x: Floats, y: Floats) -> Floats:
     """Cattaneo and Mindlin's tractions (3, ...) at points of the surface, written out."""
     shear = math.hypot(force[0], force[1])
     a = RADIUS * force[2] ** (1 / 3)
@@ -26,7 +27,7 @@ def sampled_traction(force: FloatArray, x: FloatArray, y: FloatArray) -> FloatAr
     return np.stack([tangential * force[0], tangential * force[1], pressure])
 
 
-def midpoints(count: int, pitch: float) -> tuple[FloatArray, FloatArray]:
+def midpoints(count: int, pitch: float) -> tuple[Floats, Floats]:
     line = (np.arange(count) - (count - 1) / 2) * pitch
     x, y = np.meshgrid(line, line)
     return x, y
@@ -112,17 +113,17 @@ def test_what_lies_off_the_grid_is_left_out() -> None:
 
 
 @pytest.fixture(scope="module")
-def places() -> FloatArray:
+def places() -> Floats:
     return np.random.default_rng(11).uniform(-6e-3, 6e-3, (40, 2))
 
 
 @pytest.fixture(scope="module")
-def spot(places: FloatArray) -> PressedSpot:
+def spot(places: Floats) -> PressedSpot:
     return PressedSpot(places, DEPTH, E, NU, CENTRE, RADIUS, FRICTION, 4.0)
 
 
 @pytest.mark.parametrize("force", [[0.2, -0.3, 1.0], [-0.9, 0.3, 2.0], [0.001, -0.002, 0.05]])
-def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: FloatArray, force: list[float]) -> None:
+def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: Floats, force: list[float]) -> None:
     load = np.array(force)
     count, fine = 600, 2.2 * RADIUS * np.cbrt(force[2]) / 600
     x, y = (line.ravel() for line in midpoints(count, fine))
@@ -141,7 +142,7 @@ def test_signals_equal_the_summed_point_loads(spot: PressedSpot, places: FloatAr
     assert error.max() < 1e-4
 
 
-def test_interpolation_between_radii_keeps_four_digits(spot: PressedSpot, places: FloatArray) -> None:
+def test_interpolation_between_radii_keeps_four_digits(spot: PressedSpot, places: Floats) -> None:
     for normal in 4.0 * np.append(np.random.default_rng(5).uniform(0, 1, 40), [0.99, 1.0]) ** 3:
         force = np.array([0.3, 0.2, 1.0]) * normal
         exact = np.zeros((3, len(places)))

@@ -18,8 +18,8 @@ from emulation import emulated
 from wire_host import WAIT_S, Host, opened, truths, wait_for
 
 from firmware_protocol.host import Described, FramePart
-from resonator_daemon.acquisition.fit import misfits
 from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.session.compatibility import misfits
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
 from simulators.links import PtyLink

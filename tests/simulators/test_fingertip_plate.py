@@ -11,9 +11,9 @@ import pytest
 from scipy.spatial.distance import pdist, squareform
 
 from firmware_protocol.layouts import ToneFlag
-from resonator_daemon.acquisition.fit import misfits, oscillator_hz
-from resonator_daemon.measurement.skin_tones import ToneArray
 from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.sensors.skin_signals import ToneArray
+from resonator_daemon.session.compatibility import misfits, oscillator_hz
 from simulators.scenario import Scenario, Touch
 from simulators.skin_plate import SkinPlate
 

@@ -6,7 +6,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from simulators.half_space_fields import FloatArray, hertz_fields
+from resonator_daemon.arrays import Floats
+from simulators.half_space_fields import hertz_fields
 
 E, NU = 2e5, 0.3
 MODULUS_OF_SHEAR = E / (2 * (1 + NU))
@@ -14,14 +15,14 @@ MODULUS_OF_SHEAR = E / (2 * (1 + NU))
 XX, YY, ZZ, XY, XZ, YZ = range(6)
 
 
-def boussinesq(x: FloatArray, y: FloatArray, z: float, nu: float) -> FloatArray:
+def boussinesq(x: Floats, y: Floats, z: float, nu: float) -> Floats:
     """Stresses (6, ...) under a unit normal point load, as Johnson prints them in cylindrical coordinates."""
     r2 = x**2 + y**2
     rho = np.sqrt(r2 + z**2)
     radial = (1 - 2 * nu) * (1 - z / rho) / r2 - 3 * z * r2 / rho**5
     hoop = -(1 - 2 * nu) * ((1 - z / rho) / r2 - z / rho**3)
     cos2, sin2, sincos = x**2 / r2, y**2 / r2, x * y / r2
-    stress: FloatArray = np.stack(
+    stress: Floats = np.stack(
         [
             radial * cos2 + hoop * sin2,
             radial * sin2 + hoop * cos2,
@@ -35,13 +36,13 @@ def boussinesq(x: FloatArray, y: FloatArray, z: float, nu: float) -> FloatArray:
     return stress
 
 
-def cerruti(x: FloatArray, y: FloatArray, z: float, nu: float) -> FloatArray:
+def cerruti(x: Floats, y: Floats, z: float, nu: float) -> Floats:
     """Stresses (6, ...) under a unit tangential point load along x, as Johnson prints them."""
     rho = np.sqrt(x**2 + y**2 + z**2)
     s = rho + z
 
-    def round_the_load(first: FloatArray, linear: FloatArray, cubic: FloatArray) -> FloatArray:
-        terms: FloatArray = first / rho**3 - linear / (rho * s**2)
+    def round_the_load(first: Floats, linear: Floats, cubic: Floats) -> Floats:
+        terms: Floats = first / rho**3 - linear / (rho * s**2)
         return (1 - 2 * nu) * (terms + cubic / (rho**3 * s**2) + 2 * cubic / (rho**2 * s**3))
 
     return np.stack(
@@ -56,12 +57,12 @@ def cerruti(x: FloatArray, y: FloatArray, z: float, nu: float) -> FloatArray:
     ) / (2 * math.pi)
 
 
-PointLoad = Callable[[FloatArray, FloatArray, float, float], FloatArray]
+PointLoad = Callable[[Floats, Floats, float, float], Floats]
 
 
 def over_disc(
     load: PointLoad,
-    places: FloatArray,
+    places: Floats,
     z: float,
     radius: float,
     nu: float,
@@ -69,7 +70,7 @@ def over_disc(
     hertz: bool = True,
     rings: int = 150,
     spokes: int = 240,
-) -> FloatArray:
+) -> Floats:
     """Stresses (6, n) of a unit force spread over a disc; r = a sqrt(1 - u^2) takes the Hertz edge out of the rule."""
     u, weight = np.polynomial.legendre.leggauss(rings)
     u, weight = (1 + u) / 2, weight / 2
@@ -81,7 +82,7 @@ def over_disc(
     return stress
 
 
-def as_signals(stress: FloatArray, nu: float) -> FloatArray:
+def as_signals(stress: Floats, nu: float) -> Floats:
     return np.stack([stress[[XX, YY, ZZ]].sum(axis=0) / 3, *(stress[[XZ, YZ]] * (1 + nu) / E)])
 
 
@@ -96,7 +97,7 @@ def test_uniform_disc_validates_the_summed_point_loads() -> None:
 
 @pytest.mark.parametrize("load", [boussinesq, cerruti])
 def test_stresses_of_the_summed_point_loads_are_in_equilibrium(load: PointLoad) -> None:
-    def stress(x: float, y: float, z: float) -> FloatArray:
+    def stress(x: float, y: float, z: float) -> Floats:
         return over_disc(load, np.array([[x, y]]), z, 2.0, NU, rings=40, spokes=80)[:, 0]
 
     h = 1e-3
@@ -172,11 +173,11 @@ def test_beltrami_michell_equations() -> None:
     """p_n is harmonic, and laplace(sigma_iz) = -3/(1 + nu) d_i d_z p_n: equilibrium and compatibility in one."""
     h, at = 2e-5, np.array([1.2e-3, -0.7e-3, 1e-3])
 
-    def signals(*steps: float) -> FloatArray:
+    def signals(*steps: float) -> Floats:
         x, y, z = at + h * np.array(steps)
         return hertz_fields([[x, y]], z, [2.5e-3], E, NU)[0, :, :, 0]
 
-    def second(i: int, j: int) -> FloatArray:
+    def second(i: int, j: int) -> Floats:
         one, other = np.eye(3)[i], np.eye(3)[j]
         if i == j:
             return (signals(*one) - 2 * signals(0, 0, 0) + signals(*-one)) / h**2

@@ -4,12 +4,11 @@ import math
 
 import allantools
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from resonator_daemon.arrays import Floats
 from simulators.oscillator_noise import OscillatorNoise
 
-Floats = npt.NDArray[np.float64]
 S = 1.0  # Allan deviation at 1 s of whatever is on; all is linear in it
 
 

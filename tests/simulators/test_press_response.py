@@ -5,9 +5,8 @@ import numpy.typing as npt
 import pytest
 from scipy.integrate import solve_ivp
 
+from resonator_daemon.arrays import Floats
 from simulators.press_response import PressResponse
-
-Floats = npt.NDArray[np.float64]
 
 
 def column(values: npt.ArrayLike) -> Floats:

@@ -7,11 +7,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 from simulators.site_physics import SiteFrames, SitePhysics
 
-Floats = npt.NDArray[np.float64]
 PLATE = load_plate("quartz16")
 SITES = 16
 REFERENCE_KELVIN = 298.15

@@ -1,12 +1,11 @@
 """Warmth of sites and what it shifts, against exponentials and numbers worked out by hand."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
+from resonator_daemon.arrays import Floats
 from simulators.site_temperature import SiteTemperature
 
-Floats = npt.NDArray[np.float64]
 REFERENCE_KELVIN = 298.15
 A, B, C = -5e-8, -0.5e-9, 1.08e-10
 

@@ -1,10 +1,10 @@
 """The emulated skin plate's tones: signal, noise, phase and gain, read back from its records."""
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from firmware_protocol.layouts import ToneFlag
+from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import load_plate
 from simulators.contact import PressedSpot
 from simulators.scenario import Scenario, Touch
@@ -23,23 +23,22 @@ RECORD = np.dtype(
     ]
 )
 TO_TRIPLE = np.array([3 / (2 * 2e5), 1.0, 1.0])
-Array = npt.NDArray[np.float64]
 
 PRESS = Touch(start_s=0.0, position_mm=(0.4, -0.6), force_newton=1.0, rise_s=0.0, hold_s=10.0, fall_s=0.0)
 
 
-def count(plate: SkinPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Array]:
+def count(plate: SkinPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Floats]:
     """Fields (frames, channels, tones)."""
     counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
     rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
     return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
 
 
-def sigma_hz(fields: dict[str, Array]) -> Array:
+def sigma_hz(fields: dict[str, Floats]) -> Floats:
     return 2 ** ((fields["sigma_code"][0] - 128) / 8)
 
 
-def shifts(fields: dict[str, Array], still: dict[str, Array]) -> Array:
+def shifts(fields: dict[str, Floats], still: dict[str, Floats]) -> Floats:
     """Relative shift (tones,), mean over frames and corners by their stated variances."""
     weight = sigma_hz(fields) ** -2
     difference_hz = (fields["offset_hz16"].mean(axis=0) - still["offset_hz16"].mean(axis=0)) / 2**16
@@ -47,16 +46,16 @@ def shifts(fields: dict[str, Array], still: dict[str, Array]) -> Array:
 
 
 @pytest.fixture(scope="module")
-def still() -> dict[str, Array]:
+def still() -> dict[str, Floats]:
     return count(SkinPlate(PLATE, Scenario((), None, PLATE), seed=4), 150)
 
 
 @pytest.fixture(scope="module")
-def pressed() -> dict[str, Array]:
+def pressed() -> dict[str, Floats]:
     return count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=4), 60)
 
 
-def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Array]) -> None:
+def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[str, Floats]) -> None:
     offset_hz = still["offset_hz16"] / 2**16
     weight = sigma_hz(still) ** -2
     combined_hz = (offset_hz * weight).sum(axis=1) / weight.sum(axis=0)
@@ -69,7 +68,7 @@ def test_signal_to_noise_ratio_is_30_db_in_the_triple_at_1_newton(still: dict[st
         assert 20 * np.log10(np.sqrt((signal**2).mean()) / noise) == pytest.approx(30.0, abs=0.2)
 
 
-def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Array]) -> None:
+def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Floats]) -> None:
     stated = sigma_hz(still)
     found = (still["offset_hz16"] / 2**16).std(axis=0, ddof=1)
     assert np.sqrt(((found / stated) ** 2).mean()) == pytest.approx(1.0, abs=0.01)
@@ -79,20 +78,20 @@ def test_noise_of_each_corner_is_what_its_code_says(still: dict[str, Array]) -> 
     )
 
 
-def test_each_tone_is_heard_best_by_one_or_two_corners(still: dict[str, Array]) -> None:
+def test_each_tone_is_heard_best_by_one_or_two_corners(still: dict[str, Floats]) -> None:
     share = sigma_hz(still) ** -2
     share = np.sort(share / share.sum(axis=0), axis=0)
     assert np.median(share[-2:].sum(axis=0)) > 0.8
     assert (still["attenuation_db256"][0].argmin(axis=0) == sigma_hz(still).argmin(axis=0)).mean() > 0.95
 
 
-def test_a_fast_reference_makes_every_tone_seem_low(still: dict[str, Array]) -> None:
+def test_a_fast_reference_makes_every_tone_seem_low(still: dict[str, Floats]) -> None:
     offset_hz = (still["offset_hz16"] / 2**16).mean(axis=(0, 1))
     assert offset_hz == pytest.approx(-1.5e-6 * PLATE.tones.f0_hz[:, 0], abs=1.5)
 
 
 def test_shifts_are_those_of_the_half_space_with_gain_errors_of_1_percent(
-    still: dict[str, Array], pressed: dict[str, Array]
+    still: dict[str, Floats], pressed: dict[str, Floats]
 ) -> None:
     spot = PressedSpot(PLATE.site_positions_m, 1e-3, 2e5, 0.5, (4e-4, -6e-4), 2.5e-3, 0.5, 1.0)
     signal = spot.signals((0.0, 0.0, 1.0))[PLATE.tones.signal_index, PLATE.tones.site_index]
@@ -104,7 +103,7 @@ def test_shifts_are_those_of_the_half_space_with_gain_errors_of_1_percent(
     assert gain[strong].std() == pytest.approx(0.01, abs=0.0025)
 
 
-def test_gain_errors_stay_and_the_seed_fixes_them(pressed: dict[str, Array], still: dict[str, Array]) -> None:
+def test_gain_errors_stay_and_the_seed_fixes_them(pressed: dict[str, Floats], still: dict[str, Floats]) -> None:
     again = count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=4), 60)
     assert np.array_equal(again["offset_hz16"], pressed["offset_hz16"])
     other = count(SkinPlate(PLATE, Scenario((PRESS,), None, PLATE), seed=5), 60)
@@ -113,7 +112,7 @@ def test_gain_errors_stay_and_the_seed_fixes_them(pressed: dict[str, Array], sti
     assert ratio.std() > 0.01
 
 
-def test_phase_is_the_integral_of_the_offset(pressed: dict[str, Array]) -> None:
+def test_phase_is_the_integral_of_the_offset(pressed: dict[str, Floats]) -> None:
     phase = pressed["phase_turn32"] / 2**32
     offset_hz = pressed["offset_hz16"] / 2**16
     step = np.diff(phase, axis=0) - GATE_S * (offset_hz[1:] + offset_hz[:-1]) / 2
@@ -138,7 +137,7 @@ def test_phase_is_that_of_the_middle_of_the_gate() -> None:
     assert np.abs(step[leapt] / sigma_hz(fields)[leapt] / GATE_S).max() < 5.0
 
 
-def test_longer_gates_are_quieter_by_three_halves_powers(still: dict[str, Array]) -> None:
+def test_longer_gates_are_quieter_by_three_halves_powers(still: dict[str, Floats]) -> None:
     plate = SkinPlate(PLATE, Scenario((), None, PLATE), seed=4)
     longer = count(plate, 30, gate_ticks=4 * GATE_TICKS)
     assert longer["offset_hz16"].std(axis=0).mean() == pytest.approx(
@@ -171,7 +170,7 @@ def test_truth_has_the_contact_and_its_stick_radius() -> None:
     assert contact.friction_coefficient == 0.5
 
 
-def test_two_touches_add_up(still: dict[str, Array]) -> None:
+def test_two_touches_add_up(still: dict[str, Floats]) -> None:
     other = PRESS.model_copy(update={"position_mm": (-3.0, 3.0), "force_newton": 0.5})
     plates = [
         SkinPlate(PLATE, Scenario(touches, None, PLATE), seed=4) for touches in ((PRESS,), (other,), (PRESS, other))

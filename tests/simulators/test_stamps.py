@@ -5,12 +5,12 @@ import numpy.typing as npt
 import pytest
 from scipy.optimize import brentq
 
+from resonator_daemon.arrays import Floats
 from simulators.beats import Beats, beat_sums, displaced_ticks
 from simulators.stamp_sums import closed_form_sums
 from simulators.stamps import stamped_sums
 from simulators.strides import StampErrors, Strides
 
-Array = npt.NDArray[np.float64]
 CARRIER = 0.00994  # turns per tick: 9.94 MHz in ticks of 1 ns
 PERIOD = 10 / CARRIER
 
@@ -51,7 +51,7 @@ def test_edges_are_where_the_sum_of_all_tones_crosses_zero(ratio: tuple[float, .
         assert abs(ours - true) * CARRIER < tolerance
 
 
-def root_mean_square(values: Array) -> float:
+def root_mean_square(values: Floats) -> float:
     return float(np.sqrt((values**2).mean()))
 
 

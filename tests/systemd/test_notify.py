@@ -20,9 +20,9 @@ START = "import sys; from resonator_daemon.cli import main; sys.exit(main())"
 # computer makes it wait for less.
 HANG = """
 import threading
-from resonator_daemon.monitoring import flow_watch
-from resonator_daemon.acquisition.board import BoardReader
-flow_watch._FRAMES_S = 3.0
+from resonator_daemon.monitoring import liveness
+from resonator_daemon.session.board_reader import BoardReader
+liveness._FRAMES_S = 3.0
 read, count = BoardReader._read, iter(range(500))
 BoardReader._read = lambda *given: read(*given) if next(count, None) is not None else threading.Event().wait()
 """

@@ -11,9 +11,9 @@ import pytest
 from rich.console import Console
 
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.measurement.code_plan import ForceNoise, GuardBand
-from resonator_daemon.measurement.code_trials import Outcomes
-from resonator_daemon.measurement.codes import CodeOverlap
+from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
+from resonator_daemon.forces.code_trials import Outcomes
+from resonator_daemon.forces.codes import CodeOverlap
 from resonator_daemon.plate import load_plate
 from resonator_daemon.view.code_plan import CodePlan, Trials
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Singles
 
 _RELAXATION = np.float32(1.6)
 _TINY = np.float32(1e-30)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
     UNKNOWN_FRICTION,
@@ -26,7 +27,6 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.linear_map import Estimate
 from resonator_daemon.decoding.patches import NetLoad
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one

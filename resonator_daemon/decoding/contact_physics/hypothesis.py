@@ -7,10 +7,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Singles
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
 
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Singles
 
 _BLOCK = 264  # rows of a step of the factorization
 _SMALL = 64  # rows of a matrix that is not worth halving

@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.patches import NetLoad
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 
-Singles = NDArray[np.float32]
 Pixels = NDArray[np.intp]
 
 _REACH = 30.0  # correlation lengths of a period: the correlation has faded to exp(-15) halfway

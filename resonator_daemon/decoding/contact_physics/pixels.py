@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import as_grid
 
-Floats = NDArray[np.float64]
 Interpolation = csr_array[np.float32, tuple[int, int]]
 
 _PITCH_DEPTHS = 0.4  # finer pixels than this cannot be told apart at depth

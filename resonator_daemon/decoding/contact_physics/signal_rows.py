@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Floats, Singles
 
 _LEFT_OUT = 8e-4  # share of the power of all pixels' signals
 _SAMPLES = 24  # pixels along each axis that are enough to choose the basis

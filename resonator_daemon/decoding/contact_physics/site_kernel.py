@@ -2,15 +2,12 @@
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 _WHITE_DEPTHS = 1e-3  # correlation length over depth of a traction that is white to the signals
 _PANEL = np.array([7.0, 32.0, 12.0, 32.0, 7.0]) / 90.0  # Boole's rule

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Singles
 from resonator_daemon.decoding.contact_physics.inverse import (
     cholesky_factor,
     inverse_factor,
@@ -21,7 +22,6 @@ from resonator_daemon.decoding.contact_physics.inverse import (
 from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
 
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 

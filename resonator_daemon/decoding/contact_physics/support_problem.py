@@ -8,11 +8,10 @@ shear.
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.cone_admm import iterate
 from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices, SupportRows
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
 

@@ -8,6 +8,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
 from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
@@ -29,8 +30,6 @@ from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...

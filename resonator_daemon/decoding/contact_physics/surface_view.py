@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 Pixels = NDArray[np.intp]
 Complexes = NDArray[np.complex64]
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
-Floats = NDArray[np.float64]
 Known = NDArray[np.bool_]
 
 _STEP_DEPTHS = 0.5  # a fit finds the centre from there

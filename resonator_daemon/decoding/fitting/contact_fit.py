@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from resonator_daemon.arrays import Floats
+
 # Parameters (p,) to signals (k,) and their derivatives (p, k).
 Model = Callable[[Floats], tuple[Floats, Floats]]
 

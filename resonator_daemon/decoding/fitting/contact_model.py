@@ -5,13 +5,13 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import j0, j1
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
 Profile = Literal["hertz", "flat"]
 
 _FADED = 40.0  # spatial frequency times depth at which signals have faded to exp(-40)

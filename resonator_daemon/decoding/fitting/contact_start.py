@@ -4,11 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-
-Floats = NDArray[np.float64]
 
 _SMALLEST_RADIUS = 0.05  # depths, which signals hardly tell from none
 _FORCE_LIMIT = 10.0  # times the largest that fits at the start

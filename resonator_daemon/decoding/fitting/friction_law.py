@@ -5,12 +5,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_start import Friction
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, PARAMETERS
-
-Floats = NDArray[np.float64]
 
 _EXACT_STD = 1e-3  # of the margin, to which the law is held where mu is exact
 _CHANGED = 0.03  # relative, of a standard deviation

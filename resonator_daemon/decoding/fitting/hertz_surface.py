@@ -1,11 +1,9 @@
 """What a load with the profile of a Hertz pressure makes of the surface that it acts on: closed forms."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 
 def hertz_traction(distance_m: Floats, radius_m: Floats | float) -> Floats:

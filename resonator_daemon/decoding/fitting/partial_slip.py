@@ -13,12 +13,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, RADIUS
-
-Floats = NDArray[np.float64]
 
 MARGIN_STD_LIMIT = 0.2  # a margin of a larger one is reported as unknown
 _FORCE_SIGNIFICANCE = 5.0  # standard deviations of a normal force

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, disc_starts
@@ -16,7 +17,6 @@ from resonator_daemon.decoding.fitting.slip_signals import FORCE_Z, RADIUS
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
 Kind = Literal["paraboloid", "flat", "edge"]
 
 _EDGE_DIRECTIONS = np.arange(6) * np.pi / 6.0  # of which the best serves as start

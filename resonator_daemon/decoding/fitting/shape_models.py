@@ -1,11 +1,9 @@
 """Signals of a flat face and of a straight edge as functions of a few parameters, with slopes for a fit."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-
-Floats = NDArray[np.float64]
 
 _LINE_NODES = 16  # closer than a depth for edges of up to 16 depths
 _TILT_STEP_DEPTHS = 0.1  # from the centre to each of the two discs whose difference is a tilt

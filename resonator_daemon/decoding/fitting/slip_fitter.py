@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from resonator_daemon.decoding.fitting.contact_fit import Fit
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
@@ -14,8 +14,6 @@ from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation, W
 from resonator_daemon.decoding.fitting.slip_problem import FULL_STICK, Settled, SlipProblem
 from resonator_daemon.decoding.fitting.slip_signals import MARGIN, PARAMETERS
 from resonator_daemon.decoding.parameters import KNOWN_LIMIT, SIGNAL_LIMIT
-
-Floats = NDArray[np.float64]
 
 _ANY_MARGIN_PRECISION = 12.0  # of one that may be anything between 0 and 1
 _RELEASE_STD = 0.15  # of a margin that was held because it left no trace: from then on it is fitted

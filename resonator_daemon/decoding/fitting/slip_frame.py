@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, ROWS, Singles, slope_rows
+from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, ROWS, slope_rows
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
 
-Floats = NDArray[np.float64]
 Known = NDArray[np.bool_]
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import minimise
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction, bounds, clipped
@@ -24,8 +24,6 @@ from resonator_daemon.decoding.fitting.friction_law import (
 )
 from resonator_daemon.decoding.fitting.slip_frame import Frame, Linearisation
 from resonator_daemon.decoding.fitting.slip_signals import FORCE_X, FORCE_Z, MARGIN, PARAMETERS
-
-Floats = NDArray[np.float64]
 
 FULL_STICK = 1.0 - 1e-4  # above it the margin leaves no trace in the signals, and 1 - m no digits
 _MARGIN_STARTS = (0.15, 0.6)  # of which one leads to the least chi-square

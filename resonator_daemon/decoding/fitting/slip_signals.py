@@ -17,8 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Floats, Singles
 
 PARAMETERS = 7  # of a contact
 X, Y, RADIUS, FORCE_X, FORCE_Y, FORCE_Z, MARGIN = range(PARAMETERS)

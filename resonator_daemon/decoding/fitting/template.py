@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSearch
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
@@ -23,7 +24,6 @@ from resonator_daemon.decoding.parameters import (
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
 Known = NDArray[np.bool_]
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site

@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import logsumexp
 
-from resonator_daemon.decoding.fourier.wiener import Complexes, Estimate, Floats, SpectralWiener
+from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.decoding.fourier.wiener import Estimate, SpectralWiener
 
 _NEGLIGIBLE = 1e-4  # weight of an inverse that is left out
 

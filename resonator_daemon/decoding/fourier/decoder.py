@@ -19,6 +19,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
@@ -34,8 +35,6 @@ from resonator_daemon.decoding.parameters import (
     noise_of_signals,
 )
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
-
-Floats = NDArray[np.float64]
 
 _BANK = np.logspace(-1.0, 5.0, 30)  # standard deviation of the prior over the traction that makes a signal of the noise
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision

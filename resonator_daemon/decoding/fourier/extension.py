@@ -3,11 +3,10 @@
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from resonator_daemon.arrays import Complexes, Floats
+
 ExtensionName = Literal["taper", "periodic"]
 
 

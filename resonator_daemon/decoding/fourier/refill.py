@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener
-
-Floats = NDArray[np.float64]
 
 _ROUNDS = 20  # most rounds of the model's own prediction ...
 _TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise

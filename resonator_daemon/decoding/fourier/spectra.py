@@ -6,10 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic import SpectralGrid
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]
 """Of omega_x (nx,) and omega_y (ny, 1) in rad/m: powers of x, y, z (ny, nx, 3), or matrices (ny, nx, 3, 3)."""
 

@@ -6,8 +6,8 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
+from resonator_daemon.arrays import Complexes, Floats
+
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
 

@@ -1,13 +1,11 @@
 """Covariance matrices of sites at any depths with each other and with what is asked for on the surface."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BarycentricInterpolator
 from scipy.spatial.distance import cdist
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
-
-Floats = NDArray[np.float64]
 
 _DEPTHS = 8  # tabulated at most; more depths than that are interpolated between Chebyshev's
 

@@ -5,8 +5,9 @@ its border is estimated like any other. For Gaussian fields the estimate, C_fs (
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
@@ -17,8 +18,6 @@ from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
 from resonator_daemon.decoding.parameters import check_gain, check_prior, noise_of_signals, positions, positive
 from resonator_daemon.elastic import HalfSpace
-
-Floats = NDArray[np.float64]
 
 _SCALES = np.logspace(-1.0, 4.0, 126)  # standard deviation of f_z over the traction that makes a signal of the noise
 _CONTACT_FACTOR = 1.4  # of the standard deviation under contacts, for equal power of all components ...

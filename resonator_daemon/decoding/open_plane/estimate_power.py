@@ -9,10 +9,10 @@ from typing import Literal
 
 import numpy as np
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.decoding.layout import Grid
-from resonator_daemon.decoding.open_plane.modes import Floats
 from resonator_daemon.decoding.open_plane.parity import fold, half, parities
-from resonator_daemon.decoding.open_plane.prior_tables import Complexes, Field, StationaryPrior
+from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
 AxisPower = list[list[Floats]]
 """Power matrices between even and between odd vectors of each channel: [channel][odd], (waves across, h, h)."""

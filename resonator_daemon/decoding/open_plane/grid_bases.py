@@ -8,9 +8,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import AxisPower, frequencies
-from resonator_daemon.decoding.open_plane.modes import Floats
 from resonator_daemon.decoding.open_plane.parity import CLASSES, parities, unfold
 from resonator_daemon.decoding.open_plane.prior_tables import Field
 

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import EstimatePower
 from resonator_daemon.decoding.open_plane.grid_bases import Bases, Reduction
-from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.parity import CLASSES, offset_table
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 

@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
-from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
 from resonator_daemon.decoding.parameters import (
     CHI2_LIMIT,

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from resonator_daemon.decoding.open_plane.modes import Floats, Modes, Singles
+from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
 
 

@@ -5,8 +5,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Floats, Singles
 
 # A mode is left out where its signal stays a tenth of the noise, in frames up to 50 dB over the noise.
 _FAINTEST = 1e-2

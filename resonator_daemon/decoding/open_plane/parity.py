@@ -6,12 +6,11 @@ but for a site on the mirror itself, so that they stay orthonormal.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.prior_tables import Field, StationaryPrior
 
-Floats = NDArray[np.float64]
 Parity = tuple[int, int]  # along x, along y
 
 CLASSES: tuple[Parity, ...] = ((0, 0), (0, 1), (1, 0), (1, 1))

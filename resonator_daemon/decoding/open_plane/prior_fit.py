@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
 Place = tuple[int, int]  # in finest steps of log l and log r from the usual prior
 Progress = Callable[[int, float, float], None]
 

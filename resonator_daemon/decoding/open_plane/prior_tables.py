@@ -18,10 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic import HalfSpace
 
-Floats = NDArray[np.float64]
-Complexes = NDArray[np.complex128]
 Field = Literal["sensor", "traction", "displacement"]
 
 _FADED = 40.0  # omega times depth at which signals have faded to exp(-40)

@@ -6,8 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
+from resonator_daemon.arrays import Floats, Singles
 
 _STRIDE = 5  # the likelihood of every fifth scale is computed; a parabola finds the best one between them
 

@@ -15,15 +15,14 @@ from pathlib import Path
 
 import numpy as np
 import tamaas
-from numpy.typing import NDArray
+
+from resonator_daemon.arrays import Floats
 
 PIXELS = 32
 RADIUS_OF_CURVATURE_PITCHES = 50.0
 # Poisson's ratio, coefficient of friction, share of the greatest shear load and its direction in degrees
 CASES = [(0.3, 0.5, 0.875, 30.0), (0.0, 0.3, 0.6, -55.0)]
 CONTACT_RADIUS_PITCHES = 6.25  # of Hertz, without friction or images
-
-Floats = NDArray[np.float64]
 
 
 def load(poisson_ratio: float, friction_coefficient: float, share: float, degrees: float) -> Floats:

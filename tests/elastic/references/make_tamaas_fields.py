@@ -14,15 +14,14 @@ from pathlib import Path
 
 import numpy as np
 import tamaas
-from numpy.typing import NDArray
+
+from resonator_daemon.arrays import Floats
 
 SHAPE, PITCH_M = (12, 16), 4e-4  # (ny, nx): the two axes differ
 YOUNGS_MODULUS_PASCAL = 2e5
 POISSON_RATIOS = [0.0, 0.3, 0.49]
 PLANES, DEPTH_STEP_M = 4, 5e-4
 KEPT = [1, 2, 3]  # planes inside the body; that at depth 0 is kept as the surface displacement alone
-
-Floats = NDArray[np.float64]
 
 
 def random_traction(rng: np.random.Generator) -> Floats:

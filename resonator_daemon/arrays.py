@@ -1,0 +1,11 @@
+"""Array types that annotations use."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+Complexes = NDArray[np.complex128]
+Bools = NDArray[np.bool_]
+Integers = NDArray[np.int64]
+Indices = NDArray[np.intp]

@@ -1,0 +1,189 @@
+"""What the daemon does for each command."""
+
+import asyncio
+import time
+from collections.abc import Awaitable, Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Final, Protocol, get_args
+
+from resonator_daemon.config import Config, Measurement, timing_problems
+from resonator_daemon.daemon.recording_commands import RecordingCommands
+from resonator_daemon.forces.readings import Compensation
+from resonator_daemon.pipeline import control_requests as steering
+from resonator_daemon.publishing.commands import CommandRefusedError, Handler
+from resonator_daemon.publishing.payloads import Health, Message
+from resonator_daemon.publishing.verbs import (
+    AskHealth,
+    HealthAnswer,
+    Identify,
+    IdentifyAnswer,
+    JsonTopic,
+    Ping,
+    Pong,
+    SetRate,
+    SetRateAnswer,
+    SetWindow,
+    SetWindowAnswer,
+    Snapshot,
+    SnapshotAnswer,
+    Tare,
+    TareAnswer,
+)
+
+SNAPSHOT_BYTES_MAX: Final = 128 * 1024
+
+Located = Callable[[str | None], None]
+
+
+class ForceChain(Protocol):
+    """What commands need of a chain that measures force sites."""
+
+    @property
+    def compensation(self) -> Compensation: ...
+
+
+@dataclass(frozen=True)
+class DaemonParts:
+    """What commands reach of the daemon.
+
+    Attributes
+    ----------
+    report_health
+        Makes a message of `health`, publishes it and returns it.
+    last_message
+        Returns the last message of the topic with this path; None where there was none.
+    force_chain
+        Returns the chain of a plate of force sites while its link is online, else None.
+    locate
+        Asks the board to blink; calls, on the event loop, with why it did not, or None.
+    streams
+        Paths of the topics that this daemon publishes as streams.
+    set_rate
+        Lowers the rate of a stream, or with None no longer; is handed what holds then of all topics, too.
+    measurement
+        Returns the window that holds now.
+    order
+        Has an order obeyed after the frames that have arrived; returns why it was not, or "".
+    """
+
+    report_health: Callable[[], Health]
+    last_message: Callable[[str], Message | None]
+    force_chain: Callable[[], ForceChain | None]
+    locate: Callable[[Located], None]
+    streams: Collection[str]
+    set_rate: Callable[[str, float | None, Mapping[str, float]], None]
+    measurement: Callable[[], Measurement]
+    order: Callable[[steering.Order], Awaitable[str]]
+
+
+class CommandHandlers:
+    """Does what commands ask for; to be used from the event loop's thread only.
+
+    Parameters
+    ----------
+    config
+    daemon_boot_id
+        Of this run.
+    parts
+        Of the daemon.
+    recording
+        Does the commands of recordings.
+    """
+
+    def __init__(self, config: Config, daemon_boot_id: str, parts: DaemonParts, recording: RecordingCommands) -> None:
+        self._plate = config.plate
+        self._daemon_boot_id = daemon_boot_id
+        self._parts = parts
+        self._limits_hz: dict[str, float] = {}
+        self._started_s = time.monotonic()
+        self.by_verb: Mapping[str, Handler] = {
+            "ping": self._ping,
+            "health": self._health,
+            "snapshot": self._snapshot,
+            "tare": self._tare,
+            "start_recording": recording.start,
+            "stop_recording": recording.stop,
+            "mark": recording.mark,
+            "set_window": self._set_window,
+            "set_rate": self._set_rate,
+            "identify": self._identify,
+        }
+
+    def _ping(self, _request: Ping) -> Pong:
+        uptime_s = time.monotonic() - self._started_s
+        return Pong(t_ns=time.time_ns(), daemon_boot_id=self._daemon_boot_id, uptime_s=uptime_s)
+
+    def _health(self, _request: AskHealth) -> HealthAnswer:
+        return HealthAnswer(health=self._parts.report_health())
+
+    def _snapshot(self, request: Snapshot) -> SnapshotAnswer:
+        wanted = get_args(JsonTopic) if request.topics is None else dict.fromkeys(request.topics)
+        messages: dict[str, Message] = {}
+        left_out = []
+        room_bytes = SNAPSHOT_BYTES_MAX
+        for path in wanted:
+            message = self._parts.last_message(path)
+            if message is None:
+                continue
+            size_bytes = len(message.model_dump_json())
+            if size_bytes <= room_bytes:
+                messages[path] = message
+                room_bytes -= size_bytes
+            else:
+                left_out.append(path)
+        return SnapshotAnswer(messages=messages, left_out=tuple(left_out))
+
+    async def _tare(self, _request: Tare) -> TareAnswer:
+        chain = self._force_chain()
+        if reason := await self._parts.order(steering.Tare()):
+            raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
+        return TareAnswer(
+            did="the present readings count as untouched", common_mode=tuple(chain.compensation.common_mode)
+        )
+
+    async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
+        self._force_chain()
+        step_ms = self._parts.measurement().step_ms if request.step_ms is None else request.step_ms
+        measurement = Measurement(window_ms=request.window_ms, step_ms=step_ms)
+        spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
+        if problems := timing_problems(spans_ms, self._plate):
+            said = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
+            raise CommandRefusedError("window", said, "send window_ms and step_ms that fit each other and the frames")
+        if reason := await self._parts.order(steering.MeasureOver(measurement=measurement)):
+            raise CommandRefusedError("window", reason, "see state/sensor")
+        return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
+
+    def _set_rate(self, request: SetRate) -> SetRateAnswer:
+        topic, rate_hz = request.topic, request.rate_hz
+        if topic not in self._parts.streams:
+            published = ", ".join(self._parts.streams)
+            raise CommandRefusedError("not_published", f"this daemon does not publish {topic}", f"streams: {published}")
+        if rate_hz is None:
+            self._limits_hz.pop(topic, None)
+        else:
+            self._limits_hz[topic] = rate_hz
+        self._parts.set_rate(topic, rate_hz, self._limits_hz)
+        return SetRateAnswer(topic=topic, rate_hz=rate_hz)
+
+    async def _identify(self, _request: Identify) -> IdentifyAnswer:
+        answered: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+
+        def done(refused: str | None) -> None:
+            if not answered.done():  # else nobody waits any more
+                answered.set_result(refused)
+
+        self._parts.locate(done)
+        if (refused := await answered) is not None:
+            raise CommandRefusedError("not_located", refused, "see state/link")
+        return IdentifyAnswer()
+
+    def _force_chain(self) -> ForceChain:
+        if self._plate.skin is not None:
+            raise CommandRefusedError(
+                "not_ready", "the plate has a skin, and no force sites", "its zero is followed by itself"
+            )
+        if (chain := self._parts.force_chain()) is None:
+            raise CommandRefusedError(
+                "not_ready", "no force sites are being measured", "see state/link and state/sensor"
+            )
+        return chain

@@ -1,0 +1,86 @@
+"""The configuration that a daemon works by, and what has become of its file since."""
+
+import asyncio
+import logging
+
+from resonator_daemon.config import Config
+from resonator_daemon.config.changes import Changes, applied, changes
+from resonator_daemon.daemon.config_store import ConfigStore, Loaded
+from resonator_daemon.daemon.recording_commands import as_json_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.monitoring.status import ConfigStatus
+
+log = logging.getLogger(__name__)
+
+
+class ConfigInUse:
+    """Loads the configuration of a daemon, and again when asked; a file that is bad changes nothing.
+
+    Parameters
+    ----------
+    store
+        Of the file, and of its last good copy.
+
+    Attributes
+    ----------
+    config
+        In use: what the file said at the start, with what could be changed since.
+
+    Raises
+    ------
+    ConfigError
+        Neither the file nor a copy can be used.
+    """
+
+    def __init__(self, store: ConfigStore) -> None:
+        self._store = store
+        self._loaded = store.load()
+        self._problems = _told(self._loaded.problems)  # of the file as it is now
+        self._waiting: tuple[str, ...] = ()  # keys whose new values need a restart
+        self.config: Config = self._loaded.config
+
+    @property
+    def sha256(self) -> str:
+        """Of the text that the configuration was read from."""
+        return self._loaded.sha256
+
+    @property
+    def remark(self) -> str:
+        """What people should know of it; "" where the file is in use as it is."""
+        if self._problems:
+            last_good = self._loaded.in_use == "last_good"
+            on = "on the last good configuration" if last_good else "its changed configuration cannot be used"
+            more = f", and {len(self._problems) - 1} more" if len(self._problems) > 1 else ""
+            return f"{on}: {self._problems[0]}{more}"
+        return f"restart for changed {', '.join(self._waiting)}" if self._waiting else ""
+
+    @property
+    def status(self) -> ConfigStatus:
+        return ConfigStatus(
+            file=as_json_text(self._store.path),
+            in_use=self._loaded.in_use,
+            problems=self._problems,
+            loaded_t_ns=self._loaded.utc_ns,
+            needs_restart=self._waiting,
+        )
+
+    async def reload(self) -> Changes | None:
+        """Read the file again and take what needs no restart; None, and the log, where it cannot be used."""
+        try:
+            loaded: Loaded = await asyncio.to_thread(self._store.reload)
+        except ConfigError as error:
+            self._problems = _told(error.messages)
+            for message in error.messages:
+                log.error("%s", message)
+            log.error("the configuration cannot be used; all goes on as before")
+            return None
+        found = changes(self.config, loaded.config)
+        self.config = applied(self.config, loaded.config)
+        self._loaded, self._problems, self._waiting = loaded, (), found.restart
+        log.info("configuration read again: %s", found)
+        return found
+
+
+def _told(problems: tuple[str, ...]) -> tuple[str, ...]:
+    """Return problems as messages can carry them: they name files, and names of files may be no text."""
+    return tuple(as_json_text(problem) for problem in problems)

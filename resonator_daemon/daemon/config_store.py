@@ -1,0 +1,196 @@
+"""The last good configuration: a daemon whose file is bad runs on the copy of the last one that was not."""
+
+import hashlib
+import logging
+import os
+import stat
+import tempfile
+import time
+from contextlib import suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Final, Literal, NamedTuple
+
+from pydantic import BaseModel, Field, ValidationError
+
+from resonator_daemon.config import Config, config_from, load_config
+from resonator_daemon.config.text import load_plate_text, plate_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.pipeline.code_check import findings
+from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
+
+_MAX_COPY_BYTES: Final = 64 << 20  # of two files that were read, one as it was and one with all its defaults
+
+log = logging.getLogger(__name__)
+
+
+class Loaded(NamedTuple):
+    """A configuration to run on."""
+
+    config: Config
+    in_use: Literal["file", "last_good"]
+    problems: tuple[str, ...]  # of the file, which is then not in use
+    sha256: str  # of the text that the configuration was read from
+    utc_ns: int  # when it was read
+
+
+class _Copy(BaseModel):
+    """What is kept of a good configuration, in one file, so that its parts are of the same time."""
+
+    format: Literal[1] = 1
+    file: str
+    saved_utc_ns: Annotated[int, Field(ge=0, lt=1 << 63)]
+    config: str
+    plate: str  # as `plate_text` has it
+
+
+class ConfigStore:
+    """Loads a configuration file, and keeps a copy of it, with its plate, while it is good.
+
+    Password, certificates and keys stay where they are: a copy names them as the file does. The copy can be read by
+    the daemon's user alone, since the address of a broker may have a password in it.
+
+    Parameters
+    ----------
+    path
+        The configuration file.
+    directory
+        Where copies are kept, as `state_directory() / "last-good"`; made where it is missing.
+    """
+
+    def __init__(self, path: Path, directory: Path) -> None:
+        self.path = path.absolute()  # what follows from it is told to programs that run elsewhere
+        normal = os.path.abspath(path)
+        self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(normal)).hexdigest()[:16]}.json"
+        self._told: str | None = None  # why no copy can be kept
+
+    def load(self) -> Loaded:
+        """Load the file, else the last good copy, which is said in the log.
+
+        A file that is not there is not made up for: whoever removed it does not want it to be used.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be used, and no copy can; what is wrong with the file.
+        """
+        try:
+            return self.reload()
+        except ConfigError as error:
+            if not os.path.lexists(self.path):
+                raise
+            loaded = self._last_good(error)
+        for problem in loaded.problems:
+            log.error("%s", problem)
+        return loaded
+
+    def reload(self) -> Loaded:
+        """Load the file, and keep a copy of it; blocks for up to a second, while it is computed and on the disk.
+
+        Raises
+        ------
+        ConfigError
+            The file cannot be used; every finding.
+        """
+        file = read_toml(self.path)
+        config = _checked(config_from(file, self.path.parent), self.path)
+        self._keep(file, config)
+        return Loaded(config, "file", (), _sha256(file.text), time.time_ns())
+
+    def _last_good(self, refused: ConfigError) -> Loaded:
+        try:
+            copy = self._read()
+        except FileNotFoundError:
+            raise refused from None
+        except (OSError, ValidationError) as error:
+            raise ConfigError(*refused.messages, f"{named(self._copy)}: {_told(error)}; no last good copy") from None
+        try:
+            config = _checked(self._config_of(copy), self._copy)
+        except ConfigError as error:
+            also = (f"the last good copy cannot be used either: {message}" for message in error.messages)
+            raise ConfigError(*refused.messages, *also) from None
+        saved = f"{datetime.fromtimestamp(copy.saved_utc_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S}"
+        log.error("%s cannot be used; running on the last good copy, of %s UTC", named(self.path), saved)
+        return Loaded(config, "last_good", refused.messages, _sha256(copy.config), time.time_ns())
+
+    def _config_of(self, copy: _Copy) -> Config:
+        plate = load_plate_text(copy.plate, self._copy / "plate.toml")
+        file = parse_toml(copy.config, self._copy / "config.toml")
+        content = file.content | {"plate": plate}
+        return config_from(TomlFile(file.path, file.text, content), self.path.parent)
+
+    def _keep(self, file: TomlFile, config: Config) -> None:
+        """Write the copy, unless it is there; a failure is said once and stops nothing."""
+        name = os.fsencode(self.path).decode(errors="replace")
+        copy = _Copy(file=name, saved_utc_ns=time.time_ns(), config=file.text, plate=plate_text(config.plate))
+        try:
+            if not self._kept(copy):
+                self._write(copy.model_dump_json().encode())
+        except OSError as error:
+            if (told := _told(error)) != self._told:
+                log.warning("no copy of this configuration is kept for the day it is bad: %s: %s", self._copy, told)
+            self._told = told
+        else:
+            self._told = None
+
+    def _read(self) -> _Copy:
+        with open(self._copy, "rb", opener=_open_at_once) as file:
+            if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):  # a pipe gives nothing, or waits for ever
+                raise OSError(f"{self._copy} is no regular file; remove it")
+            return _Copy.model_validate_json(file.read(_MAX_COPY_BYTES))
+
+    def _kept(self, copy: _Copy) -> bool:
+        try:
+            present = self._read()
+        except (FileNotFoundError, ValidationError):
+            return False
+        return (present.config, present.plate) == (copy.config, copy.plate)
+
+    def _write(self, content: bytes) -> None:
+        """Put a file in place as a whole: the old one stays until the new one is on the disk."""
+        self._copy.parent.mkdir(parents=True, exist_ok=True)
+        number, name = tempfile.mkstemp(prefix=f".{self._copy.stem}-", dir=self._copy.parent)  # mode 0600
+        try:
+            with open(number, "wb") as file:
+                file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(name, self._copy)
+        except OSError:
+            with suppress(OSError):
+                os.unlink(name)
+            raise
+        directory = os.open(self._copy.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+
+
+def load_checked(path: Path) -> Config:
+    """Load a configuration, and check its plate's codes, which takes longer, too.
+
+    Raises
+    ------
+    ConfigError
+        Every finding.
+    """
+    return _checked(load_config(path), path)
+
+
+def _checked(config: Config, path: Path) -> Config:
+    if overlapping := findings(config.plate):
+        raise ConfigError(*(f"{named(path)}: plate: {sentence}" for sentence in overlapping))
+    return config
+
+
+def _sha256(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _open_at_once(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _told(error: OSError | ValidationError) -> str:
+    return error.strerror or str(error) if isinstance(error, OSError) else "is damaged"

@@ -1,0 +1,462 @@
+"""The daemon for one board: the only place where acquisition, measurement, decoding and publishing are joined."""
+
+import asyncio
+import contextlib
+import gc
+import logging
+import math
+import os
+import secrets
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Coroutine, Mapping
+from importlib.metadata import version
+from typing import Any
+
+from resonator_daemon.config import Config, frame_bytes, plate_name
+from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
+from resonator_daemon.daemon.config_in_use import ConfigInUse
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.plate_publisher import Outlet
+from resonator_daemon.daemon.recorded_messages import RecordedMessages
+from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
+from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
+from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
+from resonator_daemon.host.journal import name_lines
+from resonator_daemon.host.places import runtime_directory
+from resonator_daemon.host.systemd import ServiceManager
+from resonator_daemon.monitoring.ages import Ages
+from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
+from resonator_daemon.monitoring.health import HealthMonitor
+from resonator_daemon.monitoring.liveness import DECLARED_WAITING, FlowWatch
+from resonator_daemon.monitoring.metrics_server import MetricsServer
+from resonator_daemon.monitoring.status import BrokerStatus, Status
+from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
+from resonator_daemon.pipeline import control_requests as steering
+from resonator_daemon.pipeline.board_pipeline import BoardCourse
+from resonator_daemon.pipeline.measuring import step_ns, useful_together
+from resonator_daemon.pipeline.surface_decoding import SurfaceClient
+from resonator_daemon.pipeline.surface_stream import SurfaceSettings
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
+from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
+from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.clock import Instant
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import (
+    Arrival,
+    BoardOnline,
+    BoardRefused,
+    ReaderFailed,
+    SingleToneFrame,
+    Steering,
+    in_blocks,
+)
+
+log = logging.getLogger(__name__)
+
+_HEALTH_S = 1.0
+_SWITCH_S = 5e-4  # of the reader thread, before the event loop has its turn; Python's 5 ms are half a frame
+_WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
+_TOGETHER = 50  # arrivals
+_FRAMES_WAITING_S = 2.0
+_FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
+_LATE_NS = 75_000_000  # after its window, a message is skipped if a newer one can be made
+_TOO_LATE_NS = 400_000_000  # in any case
+
+
+async def serve(store: ConfigStore) -> None:
+    """Measure and publish until SIGINT or SIGTERM; SIGHUP has the configuration read again.
+
+    Raises
+    ------
+    OperatorError
+        No configuration can be used, or the first board on the link can never serve it.
+    """
+    service = Service(store)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, service.stop, f"ended by {number.name}")
+    loop.add_signal_handler(signal.SIGHUP, service.reload)
+    sys.setswitchinterval(_SWITCH_S)
+    try:
+        await service.run()
+    finally:  # a reload that is asked for now must not end in the signal's usual way
+        loop.remove_signal_handler(signal.SIGHUP)
+        signal.signal(signal.SIGHUP, signal.SIG_IGN)
+
+
+def frames_waiting_bytes(plate: Plate) -> int:
+    """Return the memory that the frames take that may wait to be measured."""
+    frames = math.ceil(_FRAMES_WAITING_S * plate.counter.frame_rate_hz)
+    return frames * (frame_bytes(plate) + _FRAME_OVERHEAD_BYTES)
+
+
+class Service:
+    """One board from its bytes to its messages."""
+
+    def __init__(self, store: ConfigStore) -> None:
+        self._ages = Ages()
+        self._in_use = ConfigInUse(store)
+        config = self._in_use.config
+        self._file_stem = store.path.stem
+        self._instance = as_json_text(self._file_stem)
+        loop = asyncio.get_running_loop()
+        self._loop = loop
+        self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
+        self._arrivals: deque[Arrival | list[SingleToneFrame]] = deque()
+        self._recording = RecordingSwitch()
+        steps = useful_together(config.plate, config.measurement)
+        self._reader = BoardReader(
+            config.link,
+            config.plate,
+            self._wake_from(loop),
+            step_frames=steps,
+            ring_bytes=frames_waiting_bytes(config.plate),
+            tap=self._recording.tap,
+        )
+        self._steering = steering.Steering(self._reader.steer)
+        self._daemon_boot_id = secrets.token_hex(8)
+        self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
+        self._recordings: RecordingCommands | None = None
+        self._decoder: DecoderSupervisor[Any] | None = None
+        self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
+        self._course = BoardCourse(
+            config,
+            self._daemon_boot_id,
+            self._publish,
+            lambda: self._outlet.dropped,
+            loop.call_later,
+            self._make_decoder,
+            is_late=self._is_late,
+        )
+        self._step_ns = step_ns(config.plate, config.measurement)
+        self._tasks = asyncio.TaskGroup()
+        self._monitor = HealthMonitor()
+        self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon, self._outlet.restore)
+        self._version = version("resonatord")  # asked for once: it is in a file
+        self._manager = ServiceManager()
+        self._flow = FlowWatch()
+        self._health: Health | None = None  # as reported last
+        self._name = config.name
+        self._reload_wanted = asyncio.Event()
+        self._ready = False
+        self._fatal: OperatorError | None = None
+        self._started_utc_ns = time.time_ns()
+
+    async def run(self) -> None:
+        """Run until `stop`; raises what only the operator can mend."""
+        for note in self._config.notes:
+            log.warning("%s", note)
+        gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
+        try:
+            async with self._tasks:
+                helpers = [self._tasks.create_task(work, name=name) for name, work in self._helpers().items()]
+                self._say_measuring()
+                if self._config.name is not None:
+                    await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
+                self._reader.start()
+                await self._over
+                self._manager.stopping()
+                for helper in helpers:
+                    helper.cancel()
+                self._report_health()  # the last word on what was counted
+                self._daemon.end()
+                await self._outlet.close(wait_for_broker=self._fatal is not None)
+        finally:
+            self._course.close()
+            await asyncio.to_thread(self._reader.stop)
+            await asyncio.to_thread(self._recording.close)
+        if self._fatal is not None:
+            raise self._fatal
+
+    def stop(self, why: str = "ended") -> None:
+        """End `run`; from the event loop."""
+        if not self._over.done():
+            log.info("%s", why)
+        self._end()
+
+    def _end(self) -> None:
+        if not self._over.done():
+            self._over.set_result(None)
+
+    def reload(self) -> None:
+        """Read the configuration again, and take what can change while all goes on; from the event loop."""
+        self._reload_wanted.set()
+
+    @property
+    def _config(self) -> Config:
+        return self._in_use.config
+
+    @property
+    def daemon_boot_id(self) -> str:
+        return self._daemon_boot_id
+
+    @property
+    def link_account(self) -> LinkAccount:
+        """Where the link's bytes and frames went."""
+        return self._reader.account()
+
+    @property
+    def message_account(self) -> MessageAccount:
+        """Where the messages went."""
+        return self._outlet.account
+
+    def _wake_from(self, loop: asyncio.AbstractEventLoop) -> Callable[[], None]:
+        pending = False
+
+        def arrived() -> None:
+            nonlocal pending
+            pending = False
+            self._consume()
+
+        def wake() -> None:
+            # One at a time: those of a loop that stalls would fill the pipe that signals come by, too.
+            nonlocal pending
+            if not pending:
+                pending = True
+                with contextlib.suppress(RuntimeError):  # the loop is closed: the service ended meanwhile
+                    loop.call_soon_threadsafe(arrived)
+
+        return wake
+
+    def _begin_publishing(self, name: str) -> RecordingCommands:
+        parts = DaemonParts(
+            report_health=self._report_health,
+            last_message=self._outlet.last_message,
+            force_chain=self._force_chain,
+            locate=self._reader.locate,
+            streams=self._course.reporter.streams,
+            set_rate=self._set_rate,
+            measurement=lambda: self._course.reporter.measurement,
+            order=self._steering.order,
+        )
+        self._name = name
+        name_lines(name)
+        recordings = RecordingCommands(
+            self._config,
+            name,
+            self._recording,
+            daemon_boot_id=self._daemon_boot_id,
+            config_sha256=self._in_use.sha256,
+        )
+        handlers = CommandHandlers(self._config, self._daemon_boot_id, parts, recordings)
+        self._outlet.begin(name, handlers.by_verb, self._daemon)
+        self._tasks.create_task(self._outlet.run(), name="publishing")
+        self._recordings = recordings
+        return recordings
+
+    async def _keep_recording(self, recordings: RecordingCommands) -> None:
+        try:
+            await recordings.keep_recording()
+        except OperatorError as error:
+            log.error("nothing is recorded: %s", error)
+
+    def _force_chain(self) -> ForceChain | None:
+        link = self._course.link
+        return self._course.measuring.force_chain if link is not None and link.state == "online" else None
+
+    def _set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
+        self._outlet.set_rate(path, rate_hz)
+        self._course.limit_rates(limits_hz)
+
+    async def _keep_reloading(self) -> None:
+        while True:
+            await self._reload_wanted.wait()
+            self._reload_wanted.clear()  # the file may change again while it is read
+            await self._reload()
+
+    async def _reload(self) -> None:
+        self._manager.reloading()
+        found = await self._in_use.reload()
+        config = self._in_use.config
+        if found is not None and found.live:
+            if any(key.startswith("measurement.") for key in found.live):
+                await self._steering.order(steering.MeasureOver(measurement=config.measurement))
+            self._course.allow(config.commands.allow)
+            self._outlet.allow(config.commands.allow)
+            self._recorded.derived = config.recording.derived
+            if self._recordings is not None:
+                await self._recordings.adopt(config, self._in_use.sha256)
+        self._say_measuring()
+        if self._ready:
+            self._manager.ready(self._sentence())
+
+    def _make_offline(self, reason: str) -> State:
+        now_ns = time.time_ns()
+        standing = self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
+        return self._course.reporter.daemon_state(standing, now_ns)
+
+    def _consume(self) -> None:
+        """Handle what has arrived, in parts, between which the event loop serves messages and signals."""
+        if not self._arrivals:  # else the next part is scheduled already
+            self._handle_next()
+
+    def _handle_next(self) -> None:
+        try:
+            with self._outlet.together():
+                finished = self._handle_part()
+        except Exception as error:  # noqa: BLE001 - `run` raises it
+            if not self._over.done():
+                self._over.set_exception(error)
+        else:
+            if not (finished or self._over.done()):
+                self._loop.call_soon(self._handle_next)
+
+    def _handle_part(self) -> bool:
+        """Handle up to 50 arrivals; return whether none was left."""
+        handled = 0
+        while handled < _TOGETHER and not self._over.done():
+            if not self._arrivals:  # also after the last one: `_consume` ignores what comes while others are handled
+                self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
+                if not self._arrivals:
+                    return True
+            arrival = self._arrivals.popleft()
+            self._handle(arrival)
+            handled += len(arrival) if isinstance(arrival, list) else 1
+        return False
+
+    def _is_late(self, gate_middle: Instant) -> bool:
+        """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""
+        if self._reader.replays:
+            return False
+        newer_ns = self._reader.newest_monotonic_ns - gate_middle.monotonic_ns
+        limit_ns = _LATE_NS if newer_ns >= self._step_ns else _TOO_LATE_NS
+        return time.monotonic_ns() - gate_middle.monotonic_ns > limit_ns
+
+    def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
+        match arrival:
+            case BoardOnline() if not self._outlet.open and not self._take_name_of(arrival):
+                return
+            case BoardOnline():
+                self._recording.name_board(arrival)
+            case BoardRefused():
+                self._refuse(arrival)
+            case Steering():
+                self._steering.obeyed(arrival.key, self._course.steer(arrival.order))
+                measurement = self._course.reporter.measurement
+                self._reader.wake_at(useful_together(self._config.plate, measurement))
+                self._step_ns = step_ns(self._config.plate, measurement)
+                return
+            case ReaderFailed():
+                raise arrival.error
+        self._course.take(arrival)
+
+    def _take_name_of(self, board: BoardOnline) -> bool:
+        """Publish under the board's serial number; return whether that can be."""
+        serial_number = board.identity.serial_number
+        try:
+            recordings = self._begin_publishing(plate_name(serial_number))
+        except ValueError as error:
+            self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
+            self._end()
+            return False
+        self._tasks.create_task(self._keep_recording(recordings), name="recording")
+        return True
+
+    def _refuse(self, refused: BoardRefused) -> None:
+        if self._course.board is not None:
+            return  # the right board was here before and may come back
+        error = IncompatibleBoardError if refused.other_protocol else ConfigError
+        self._fatal = error(*refused.problems)
+        self._end()
+        self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
+
+    def _make_decoder(self, settings: SurfaceSettings, client: SurfaceClient[Any]) -> DecoderSupervisor[Any]:
+        self._decoder = DecoderSupervisor(self._in_use.config.name or self._file_stem, settings, client)
+        return self._decoder
+
+    def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
+        self._outlet.publish(topic, message)
+        self._recorded.take(topic, message)
+
+    def _say_daemon(self, standing: DaemonStanding) -> None:
+        self._publish(STATE_DAEMON, self._course.reporter.daemon_state(standing, time.time_ns()))
+
+    def _say_measuring(self) -> None:
+        reason = "; ".join(filter(None, ("measuring", self._in_use.remark)))
+        self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
+
+    def _helpers(self) -> dict[str, Coroutine[Any, Any, None]]:
+        """Return what runs beside the reading of the board, by name, until cancelled."""
+        socket = runtime_directory(self._file_stem) / SOCKET_NAME
+        helpers = {
+            "health": self._keep_reporting(),
+            "decoding": self._course.measuring.run(),
+            "watchdog": self._keep_watch(),
+            "reloading": self._keep_reloading(),
+            "status": StatusServer(socket, self._status).run(),
+        }
+        if (listen := self._config.metrics.listen) is not None:
+            helpers["metrics"] = MetricsServer(listen, self._status).run()
+        return helpers
+
+    async def _keep_watch(self) -> None:
+        """Tell the service manager when it may count on this daemon, and as long as it may."""
+        while True:
+            link = self._course.link
+            state = link.state if link is not None else "starting"
+            if not self._ready and (self._course.frames or state in DECLARED_WAITING):
+                self._ready = True
+                self._manager.ready(self._sentence())
+            if self._flow.healthy(self._course.frames, state, self._reader.turns):
+                self._manager.alive()
+            self._manager.status(self._sentence())
+            await asyncio.sleep(min(_WATCH_S, self._manager.watchdog_s or _WATCH_S))
+
+    def _sentence(self) -> str:
+        """Say in a line how it goes."""
+        link, health = self._course.link, self._health
+        said = f"link {link.state}: {link.reason}" if link is not None else "starting"
+        if link is not None and link.state == "online" and health is not None:
+            lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
+            said = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
+        return "; ".join(filter(None, (f"{self._name or self._instance}: {said}", self._in_use.remark)))
+
+    def _status(self) -> Status:
+        """Return how all of this is, for programs on the same computer."""
+        last = self._outlet.last_message
+        status = Status.model_validate(
+            {
+                "name": self._name,
+                "instance": self._instance,
+                "pid": os.getpid(),
+                "version": self._version,
+                "started_t_ns": self._started_utc_ns,
+                "config": self._in_use.status,
+                "daemon": last(STATE_DAEMON.path),
+                "link": last(STATE_LINK.path),
+                "sensor": last(STATE_SENSOR.path),
+                "health": self._health,
+                "broker": BrokerStatus(url=self._config.mqtt.anonymous().url, connected=self._outlet.connected),
+                "recording": recording_info(self._recording),
+            }
+        )
+        return status.model_copy(update={"ages_s": self._ages.of(status)})
+
+    async def _keep_reporting(self) -> None:
+        while True:
+            await asyncio.sleep(_HEALTH_S)
+            self._health = self._report_health()
+            self._status()  # so that the age of what is new is counted from now on, asked for or not
+
+    def _report_health(self) -> Health:
+        measuring = self._course.measuring
+        vitals = self._monitor.vitals(
+            self.link_account,
+            self.message_account,
+            self._reader.clock_rate_ppm,
+            measuring.frames_not_decoded,
+            measuring.records_unusable,
+            latency=measuring.latencies.info(),
+            decoder=self._decoder.info() if self._decoder is not None else None,
+            recording=recording_info(self._recording),
+            commands=self._outlet.command_counts,
+        )
+        health = Health(**self._course.reporter.header(HEALTH, time.time_ns()), **vitals)
+        self._publish(HEALTH, health)
+        return health

@@ -1,0 +1,179 @@
+"""Contacts over time: identity, onset and release with hysteresis, duration, peak, and what is unknown meanwhile."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from operator import itemgetter
+from typing import Final, Literal
+
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.site_identification import SiteForce
+
+ONSET_NEWTON: Final = 0.020
+RELEASE_NEWTON: Final = 0.010
+
+
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
+class Touch:
+    """What one reading tells of one touch: the nearest site, an index, and the place with its covariance (2, 2)."""
+
+    site: int
+    position_m: tuple[float, float]
+    position_covariance_m2: Floats
+    force_newton: float
+    noise_newton: float
+    systematic_newton: float
+    hidden_newton: float
+    status: str
+    reason: str = ""
+    at_least_newton: float | None = None
+
+
+def touch_of(force: SiteForce, position_m: tuple[float, float], covariance_m2: Floats) -> Touch:
+    """Return the touch of a site that is touched by itself: its place is the site's."""
+    return Touch(
+        force.site,
+        position_m,
+        covariance_m2,
+        force.force_newton,
+        force.noise_newton,
+        force.systematic_newton,
+        force.hidden_newton,
+        force.status,
+        at_least_newton=force.at_least_newton,
+    )
+
+
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
+class Contact:
+    """A touch from its onset on. While its force is not known it is NaN, and the touch's status and reason say why.
+
+    `since_ticks` is the end of the window in which it set on, `duration_ticks` the time from there to the last reading
+    that told its force.
+    """
+
+    id: int
+    touch: Touch
+    peak_newton: float
+    since_ticks: int
+    duration_ticks: int
+
+
+@dataclass(frozen=True, slots=True)
+class ContactEvent:
+    """Onset or release of a contact, at the board's tick count of the reading that told it."""
+
+    event: Literal["onset", "release"]
+    board_ticks: int
+    contact: Contact
+    reason: str
+
+
+class ContactTracker:
+    """Turns touches, reading by reading, into contacts.
+
+    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when a reading that tells of all touches
+    tells of none there. A gap does not end it: its force is unknown, and only when that lasts longer than
+    `unknown_ticks` is it released for that reason. A touch belongs to the nearest contact within `reach_m`: 0 where
+    positions are those of sites.
+    """
+
+    def __init__(self, unknown_ticks: int, reach_m: float = 0.0) -> None:
+        self._unknown_ticks = unknown_ticks
+        self._reach_m = reach_m
+        self._open: dict[int, Contact] = {}
+        self._last_id = 0
+
+    @property
+    def any_open(self) -> bool:
+        return bool(self._open)
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        return tuple(self._open.values())
+
+    def update(
+        self, board_ticks: int, touches: Sequence[Touch], *, complete: bool, status: str, reason: str
+    ) -> tuple[ContactEvent, ...]:
+        """Take one reading.
+
+        `complete` says that there are no touches but these; else `status` and `reason` say why the force of contacts
+        without a touch is not known.
+        """
+        if not touches and not self._open:
+            return ()
+        events = [
+            self._release(contact.id, board_ticks, "its state was unknown for too long")
+            for contact in self.contacts
+            if board_ticks - contact.since_ticks - contact.duration_ticks > self._unknown_ticks
+        ]
+        taken = self._associate(touches)
+        for contact in list(self._open.values()):
+            if contact.id in taken.values():
+                continue
+            if complete:
+                events.append(self._release(contact.id, board_ticks, "no longer felt"))
+                continue
+            self._open[contact.id] = replace(contact, touch=_unknown(contact.touch, status, reason))
+        for index, touch in enumerate(touches):
+            events += self._take(board_ticks, touch, taken.get(index))
+        return tuple(events)
+
+    def close(self, board_ticks: int, reason: str) -> tuple[ContactEvent, ...]:
+        """Release every contact, as when the board starts anew and its past no longer tells anything."""
+        return tuple(self._release(number, board_ticks, reason) for number in list(self._open))
+
+    def _associate(self, touches: Sequence[Touch]) -> dict[int, int]:
+        """Contact's id by index of touch, nearest pairs first."""
+        if not touches or not self._open:
+            return {}
+        contacts = list(self._open.values())
+        pairs = [
+            (distance_m, index, contact.id)
+            for index, touch in enumerate(touches)
+            for contact in contacts
+            if (distance_m := math.dist(touch.position_m, contact.touch.position_m)) <= self._reach_m
+        ]
+        taken: dict[int, int] = {}
+        for _, index, number in sorted(pairs, key=itemgetter(0)):
+            if index not in taken and number not in taken.values():
+                taken[index] = number
+        return taken
+
+    def _take(self, board_ticks: int, touch: Touch, number: int | None) -> list[ContactEvent]:
+        newton = touch.force_newton
+        at_least = newton if touch.at_least_newton is None else touch.at_least_newton
+        if number is None:
+            if not (touch.status == "overload" or newton >= ONSET_NEWTON):
+                return []
+            self._last_id += 1
+            contact = Contact(self._last_id, touch, at_least, board_ticks, 0)
+            self._open[contact.id] = contact
+            return [ContactEvent("onset", board_ticks, contact, "")]
+        before = self._open[number]
+        if math.isnan(at_least):
+            self._open[number] = replace(before, touch=touch)
+            return []
+        peak_newton = max(before.peak_newton, at_least)
+        duration_ticks = board_ticks - before.since_ticks
+        self._open[number] = Contact(number, touch, peak_newton, before.since_ticks, duration_ticks)
+        if newton < RELEASE_NEWTON:
+            return [self._release(number, board_ticks, f"below {RELEASE_NEWTON:g} N")]
+        return []
+
+    def _release(self, number: int, board_ticks: int, reason: str) -> ContactEvent:
+        return ContactEvent("release", board_ticks, self._open.pop(number), reason)
+
+
+def _unknown(touch: Touch, status: str, reason: str) -> Touch:
+    """Return the touch without the numbers that the last reading did not give."""
+    return replace(
+        touch,
+        force_newton=math.nan,
+        noise_newton=math.nan,
+        systematic_newton=math.nan,
+        hidden_newton=math.nan,
+        at_least_newton=None,
+        status=status,
+        reason=reason,
+    )

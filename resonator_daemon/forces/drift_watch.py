@@ -1,0 +1,76 @@
+"""Whether the common mode moves faster than the baseline's own model says a plate at rest in a room can."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import Final
+
+from resonator_daemon.forces.baseline import COMMON_MODE_WALK
+
+SPAN_S: Final = 10.0
+WALKS: Final = 5.0  # standard deviations of the random walk over the span: never in months of a quiet room
+_LEAST_S = 5.0  # below that, what is seen is the noise of the readings
+_EVERY_S = 0.5
+_SHIFT_PER_KELVIN = 1e-7  # of a cut near its turnover: the baseline's walk is made of as much
+_OVER = 0.5  # of the limit, below which it counts as at rest again
+
+
+class DriftWatch:
+    """Compares the common mode with itself ten seconds ago.
+
+    The baseline is a random walk of 1e-8 in a second (relative frequency); a plate whose common mode moves by more than
+    five standard deviations of that is warmed or cooled, or its reference wanders. What is followed so fast lags
+    behind, and what is held under a touch is soon off by more than is stated. A common mode that does not change is one
+    that is held: it tells nothing, and the time until it is measured again is granted to the walk.
+    """
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[float, tuple[float, ...]]] = deque()
+        self._drifting = False
+
+    def reset(self) -> None:
+        self._seen.clear()
+        self._drifting = False
+
+    def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> str:
+        """Take the common mode, one number a channel, and the plate's temperature, each NaN where it is not known.
+
+        Returns how the baseline drifts, "" while it does not.
+        """
+        told = (*common_mode, _SHIFT_PER_KELVIN * plate_kelvin)
+        if all(map(math.isnan, told)):
+            self.reset()
+            return ""
+        if self._seen and 0 <= time_s - self._seen[-1][0] < _EVERY_S:
+            return self._told
+        if self._seen:
+            last_s, last = self._seen[-1]
+            if time_s < last_s:
+                self.reset()
+            elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(told, last, strict=True)):
+                return self._told
+        self._seen.append((time_s, told))
+        while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:
+            self._seen.popleft()
+        self._judge()
+        return self._told
+
+    def _judge(self) -> None:
+        (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
+        moved = [abs(now - then) for now, then in zip(last, first, strict=True) if not math.isnan(now - then)]
+        if last_s - first_s < _LEAST_S or not moved:
+            return
+        self._moved, self._span_s = max(moved), last_s - first_s
+        limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
+        self._drifting = self._moved > limit * (_OVER if self._drifting else 1.0)
+
+    @property
+    def _told(self) -> str:
+        if not self._drifting:
+            return ""
+        rate = self._moved / self._span_s
+        limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
+        return (
+            f"the baseline moves by {rate * 1e6:.2g} ppm/s, {self._moved * 1e6:.2g} ppm in {self._span_s:.0f} s, where "
+            f"at most {limit * 1e6:.2g} ppm are explained: the plate is warmed or cooled, or its reference wanders"
+        )

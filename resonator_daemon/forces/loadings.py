@@ -1,0 +1,111 @@
+"""What a calibration with known masses collects, and what the sites felt meanwhile."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.arrays import Floats, Indices
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Steps:
+    """Every change of the load on a site, taking masses off included.
+
+    `pressing` tells which masses lie on the site from `since_s` until the site's next step. `common_std` is the
+    standard deviation, relative, of what shifts all channels alike for as long as the step lasts: the held common mode.
+    """
+
+    site: Indices  # (t,)
+    since_s: Floats  # (t,)
+    pressing: NDArray[np.bool_]  # (t, masses)
+    common_std: Floats  # (t,)
+    plate_kelvin: Floats  # (t,), NaN where not known
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Readings:
+    """Readings y = 1 - f0 / f against the plate file's f0, common mode taken out; only those that heard all channels.
+
+    Both standard deviations are relative and independent from reading to reading: `noise_std` that of the counter, of
+    each channel alone, `oscillator_std` of all channels alike.
+    """
+
+    step: Indices  # (n,)
+    time_s: Floats  # (n,)
+    shift: Floats  # (n, channels)
+    noise_std: Floats  # (n, channels)
+    oscillator_std: Floats  # (n,)
+
+    def of_steps(self, wanted: NDArray[np.bool_]) -> "Readings":
+        """Return the readings of those steps (t,) that are wanted."""
+        used = wanted[self.step]
+        return Readings(
+            self.step[used], self.time_s[used], self.shift[used], self.noise_std[used], self.oscillator_std[used]
+        )
+
+
+def check_loadings(mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
+    """Raise ValueError for arrays that do not belong together, and for numbers that no calibration gives."""
+    masses, count, channels = len(mass_newton), len(steps.site), readings.shift.shape[-1]
+    shapes = {
+        "mass_std": (mass_std, (masses,)),
+        "since_s": (steps.since_s, (count,)),
+        "pressing": (steps.pressing, (count, masses)),
+        "common_std": (steps.common_std, (count,)),
+        "plate_kelvin": (steps.plate_kelvin, (count,)),
+        "time_s": (readings.time_s, readings.step.shape),
+        "shift": (readings.shift, (len(readings.step), channels)),
+        "noise_std": (readings.noise_std, (len(readings.step), channels)),
+        "oscillator_std": (readings.oscillator_std, readings.step.shape),
+    }
+    for name, (array, shape) in shapes.items():
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, {shape} is needed")
+    for name, positive in (("mass_newton", mass_newton), ("mass_std", mass_std), ("noise_std", readings.noise_std)):
+        if not (np.isfinite(positive) & (positive > 0)).all():
+            raise ValueError(f"{name} must be finite and above 0")
+    for name, std in (("common_std", steps.common_std), ("oscillator_std", readings.oscillator_std)):
+        if not (np.isfinite(std) & (std >= 0)).all():
+            raise ValueError(f"{name} must be finite and at least 0")
+    if not (np.isfinite(readings.shift).all() and np.isfinite(readings.time_s).all()):
+        raise ValueError("shift and time_s must be finite; leave out readings that did not hear all channels")
+    if not len(readings.step):
+        raise ValueError("no readings; at least one is needed")
+    if not steps.pressing[readings.step].any(axis=1).all():
+        raise ValueError("a reading of a step without a mass; a site is read only while it is pressed")
+    if (readings.time_s < steps.since_s[readings.step]).any():
+        raise ValueError("a reading is earlier than its step")
+
+
+def felt_newton(
+    steps: Steps,
+    force_newton: Floats,
+    readings: Readings,
+    hysteresis_newton: float,
+    creep_fraction: float,
+    creep_time_s: float,
+) -> Floats:
+    """Force (n,) that the site felt at each reading, of steps of `force_newton` (t,) on sites that had rested.
+
+    The model is that of SiteResponse. A step is sudden: play depends on where a force turns, not on how fast it moves.
+    """
+    play = np.zeros(len(steps.site))
+    crept = np.zeros(len(steps.site))  # at the start of the step
+    last: dict[int, int] = {}
+    for step in np.argsort(steps.since_s, kind="stable").tolist():
+        newton, z, u = float(force_newton[step]), 0.0, 0.0
+        before = last.get(int(steps.site[step]))
+        if before is not None:
+            passed_s = float(steps.since_s[step] - steps.since_s[before])
+            u = float(force_newton[before])
+            u += (float(crept[before]) - u) * math.exp(-passed_s / creep_time_s)
+            z = float(play[before])
+        play[step] = min(max(z, newton - hysteresis_newton), newton + hysteresis_newton)
+        crept[step] = u
+        last[int(steps.site[step])] = step
+    at = readings.step
+    force = force_newton[at]
+    creep = force + (crept[at] - force) * np.exp((steps.since_s[at] - readings.time_s) / creep_time_s)
+    return (1.0 - creep_fraction) * (force + play[at]) / 2.0 + creep_fraction * creep

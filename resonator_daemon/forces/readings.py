@@ -1,0 +1,77 @@
+"""What a chain tells of one window: forces and contacts of force sites, signals of a skin, and what was compensated."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from resonator_daemon.arrays import Floats
+from resonator_daemon.forces.contacts import Contact, ContactEvent
+from resonator_daemon.forces.site_identification import SiteForce
+
+SensorStatus = Literal[
+    "ok",
+    "settling",
+    "no_signal",
+    "pilot_lost",
+    "pressed_at_start",
+    "ambiguous",
+    "rejected",
+    "overload",
+    "possibly_more",
+    "uncalibrated",
+]
+
+
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each reading
+class Compensation:
+    """What was taken out of the frequencies before they became forces.
+
+    `common_mode` is the relative frequency error taken out of each channel, `common_mode_std` what it may be off by.
+    `baseline` says how it is known: "followed" from an untouched plate or from untouched tones, "held" during a touch,
+    "unknown". `plate_kelvin` is the plate's temperature against its calibration's as tones tell it, NaN where none
+    does. `response` says whether hysteresis and creep are taken out.
+    """
+
+    common_mode: tuple[float, ...]
+    common_mode_std: float
+    baseline: Literal["followed", "held", "unknown"]
+    plate_kelvin: float
+    plate_kelvin_std: float
+    response: Literal["on", "off"]
+
+
+@dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each step
+class ForceReading:
+    """Forces and contacts from one window; NaN or absent where not known, `status` and `reason` say why.
+
+    `board_ticks` is the end of the last gate in the window. `at_step` is false between two steps, where only events
+    are news. `beats` are channels whose tone beats with the counter's reference: their noise counts for more.
+    """
+
+    sequence: int
+    board_ticks: int
+    window_s: float
+    at_step: bool
+    status: SensorStatus
+    reason: str
+    sites: tuple[SiteForce, ...]
+    contacts: tuple[Contact, ...]
+    events: tuple[ContactEvent, ...]
+    compensation: Compensation
+    beats: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SkinReading:
+    """Signals of one frame, the dimensionless triple [3 p_n / (2 E), eps_xz, eps_yz] and its noise, both (3, sites).
+
+    `board_ticks` is the end of the gate. NaN where not known, `status` and `reason` say why.
+    """
+
+    sequence: int
+    board_ticks: int
+    window_s: float
+    status: SensorStatus
+    reason: str
+    signals: Floats
+    noise_std: Floats
+    common_mode: float

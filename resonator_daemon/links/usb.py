@@ -1,0 +1,231 @@
+"""The USB link: finding and claiming a board, and a stream of bytes over its two bulk endpoints."""
+
+import errno
+import os
+import time
+from array import array
+from contextlib import suppress
+from typing import Any
+
+from usb.core import USBError, USBTimeoutError
+
+from firmware_protocol.layouts import PROTOCOL_MAJOR
+from resonator_daemon.config import UsbLink
+from resonator_daemon.links.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, took_no_bytes
+from resonator_daemon.links.port_holders import Holders, port_holders
+from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
+from resonator_daemon.links.usb_transfers import BulkReader, Failure
+
+_ENDPOINT_OUT, _ENDPOINT_IN = 0x01, 0x81
+_BEGIN = (0x41, 0x01)  # bmRequestType, bRequest; vendor, to the interface
+_BEGIN_TIMEOUT_MS = 1000
+_END_TRANSFERS_S = 0.5
+_HALTS_IN_A_ROW = 3  # after which the device is taken for one that cannot recover
+_WHAT_FAILED = {
+    Failure.ERROR: "transfer errors",
+    Failure.TIMED_OUT: "timeouts",
+    Failure.STALL: "stalls",
+    Failure.OVERFLOW: "packets larger than they may be",
+}
+
+
+def open_usb(target: UsbLink) -> "UsbBulkLink":
+    """Find the board, claim it for this process alone and have it begin anew.
+
+    Raises
+    ------
+    LinkUnavailableError
+        No such board, more than one, no permission, claimed by another program, or no libusb.
+    """
+    board = _find(target)
+    backend = usb_backend()
+    try:
+        handle = backend.open_device(board.device)
+    except FAILURES as error:
+        raise LinkUnavailableError(_why_not(board, error)) from error
+    try:
+        # Setting the configuration anew would be a light reset, and fails while other interfaces are in use.
+        if backend.get_configuration(handle) != board.configuration:
+            backend.set_configuration(handle, board.configuration)
+        backend.claim_interface(handle, board.interface)
+        _begin(backend, handle, board)
+    except FAILURES as error:
+        backend.close_device(handle)  # which releases what was claimed
+        raise LinkUnavailableError(_why_not(board, error)) from error
+    except LinkUnavailableError:
+        backend.close_device(handle)
+        raise
+    return UsbBulkLink(backend, handle, board, may_reset=target.reset)
+
+
+class UsbBulkLink:
+    """An open board. Where transfers stop for any reason but the board's going, they are taken up again."""
+
+    def __init__(self, backend: Any, handle: Any, board: UsbBoard, *, may_reset: bool) -> None:
+        self._backend = backend
+        self._handle = handle
+        self._board = board
+        self._may_reset = may_reset
+        self._lost: str | None = None
+        self._halts_in_a_row = 0
+        self._reader = BulkReader(backend, handle, _ENDPOINT_IN)
+        self._reader.start()
+
+    @property
+    def overruns(self) -> int:
+        """Always 0: a device waits until the host asks."""
+        return 0
+
+    def read(self, timeout_s: float) -> bytes:
+        self._check()
+        deadline = time.monotonic() + timeout_s
+        while True:
+            if data := self._reader.take():
+                self._halts_in_a_row = 0
+                return data
+            if self._reader.failure is not None:
+                self._recover(self._reader.failure)
+            left_s = deadline - time.monotonic()
+            if left_s <= 0.0 and timeout_s > 0.0:
+                return b""
+            self._reader.wait(left_s)
+            if timeout_s <= 0.0:
+                return self._reader.take()
+
+    def write(self, data: bytes) -> None:
+        self._check()
+        deadline = time.monotonic() + WRITE_TIMEOUT_S
+        while data:
+            left_ms = int((deadline - time.monotonic()) * 1e3)
+            if left_ms <= 0:  # libusb would take 0 for ever
+                raise took_no_bytes()
+            try:
+                data = data[self._write_some(data, left_ms) :]
+            except USBTimeoutError:
+                continue
+            except FAILURES as error:
+                if _number(error) != errno.EPIPE:
+                    raise self._lose(_unplugged(error)) from error
+                self._clear_halt(_ENDPOINT_OUT)
+
+    def reset(self) -> None:
+        """Reset the device where the configuration allows that; it comes back anew, and this link is lost."""
+        self._check()
+        if not self._may_reset:
+            return
+        self._reader.stop(_END_TRANSFERS_S)
+        try:
+            self._backend.reset_device(self._handle)
+        except NotImplementedError as error:
+            raise self._lose(f"the device cannot be reset here ({error})") from error
+        except USBError:
+            pass  # it is gone, or comes back as another device: either way this link is over
+        raise self._lose("the device was reset")
+
+    def close(self) -> None:
+        if self._handle is None:
+            return
+        handle, self._handle = self._handle, None
+        self._lost = self._lost or "closed here"
+        if self._reader.close(_END_TRANSFERS_S):
+            with suppress(*FAILURES):
+                self._backend.release_interface(handle, self._board.interface)
+            self._backend.close_device(handle)
+
+    def _write_some(self, data: bytes, timeout_ms: int) -> int:
+        written = self._backend.bulk_write(
+            self._handle, _ENDPOINT_OUT, self._board.interface, array("B", data), timeout_ms
+        )
+        return int(written)
+
+    def _recover(self, failure: Failure) -> None:
+        """End what is in flight, clear the endpoint's halt and go on."""
+        if failure is Failure.NO_DEVICE:
+            raise self._lose("unplugged (no such device)")
+        if not self._reader.stop(_END_TRANSFERS_S):
+            raise self._lose("the USB driver does not give transfers back")
+        self._clear_halt(_ENDPOINT_IN)
+        if self._halts_in_a_row > _HALTS_IN_A_ROW:
+            raise self._lose(f"the board answers with {_WHAT_FAILED[failure]} again and again")
+        self._reader.start()
+
+    def _clear_halt(self, endpoint: int) -> None:
+        self._halts_in_a_row += 1
+        try:
+            self._backend.clear_halt(self._handle, endpoint)
+        except FAILURES as error:
+            raise self._lose(_unplugged(error)) from error
+
+    def _lose(self, reason: str) -> LinkLostError:
+        self._lost = reason
+        return LinkLostError(reason)
+
+    def _check(self) -> None:
+        if self._lost is not None:
+            raise LinkLostError(self._lost)
+
+
+def _find(target: UsbLink) -> UsbBoard:
+    boards = present_boards()
+    alike = [board for board in boards if (board.vendor_id, board.product_id) == (target.vendor_id, target.product_id)]
+    found = [board for board in alike if target.serial_number in (None, board.serial_number)]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise LinkUnavailableError(f"{len(found)} boards are {target}; say which: {_links(found)}")
+    for board in alike:
+        if board.serial_number is None and not os.access(board.node, os.R_OK | os.W_OK):
+            raise LinkUnavailableError(_not_permitted(board))
+    present = f"present: {_links(boards)}" if boards else "no board is on any USB bus"
+    raise LinkUnavailableError(f"no board is {target}; {present}")
+
+
+def _links(boards: list[UsbBoard]) -> str:
+    return ", ".join(board.link for board in boards)
+
+
+def _begin(backend: Any, handle: Any, board: UsbBoard) -> None:
+    try:
+        backend.ctrl_transfer(handle, *_BEGIN, PROTOCOL_MAJOR, board.interface, array("B"), _BEGIN_TIMEOUT_MS)
+    except USBTimeoutError as error:
+        reason = f"{board.link} does not begin anew within {_BEGIN_TIMEOUT_MS} ms; plug it in again"
+        raise LinkUnavailableError(reason) from error
+    except USBError as error:
+        if error.errno != errno.EPIPE:
+            raise
+        reason = f"{board.link} refuses to begin with protocol {PROTOCOL_MAJOR}; its firmware may speak another one"
+        raise LinkUnavailableError(reason) from error
+
+
+def _why_not(board: UsbBoard, error: Exception) -> str:
+    match _number(error):
+        case errno.EACCES | errno.EPERM:
+            return _not_permitted(board)
+        case errno.EBUSY:
+            return f"{board.link} is held by {_others(port_holders(board.node))}; close it there"
+        case errno.ENODEV | errno.ENOENT:
+            return f"{board.link} went away while it was opened"
+        case _:
+            return f"{board.link} cannot be opened: {reason_of(error)}"
+
+
+def _not_permitted(board: UsbBoard) -> str:
+    return (
+        f"{board.node} ({board.vendor_id:04x}:{board.product_id:04x}) may not be opened by this user; put "
+        f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{board.vendor_id:04x}", ATTR{{idProduct}}=="{board.product_id:04x}", '
+        'GROUP="resonatord", MODE="0660" into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` '
+        "does for boards of its ids), join the group resonatord and plug it in again"
+    )
+
+
+def _others(holders: Holders) -> str:
+    others = Holders(tuple(holder for holder in holders.processes if holder.pid != os.getpid()), holders.all_seen)
+    return str(others) or "another program"
+
+
+def _number(error: Exception) -> int | None:
+    return getattr(error, "errno", None)
+
+
+def _unplugged(error: Exception) -> str:
+    return f"unplugged ({reason_of(error)})"

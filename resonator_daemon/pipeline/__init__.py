@@ -1,0 +1,1 @@
+"""Session events to messages, without a clock; live and from a recording alike."""

@@ -1,0 +1,87 @@
+"""The sensor's state from the readings' status: what lasts is said, what passes within a touch is not."""
+
+import math
+from collections.abc import Callable, Sequence
+
+from resonator_daemon.forces.drift_watch import DriftWatch
+from resonator_daemon.publishing.payloads import Condition
+
+_LASTS_NS = 250_000_000  # a touch changes the captured tone and has no reading for one window
+
+_CONDITIONS = {
+    "pressed_at_start": Condition.PRESSED_AT_START,
+    "pilot_lost": Condition.STALLED,
+    "no_signal": Condition.STALLED,
+}
+
+
+class SensorState:
+    """Follows readings and announces each change of condition once.
+
+    Parameters
+    ----------
+    announce
+        Called with condition, reason and the UTC nanoseconds since when.
+    well
+        The reason to give while nothing is wrong: what the sensor reads.
+    """
+
+    def __init__(self, announce: Callable[[Condition, str, int], None], well: str) -> None:
+        self._announce = announce
+        self._good = self._well = well
+        self._expiry = ""
+        self._drift = DriftWatch()
+        self._current: tuple[Condition, str] | None = None
+        self._candidate: tuple[Condition, str] | None = None
+        self._candidate_since_ns = self._since_utc_ns = 0
+
+    def explain(self, note: str) -> None:
+        """Add to the reason of a sensor that is well; "" takes the addition back."""
+        before = self._best
+        self._good = f"{self._well}; {note}" if note else self._well
+        if self._current == before:
+            self._become(self._best, self._since_utc_ns)
+
+    def calibration(self, expiry: str, utc_ns: int) -> None:
+        """Say why the calibration no longer holds; "" while it does. To be repeated: it comes with time."""
+        if expiry != self._expiry:
+            before, self._expiry = self._best, expiry
+            if self._current == before:
+                self._become(self._best, utc_ns)
+
+    @property
+    def _best(self) -> tuple[Condition, str]:
+        """The state of a sensor whose frames tell of nothing wrong."""
+        return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
+
+    def no_frames(self, reason: str, utc_ns: int) -> None:
+        """Say that nothing comes which could be judged."""
+        waiting = self._current is not None and self._current[0] is Condition.WAITING
+        self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
+
+    def update(
+        self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int, plate_kelvin: float = math.nan
+    ) -> None:
+        """Take one reading's status and baseline; before the first judgement it counts at once."""
+        learnt = not all(map(math.isnan, common_mode))
+        drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
+        if (condition := _CONDITIONS.get(status)) is None:
+            if drift:
+                condition, reason = Condition.DRIFTING, drift
+            else:
+                condition, reason = self._best if learnt else (Condition.STARTING, reason)
+        seen = (condition, reason)
+        if self._current is not None and condition == self._current[0]:
+            self._candidate = None
+            return
+        if self._candidate is None or self._candidate[0] != condition:
+            self._candidate, self._candidate_since_ns = seen, utc_ns
+        waited = self._current is None or self._current[0] in (Condition.WAITING, Condition.STARTING)
+        if waited or utc_ns - self._candidate_since_ns >= _LASTS_NS:
+            self._become(seen, self._candidate_since_ns)
+
+    def _become(self, state: tuple[Condition, str], since_utc_ns: int) -> None:
+        if state != self._current:
+            self._current, self._candidate = state, None
+            self._since_utc_ns = since_utc_ns
+            self._announce(*state, since_utc_ns)

@@ -1,1 +1,0 @@
-"""A recording as what was measured and published: the same on every run."""

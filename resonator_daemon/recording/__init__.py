@@ -1,0 +1,1 @@
+"""Recordings of the events on a link: writer, rotation, recovery, reader."""

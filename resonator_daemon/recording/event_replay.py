@@ -1,0 +1,218 @@
+"""Has a recorded link happen again, event by event, and says where what follows is not what followed then."""
+
+import logging
+import os
+import time
+from collections.abc import Callable
+
+from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.recording.reader import Recording
+from resonator_daemon.session.compatibility import BoardRefusedError
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import (
+    Closed,
+    Goodbye,
+    Locate,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Skipped,
+    Standing,
+    Steered,
+    Tended,
+    WireEvent,
+)
+from resonator_daemon.session.link_state_machine import LinkCourse
+
+log = logging.getLogger(__name__)
+
+_AT_ONCE_S = 1e-3  # a wait takes longer than this
+
+
+class Pace:
+    """Lets recorded time pass as fast as it did.
+
+    Parameters
+    ----------
+    wait
+        Waits for so many seconds, or less.
+    stopped
+        Whether to go on at all.
+    """
+
+    def __init__(self, wait: Callable[[float], object], stopped: Callable[[], bool]) -> None:
+        self._wait = wait
+        self._stopped = stopped
+        self._ahead_ns: int | None = None  # of recorded time before the present
+
+    def __call__(self, recorded: HostTime) -> bool:
+        """Wait until it is `recorded`'s turn; return False if nothing is wanted any more."""
+        if self._ahead_ns is None:
+            self._ahead_ns = time.monotonic_ns() - recorded.monotonic_ns
+        while not self._stopped():
+            left_s = (recorded.monotonic_ns + self._ahead_ns - time.monotonic_ns()) * 1e-9
+            if left_s < _AT_ONCE_S:
+                return True
+            self._wait(left_s)
+        return False
+
+
+def replay(recording: Recording, course: LinkCourse, pace: Callable[[HostTime], bool]) -> int:
+    """Apply the events of a recording; at the end the link is lost, for the reason that the recording is over.
+
+    Parameters
+    ----------
+    course
+        Has no link open.
+    pace
+        Is handed the time of each event and may wait; returns False to end the replay where it is.
+
+    Returns
+    -------
+    int
+        How often what followed was not what is recorded; 0 where nothing of the recording is missing.
+    """
+    again = Replay(recording, course)
+    for event in recording.events():
+        if not pace(event.now):
+            again.close(event.now)
+            return again.differences
+        again.apply(event)
+    again.end()
+    return again.differences
+
+
+class Replay:
+    """Applies the events of a recording, and compares what the connection does with what it did.
+
+    Parameters
+    ----------
+    recording
+        Whose events are handed to `apply`, in order.
+    course
+        Has no link open.
+
+    Attributes
+    ----------
+    differences
+        How often what followed was not what is recorded; 0 where nothing of the recording is missing.
+    """
+
+    def __init__(self, recording: Recording, course: LinkCourse) -> None:
+        self._recording = recording
+        self._course = course
+        self._raised: BoardRefusedError | LinkLostError | None = None
+        self._begun: HostTime | None = None
+        self._now = HostTime(0, 0, 0)
+        self._reading = False
+        self._astray = True  # how the link stands is not known
+        self._first = ""
+        self.differences = 0
+
+    def apply(self, event: WireEvent) -> None:
+        if self._begun is None:
+            self._begun = event.now
+        self._now = event.now
+        match event:
+            case Received() | Tended() if self._raised is None and self._course.connection is not None:
+                # What of all events nearly every one is. It was sent before the link was read again; one reading may
+                # have come in pieces.
+                if event.idle if isinstance(event, Tended) else not self._reading:
+                    self._compare_sent(event, b"")
+                self._reading = isinstance(event, Received)
+                self._take(event)
+            case Said() | Skipped() | Steered():
+                self._take(event)
+                if isinstance(event, Skipped):
+                    self._astray = True
+                    self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
+            case Standing():
+                # Told again and again, for whoever has not read what was before.
+                if self._astray and self._course.connection is None:
+                    self._take(event)
+                self._astray = False
+            case Opened():
+                if self._course.connection is not None:
+                    self._differ(event, "the link is opened twice")
+                    self.close(event.now)
+                self._course.apply(event)
+            case _ if self._course.connection is None:
+                self._differ(event, "the link is not open")
+            case Lost() | Refused():
+                self._compare_end(event)
+                self._course.apply(event)
+            case Closed():
+                self.close(event.now)
+            case _ if self._raised is not None:
+                self._differ(event, f"the link would have been closed: {self._raised}")
+            case Sent():
+                self._take(event)
+                self._compare_sent(event, event.data)
+            case Overrun() | Goodbye() | Locate():
+                self._reading = False
+                self._take(event)
+
+    def _take(self, event: WireEvent) -> None:
+        try:
+            self._course.apply(event)
+        except (BoardRefusedError, LinkLostError) as error:
+            self._raised = error
+        except ValueError as error:  # no daemon has events in such an order; whoever made the file may
+            self._differ(event, f"it cannot follow: {error}")
+
+    def end(self) -> WireEvent:
+        """Have the link be lost, for the reason that the recording is over; returns that event."""
+        self.close(self._now)
+        name, damage = os.path.basename(self._recording.path), self._recording.damage
+        sentences = [f"the recording {name} is over"]
+        if damage is not None:
+            sentences.append(f"its file is {damage}; all before that was replayed")
+        if self.differences:
+            sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
+        over = Said(self._now, "lost", "; ".join(sentences))
+        self._course.apply(over)
+        return over
+
+    def close(self, now: HostTime) -> None:
+        """Close what is open."""
+        self._raised = None
+        if self._course.connection is not None:
+            self._course.apply(Closed(now))
+
+    def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
+        connection = self._course.connection
+        if connection is None or connection.follows:
+            return
+        wanted = connection.data_to_send()
+        if wanted != sent:
+            self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")
+
+    def _compare_end(self, event: Lost | Refused) -> None:
+        raised, self._raised = self._raised, None
+        match event, raised:
+            case (Lost(), None):
+                return  # the link itself went away
+            case (Lost(), LinkLostError()):
+                as_recorded = str(raised) == event.reason
+            case (Refused(), BoardRefusedError()):
+                as_recorded = raised.refused.problems == event.problems
+            case _:
+                as_recorded = False
+        if not as_recorded:
+            now = raised or "nothing is wrong"
+            self._differ(event, f"the link was closed, {'; '.join(_reasons(event))}; now: {now}")
+
+    def _differ(self, event: WireEvent, what: str) -> None:
+        self.differences += 1
+        if self.differences == 1 and self._begun is not None:
+            at_s = (event.now.monotonic_ns - self._begun.monotonic_ns) * 1e-9
+            self._first = f"{at_s:.3f} s after its beginning: {what}"
+            log.warning("replay differs from the recording %s, %s", self._recording.path, self._first)
+
+
+def _reasons(event: Lost | Refused) -> tuple[str, ...]:
+    return (event.reason,) if isinstance(event, Lost) else event.problems

@@ -1,0 +1,215 @@
+"""The files of a recording that goes on and on: their names, when the next begins, and the room they may take."""
+
+import fcntl
+import logging
+import os
+import re
+import shutil
+import stat
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from mcap.stream_reader import StreamReader
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.recording.reader import MAX_RECORD_BYTES, Origin, read_header
+from resonator_daemon.recording.writer import RecordingWriter
+
+_MS_NS: Final = 1_000_000
+_EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
+_STAMP: Final = r"\d{8}T\d{6}\.\d{3}Z"
+_AGAIN: Final = 1.1  # so much more room lets a recording go on that ended for want of it
+
+Say = Callable[[int, str], None]
+
+
+def say_nothing(_level: int, _text: str) -> None:
+    """Take a line that nobody wants to read."""
+
+
+_Version = tuple[int, int, int]
+
+
+class NoRoomError(OperatorError):
+    """The disk has less room than is to be kept free."""
+
+
+@dataclass(frozen=True)
+class Series:
+    """Where the files of a recording go, and how large they get; what is None has no bound.
+
+    Parameters
+    ----------
+    directory
+        Is made where it is missing.
+    name
+        Each file's name begins with it; the time of the file's beginning follows.
+    label
+        Ends each file's name.
+    file_max_bytes, file_max_ns
+        Size and time after which the next file begins.
+    budget_bytes
+        Of all recordings of this name in the directory; the oldest are removed.
+    keep_free_bytes
+        With less room on the disk nothing is recorded.
+    resumes
+        A recording that the disk has ended goes on in a new file, as soon as it can.
+    """
+
+    directory: Path
+    name: str
+    label: str | None = None
+    file_max_bytes: int | None = None
+    file_max_ns: int | None = None
+    budget_bytes: int | None = None
+    keep_free_bytes: int = 0
+    resumes: bool = False
+
+    def is_over(self, file: RecordingWriter, now_ns: int) -> bool:
+        """Return whether the next file is to begin."""
+        if not file.begun:
+            return False
+        too_large = self.file_max_bytes is not None and file.size_bytes >= self.file_max_bytes
+        return too_large or (self.file_max_ns is not None and now_ns - file.begun_ns >= self.file_max_ns)
+
+    def make(self, origin: Origin, utc_ns: int) -> RecordingWriter:
+        """Make the file that begins now.
+
+        Raises
+        ------
+        OperatorError
+            It cannot be made.
+        """
+        try:
+            self.directory.mkdir(parents=True, exist_ok=True)
+            while os.path.lexists(path := self.path(utc_ns)):  # of a time before the host's clock was set back
+                utc_ns += _MS_NS
+        except OSError as error:
+            raise OperatorError(f"{self.directory} cannot be made: {error.strerror}") from error
+        return RecordingWriter(path, origin, utc_ns)
+
+    def files(self) -> list[Path]:
+        """Return what has the name of a file of this name, oldest first."""
+        pattern = re.compile(rf"{re.escape(self.name)}-({_STAMP})(-[A-Za-z0-9_-]+)?\.mcap")
+        found = ((pattern.fullmatch(path.name), path) for path in self.directory.iterdir())
+        return [path for _, path in sorted((match[1], path) for match, path in found if match)]
+
+    def path(self, utc_ns: int) -> Path:
+        """Return the file that begins then."""
+        begun = _EPOCH + timedelta(milliseconds=utc_ns // _MS_NS)
+        stamp = f"{begun:%Y%m%dT%H%M%S}.{begun.microsecond // 1000:03d}Z"
+        return self.directory / ("-".join(filter(None, (self.name, stamp, self.label))) + ".mcap")
+
+
+class Room:
+    """The room that the recordings of one name take and leave.
+
+    Parameters
+    ----------
+    say
+        Is told what is removed, and what cannot be.
+
+    Attributes
+    ----------
+    files_removed : int
+        Since this was made.
+    """
+
+    def __init__(self, series: Series, say: Say) -> None:
+        self._series = series
+        self._say = say
+        self._others_bytes: int | None = None  # None: not counted yet
+        self._told: set[Path] = set()
+        self._ours: dict[Path, tuple[_Version, bool]] = {}  # whether a file says that it is of this name
+        self.files_removed = 0
+
+    def check(self, *, again: bool) -> None:
+        """Check what is left on the disk; where it was too little before, a tenth more is wanted.
+
+        Raises
+        ------
+        NoRoomError
+            It is too little.
+        OperatorError
+            The directory cannot be made.
+        """
+        directory, keep_bytes = self._series.directory, self._series.keep_free_bytes
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+            free_bytes = shutil.disk_usage(directory).free
+        except OSError as error:
+            raise OperatorError(f"{directory} cannot be used: {error.strerror}") from error
+        if free_bytes < keep_bytes * (_AGAIN if again else 1.0):
+            raise NoRoomError(
+                f"{directory} has {free_bytes / 1e6:.0f} MB left, and {keep_bytes / 1e6:.0f} MB are kept free "
+                "(keep_free_mb in [recording]); make room on that disk"
+            )
+
+    def begin(self) -> None:
+        """Count anew what is there; a new file has begun."""
+        self._others_bytes = None
+
+    def keep_budget(self, own: RecordingWriter) -> None:
+        """Remove the oldest files until all of them, with the one that is being written, fit the budget."""
+        budget_bytes = self._series.budget_bytes
+        if budget_bytes is None:
+            return
+        if self._others_bytes is not None and self._others_bytes + own.size_bytes <= budget_bytes:
+            return
+        others = dict(self._sizes(own.path))
+        total_bytes = sum(others.values()) + own.size_bytes
+        for path, size_bytes in others.items():
+            if total_bytes <= budget_bytes:
+                break
+            if self._remove(path):
+                self.files_removed += 1
+                self._say(logging.INFO, f"{path} was removed: recordings exceeded {budget_bytes / 1e6:g} MB")
+                total_bytes -= size_bytes
+        self._others_bytes = total_bytes - own.size_bytes
+
+    def _sizes(self, own: Path) -> Iterator[tuple[Path, int]]:
+        known, self._ours = self._ours, {}
+        for path in self._series.files():
+            if path == own:
+                continue
+            try:
+                info = path.lstat()
+                if not stat.S_ISREG(info.st_mode):
+                    continue
+                version = (info.st_ino, info.st_size, info.st_mtime_ns)
+                before = known.get(path)
+                ours = before[1] if before is not None and before[0] == version else self._is_ours(str(path))
+            except OSError:
+                continue  # gone meanwhile, or nobody's business
+            self._ours[path] = version, ours
+            if ours:
+                yield path, info.st_size
+
+    def _remove(self, path: Path) -> bool:
+        """Remove a recording of this name that nobody writes; return whether it was one, and is gone."""
+        try:
+            with path.open("rb") as file:
+                if not self._is_ours(file.name):
+                    return False
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                os.unlink(path)
+        except BlockingIOError:
+            return False  # it is being written
+        except OSError as error:
+            if path not in self._told:
+                self._told.add(path)
+                self._say(logging.WARNING, f"{path} cannot be removed: {error.strerror}")
+            return False
+        return True
+
+    def _is_ours(self, path: str) -> bool:
+        with open(path, "rb") as file:
+            records = StreamReader(file, record_size_limit=MAX_RECORD_BYTES).records
+            try:
+                return read_header(path, records).get("name") == self._series.name
+            except LinkUnavailableError:
+                return False

@@ -1,0 +1,35 @@
+"""What waits to be written to a recording."""
+
+from typing import Final
+
+from resonator_daemon.recording.reader import Mark
+from resonator_daemon.recording.writer import Published
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.link_events import Received, Sent, Standing, WireEvent
+
+EVENT_BYTES: Final = 300  # of memory, beside its data
+
+_STANDING_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
+
+Item = WireEvent | Mark | BoardOnline | Published
+
+
+class State(Published):
+    """A message of a topic whose last one counts."""
+
+
+def size_bytes(item: Item) -> int:
+    """Return about what an item takes of memory while it waits."""
+    match item:
+        case Received() | Sent():
+            return EVENT_BYTES + len(item.data)
+        case Mark():
+            return EVENT_BYTES + len(item.text)
+        case Published():
+            return EVENT_BYTES + len(item.payload)
+        case Standing():
+            return _STANDING_BYTES
+        case BoardOnline():
+            return 0
+        case _:
+            return EVENT_BYTES

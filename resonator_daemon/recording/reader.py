@@ -1,0 +1,320 @@
+"""The file of a recording: an MCAP container with one message for each event on a link; read in order."""
+
+import hashlib
+import json
+import logging
+import os
+import stat
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import chain
+from types import TracebackType
+from typing import IO, Final, NamedTuple, Self
+
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Header, McapRecord, Metadata
+
+from resonator_daemon.host.printable import printable
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.plate import Plate
+from resonator_daemon.recording.mcap_attachments import DamagedAttachment
+from resonator_daemon.recording.mcap_messages import ChunkReader, messages
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import WireEvent, decode
+
+log = logging.getLogger(__name__)
+
+PROFILE = "resonatord"
+FORMAT = "2"
+TOPIC = "wire"
+ENCODING = "application/octet-stream"
+RECORDING, BOARD = "recording", "board"  # metadata of the file
+PLATE_FILE, SETTINGS_FILE = "plate.toml", "settings.toml"  # attachments
+
+MARKS = "marks"
+JSON_ENCODING, JSON_SCHEMA_ENCODING = "json", "jsonschema"
+# One of the schemas that viewers of such files show as lines of text, in their place in time.
+MARK_SCHEMA = "foxglove.Log"
+MARK_SCHEMA_DATA: Final = {
+    "title": MARK_SCHEMA,
+    "type": "object",
+    "properties": {
+        "timestamp": {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}},
+        "level": {"type": "integer"},
+        "message": {"type": "string"},
+        "name": {"type": "string"},
+        "file": {"type": "string"},
+        "line": {"type": "integer"},
+    },
+}
+_INFO_LEVEL = 2
+
+MAX_RECORD_BYTES = 64 << 20  # of MCAP; a chunk ends with the event that fills it
+# What mcap, lz4 and `decode` raise about bytes that they cannot read.
+DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error, OverflowError, MemoryError, OSError)
+
+
+class Mark(NamedTuple):
+    """What somebody had to say at that time; nothing on the link follows from it."""
+
+    now: HostTime
+    text: str
+
+
+def encode_mark(mark: Mark) -> bytes:
+    """Return the mark as a line of a log."""
+    sec, nsec = divmod(mark.now.utc_ns, 10**9)
+    line = {
+        "timestamp": {"sec": sec, "nsec": nsec},
+        "level": _INFO_LEVEL,
+        "message": mark.text,
+        "name": "mark",
+        "file": "",
+        "line": 0,
+    }
+    return json.dumps(line).encode()
+
+
+def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:
+    """Return the mark that a message of its channel holds; the host's time since boot is not in it."""
+    return Mark(HostTime(monotonic_ns, utc_ns - monotonic_ns, 0), str(json.loads(data)["message"]))
+
+
+def plate_fingerprints(plate: Plate) -> dict[str, str]:
+    """Return what tells plates apart: name, all of the file, and what of it decides what is on the wire."""
+    wire = hashlib.sha256(plate.counter.model_dump_json().encode())
+    wire.update(plate.tones.f0_hz.tobytes())
+    return {
+        "plate": plate.name,
+        "plate_sha256": hashlib.sha256(plate.model_dump_json().encode()).hexdigest(),
+        "wire_sha256": wire.hexdigest(),
+    }
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What is recorded, as the beginning of each file says it.
+
+    Parameters
+    ----------
+    plate, link
+        Those of the board.
+    name, daemon_boot_id
+        Of the daemon whose link it is; None where no daemon runs.
+    config_sha256
+        Tells configurations apart.
+    plate_text, settings_text
+        TOML of the plate file, and of the tables [measurement] and [decoding].
+    """
+
+    plate: Plate
+    link: str
+    name: str | None = None
+    daemon_boot_id: str | None = None
+    config_sha256: str | None = None
+    plate_text: str | None = None
+    settings_text: str | None = None
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """Everything but the texts; what is None is left out."""
+        known = {
+            "format": FORMAT,
+            "link": self.link,
+            "version": version("resonatord"),
+            **plate_fingerprints(self.plate),
+            "name": self.name,
+            "daemon_boot_id": self.daemon_boot_id,
+            "calibration_id": self.plate.calibration.id,
+            "config_sha256": self.config_sha256,
+        }
+        return {key: value for key, value in known.items() if value is not None}
+
+    @property
+    def attachments(self) -> dict[str, str]:
+        """The texts by the names of the attachments that carry them."""
+        texts = {PLATE_FILE: self.plate_text, SETTINGS_FILE: self.settings_text}
+        return {name: text for name, text in texts.items() if text is not None}
+
+
+class Recording:
+    """An open recording.
+
+    Parameters
+    ----------
+    path
+        Names it in messages.
+    header
+        What was known when it was begun.
+    attachments
+        Texts that came with it, by name.
+    damaged_attachments
+        Names, as far as they can be read, of those that are not what was written.
+
+    Attributes
+    ----------
+    damage : str or None
+        Why the events ended before the end, once they have; None where the file is whole.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        file: IO[bytes],
+        header: dict[str, str],
+        attachments: dict[str, str],
+        damaged_attachments: tuple[str, ...],
+        records: Iterator[McapRecord],
+    ) -> None:
+        self.path = path
+        self.header = header
+        self.damaged_attachments = damaged_attachments
+        self._attachments = attachments
+        self._file = file
+        self._records = records
+        self.damage: str | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+    @property
+    def plate_text(self) -> str | None:
+        """The plate file as it was, in TOML; None where the file does not have it whole."""
+        return self._attachments.get(PLATE_FILE)
+
+    @property
+    def settings_text(self) -> str | None:
+        """The tables [measurement] and [decoding] as they were, in TOML; None where they are not whole in the file."""
+        return self._attachments.get(SETTINGS_FILE)
+
+    @property
+    def read_bytes(self) -> int:
+        """How much of the file was read."""
+        return self._file.tell()
+
+    def events(self) -> Iterator[WireEvent]:
+        """Give the events in order, up to the end or to the first damage; marks among them go to the log."""
+        for entry in self.entries():
+            if isinstance(entry, Mark):
+                log.info("%s: mark: %s", self.path, entry.text)
+            else:
+                yield entry
+
+    def entries(self) -> Iterator[WireEvent | Mark]:
+        """Give events and marks in order, up to the end or to the first damage."""
+        try:
+            for topic, data, publish_ns, log_ns in messages(self._records, (TOPIC, MARKS)):
+                yield decode(data, publish_ns, log_ns) if topic == TOPIC else decode_mark(data, publish_ns, log_ns)
+        except DAMAGE as error:
+            at = self._file.tell()
+            whole = self._file.seek(0, 2)
+            self.damage = "cut off" if at >= whole else f"damaged before byte {at} of {whole} ({error})"
+
+
+def open_recording(path: str, plate: Plate | None = None) -> Recording:
+    """Open a recording of a link, where a plate is given to such a plate.
+
+    Raises
+    ------
+    LinkUnavailableError
+        No such file, no recording, of another format, or of a plate whose frames are others.
+    """
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):  # a pipe would be waited for
+            raise LinkUnavailableError(f"recording {path} is no regular file")
+        file = open(path, "rb")  # noqa: SIM115 - the recording closes it
+    except OSError as error:
+        raise LinkUnavailableError(f"recording {path}: {error.strerror}") from error
+    try:
+        records = ChunkReader(file, emit_chunks=True, validate_crcs=True, record_size_limit=MAX_RECORD_BYTES).records
+        header = read_header(path, records)
+        check_format(path, header)
+        attachments, damaged, records = _attachments(records)
+        if plate is not None:
+            _check_plate(path, header, plate)
+            for name in damaged:
+                log.warning("%s: its attachment %s is damaged; the configuration counts", path, printable(name))
+    except BaseException:
+        file.close()
+        raise
+    return Recording(path, file, header, attachments, damaged, records)
+
+
+def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
+    """Take the first two records of a file and return what it says of itself.
+
+    Raises
+    ------
+    LinkUnavailableError
+        It is no recording.
+    """
+    try:
+        first, second = next(records), next(records)
+    except (*DAMAGE, StopIteration) as error:
+        remedy = "name a file that `resonatord record` has written"
+        raise LinkUnavailableError(f"{path} is no recording, or nothing of it was written; {remedy}") from error
+    if not isinstance(first, Header) or first.profile != PROFILE:
+        raise LinkUnavailableError(f"{path} is an MCAP file, but not of this program")
+    if not isinstance(second, Metadata) or second.name != RECORDING:
+        raise LinkUnavailableError(f"{path} does not say what it is a recording of")
+    return dict(second.metadata)
+
+
+def check_format(path: str, header: dict[str, str]) -> None:
+    """Check that a file is of the format that this version reads; LinkUnavailableError says where it is not."""
+    if (number := header.get("format")) != FORMAT:
+        raise LinkUnavailableError(
+            f"{path} has format {number}, this version reads format {FORMAT}; replay it with the version that wrote it"
+        )
+
+
+def _attachments(
+    records: Iterator[McapRecord],
+) -> tuple[dict[str, str], tuple[str, ...], Iterator[McapRecord]]:
+    """Take the attachments that come next; return them, the names of damaged ones, and the records that follow."""
+    texts: dict[str, str] = {}
+    damaged: list[str] = []
+    following: Iterator[McapRecord] = iter(())
+    try:
+        for record in records:
+            if isinstance(record, DamagedAttachment):
+                damaged.append(record.name)
+            elif isinstance(record, Attachment):
+                try:
+                    texts[record.name] = record.data.decode()
+                except UnicodeDecodeError:
+                    damaged.append(record.name)
+            else:
+                following = chain([record], records)
+                break
+    except DAMAGE as error:
+        following = _raising(error)
+    return texts, tuple(damaged), following
+
+
+def _raising(error: Exception) -> Iterator[McapRecord]:
+    """Have what was found early be found in its place."""
+    raise error
+    yield
+
+
+def _check_plate(path: str, header: dict[str, str], plate: Plate) -> None:
+    expected = plate_fingerprints(plate)
+    if header.get("plate") != plate.name:
+        raise LinkUnavailableError(
+            f"{path} is a recording of plate {header.get('plate')!r}, the configuration names plate {plate.name!r}"
+        )
+    if header.get("wire_sha256") != expected["wire_sha256"]:
+        raise LinkUnavailableError(
+            f"{path} was recorded with another [counter] or other tones than plate {plate.name!r} has now; "
+            "name the plate file that it was recorded with"
+        )
+    if header.get("plate_sha256") != expected["plate_sha256"]:
+        log.warning("%s: plate file %r has changed since; frames are as recorded, forces may differ", path, plate.name)

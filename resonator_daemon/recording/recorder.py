@@ -1,0 +1,436 @@
+"""Writes what happens on a link to files, in a thread of its own; whoever reads the link never waits for the disk."""
+
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.recording.file_series import Room, Say, Series, say_nothing
+from resonator_daemon.recording.items import EVENT_BYTES, Item, State, size_bytes
+from resonator_daemon.recording.reader import Mark, Origin
+from resonator_daemon.recording.writer import Published, RecordingWriter
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.host_time import HostTime, read_host_time
+from resonator_daemon.session.link_events import Received, Sent, Skipped, Standing, WireEvent
+
+QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
+
+_PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
+_BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
+FLUSH_S = 0.8  # with a batch, and what writing takes, less than the second that is promised
+_RETRY_S = 10.0
+_NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
+
+
+class RecordingCounts(NamedTuple):
+    """What a recording has come to; `file_bytes` is that of the present or last file, `messages` were published."""
+
+    file_bytes: int = 0
+    files: int = 0
+    files_removed: int = 0
+    events_missing: int = 0
+    messages: int = 0
+    messages_missing: int = 0
+
+
+class _Filling(NamedTuple):
+    """What is in the chunk that is being filled; of its events, `traffic` are not about the recording itself."""
+
+    events: int = 0
+    traffic: int = 0
+    messages: int = 0
+
+
+class Recorder:
+    """A recording that is being written; a file that is there already is left alone.
+
+    After an error, as of the disk, nothing more is written: `failure` says so, and what was written stays readable.
+    Where the series resumes, it goes on in a new file once it can, and `failure` is None again. A series goes from file
+    to file where a `Standing` is put: the next begins with it.
+
+    Parameters
+    ----------
+    place
+        The file to be made, or where a series of them goes.
+    origin
+        Written into the beginning of each.
+    queue_bytes
+        Bound of the memory of events that wait to be written; what does not fit is counted, here and in the file.
+    say
+        Is told level and text of what a log should have, from the thread that writes.
+
+    Raises
+    ------
+    OperatorError
+        The file cannot be made, or there is no room for it, and the series does not resume.
+    """
+
+    def __init__(
+        self, place: Path | Series, origin: Origin, *, queue_bytes: int = QUEUE_BYTES, say: Say = say_nothing
+    ) -> None:
+        self._place = place
+        self._origin = origin
+        self._room = Room(place, say) if isinstance(place, Series) else None
+        self._resumes = isinstance(place, Series) and place.resumes
+        self._say = say
+        self._queue_bytes = queue_bytes
+        self._lock = threading.Lock()
+        self._items: deque[Item] = deque()
+        self._waiting_bytes = 0
+        self._missing_events = self._missing_bytes = 0  # since the last event that fitted
+        self._events = 0
+        self._counts = RecordingCounts()
+        self._failure: str | None = None
+        self._said_failure = False  # once, until all is well again
+        self._path = place if isinstance(place, Path) else place.directory
+        self._closing = threading.Event()
+        self._board: BoardOnline | None = None  # those of the thread: what each file begins with
+        self._states: dict[str, Published] = {}
+        self._begun_utc_ns = 0  # of the last file, as its name says
+        self._retry_s = 0.0
+        self._syncing: list[threading.Thread] = []
+        self._filling = _Filling()
+        self._chunks = 0  # of the file, whose contents are counted
+        self._ended_bytes = 0  # of the files before
+        self._file: RecordingWriter | None = None
+        try:
+            self._begin_file(read_host_time().utc_ns)
+        except OperatorError as error:
+            if not self._resumes:
+                raise
+            self._fail(str(error))
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def path(self) -> Path:
+        """The file that is being written, or was last; the directory where none could be made yet."""
+        return self._path
+
+    @property
+    def failure(self) -> str | None:
+        """Why nothing is written any more; None while all is well."""
+        return self._failure
+
+    @property
+    def skipped_events(self) -> int:
+        """Events that are in no file, because the disk was too slow or failed."""
+        return self.counts.events_missing
+
+    @property
+    def events(self) -> int:
+        """Events that are in the kernel's hands."""
+        with self._lock:
+            return self._events
+
+    @property
+    def all_bytes(self) -> int:
+        """Of all its files."""
+        with self._lock:
+            return self._ended_bytes + self._counts.file_bytes
+
+    @property
+    def counts(self) -> RecordingCounts:
+        with self._lock:
+            return self._counts
+
+    def put(self, event: WireEvent) -> None:
+        """Have an event written; never waits. A `Standing` is written where a replay can begin or go on with it."""
+        taken_bytes = size_bytes(event)
+        with self._lock:
+            if self._missing_events:
+                taken_bytes += EVENT_BYTES  # the word of them comes first
+            fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
+            if fits and (self._failure is None or self._resumes):
+                self._tell_missing(event.now)
+                self._append(event)
+            elif not isinstance(event, Standing):
+                self._skip(event)
+
+    def skip(self, event: WireEvent) -> None:
+        """Count an event that cannot be of use in the file."""
+        with self._lock:
+            self._skip(event)
+
+    def mark(self, mark: Mark) -> bool:
+        """Have written what somebody said at that time; return whether there is room for it. Never waits."""
+        with self._lock:
+            fits = self._failure is None and self._waiting_bytes + size_bytes(mark) <= self._queue_bytes
+            if fits:
+                self._append(mark)
+            return fits
+
+    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Have a published message written to a channel of its topic; never waits. What does not fit is counted.
+
+        Parameters
+        ----------
+        topic_path
+            Below the plate's name, as `forces`.
+        t_ns
+            UTC.
+        payload
+            JSON.
+        json_schema
+            Of the topic's payload.
+        """
+        message = Published(topic_path, t_ns, payload, json_schema)
+        with self._lock:
+            if self._waiting_bytes + size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE:
+                self._append(message)
+            else:
+                self._count(messages_missing=1)
+
+    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Like `put_message`, of a topic whose last message counts: the files that follow begin with it, too."""
+        with self._lock:
+            self._append(State(topic_path, t_ns, payload, json_schema))
+
+    def name_board(self, board: BoardOnline) -> None:
+        """Have written which board it is, for whoever looks at the file."""
+        with self._lock:
+            self._append(board)
+
+    def close(self) -> None:
+        """Write what waits, and the end of the file; call it once the reader has stopped."""
+        self._closing.set()
+        self._thread.join()
+
+    def _append(self, item: Item) -> None:
+        self._items.append(item)
+        self._waiting_bytes += size_bytes(item)
+
+    def _tell_missing(self, now: HostTime) -> None:
+        if self._missing_events:
+            self._append(Skipped(now, self._missing_events, self._missing_bytes))
+            self._missing_events = self._missing_bytes = 0
+
+    def _skip(self, event: WireEvent) -> None:
+        self._count(events_missing=1)
+        self._missing_events += 1
+        self._missing_bytes += len(event.data) if isinstance(event, Received | Sent) else 0
+
+    def _count(self, *, events_missing: int = 0, messages: int = 0, messages_missing: int = 0) -> None:
+        counts = self._counts
+        self._counts = counts._replace(
+            events_missing=counts.events_missing + events_missing,
+            messages=counts.messages + messages,
+            messages_missing=counts.messages_missing + messages_missing,
+        )
+
+    def _run(self) -> None:
+        look_s = 0.0
+        closing = False
+        while not closing:
+            closing = self._closing.wait(_BATCH_S)
+            with self._lock:
+                if closing:  # nothing comes after them
+                    self._tell_missing(read_host_time())
+                items, self._items = self._items, deque()
+            self._write(items)
+            if time.monotonic() >= look_s:
+                self._flush()
+                look_s = time.monotonic() + FLUSH_S
+        self._end_file(wait=True)
+        for thread in self._syncing:
+            thread.join()
+
+    def _write(self, items: deque[Item]) -> None:
+        missing = messages_missing = 0
+        for item in items:
+            written = self._write_one(item)
+            events, traffic, messages = self._filling
+            match item:
+                case Published():
+                    self._filling = _Filling(events, traffic, messages + written)
+                    messages_missing += not written
+                case Mark() | BoardOnline() | Skipped():
+                    pass
+                case Standing():
+                    self._filling = _Filling(events + written, traffic, messages)
+                case _:
+                    self._filling = _Filling(events + written, traffic + written, messages)
+                    missing += not written
+            if self._file is not None and self._file.chunks != self._chunks:
+                self._count_chunk(self._file)
+        with self._lock:
+            self._count(events_missing=missing, messages_missing=messages_missing)
+            self._waiting_bytes -= sum(map(size_bytes, items))
+
+    def _count_chunk(self, file: RecordingWriter) -> None:
+        """Count what is in a file for good."""
+        filling, self._filling = self._filling, _Filling()
+        self._chunks = file.chunks
+        with self._lock:
+            self._events += filling.events
+            self._count(messages=filling.messages)
+
+    def _write_one(self, item: Item) -> bool:
+        """Write one item; return whether it is in a file."""
+        try:
+            match item:
+                case BoardOnline():
+                    self._board = item
+                case State():
+                    self._states[item.topic] = item
+                case Standing():
+                    self._turn_over(item)
+            file = self._file
+            if file is None or (isinstance(item, Standing) and not _is_of_use(item, file)):
+                return False
+            match item:
+                case BoardOnline():
+                    file.name_board(item)
+                case Mark():
+                    file.mark(item)
+                case Published():
+                    file.publish(item)
+                case _:
+                    file.write(item)
+        except Exception as error:  # noqa: BLE001 - whoever records must hear of it, or would take the file for whole
+            self._break_off(error)
+            return False
+        return True
+
+    def _turn_over(self, standing: Standing) -> None:
+        """Begin the next file, where it is its turn."""
+        if not isinstance(self._place, Series):
+            return
+        if self._file is not None:
+            if not self._place.is_over(self._file, standing.now.monotonic_ns):
+                return
+            self._end_file(wait=False)
+        elif not self._resumes or time.monotonic() < self._retry_s:
+            return
+        try:
+            self._begin_file(standing.now.utc_ns)
+        except OperatorError as error:
+            self._fail(str(error))
+            return
+        if self._board is not None and standing.course.running is not None and self._file is not None:
+            self._file.name_board(self._board)
+
+    def _begin_file(self, utc_ns: int) -> None:
+        if isinstance(self._place, Path):
+            file = RecordingWriter(self._place, self._origin, utc_ns)
+        else:
+            # Names tell what is oldest, also where the host's clock was set back.
+            utc_ns = self._begun_utc_ns = max(utc_ns, self._begun_utc_ns + _NAMES_APART_NS)
+            if self._room is not None:
+                self._room.check(again=self._failure is not None)
+                self._room.begin()
+            file = self._place.make(self._origin, utc_ns)
+        for state in self._states.values():
+            file.publish(state)
+        with self._lock:
+            failed, self._failure = self._failure, None
+            self._said_failure = False
+            self._path, self._file, self._chunks = file.path, file, file.chunks
+            self._ended_bytes += self._counts.file_bytes
+            self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
+        if failed is not None:
+            self._say(logging.INFO, f"recording goes on in {file.path}")
+
+    def _flush(self) -> None:
+        """Hand what was written to the kernel, and look after the room on the disk."""
+        if self._file is None:
+            return
+        try:
+            self._file.flush()
+            self._count_chunk(self._file)
+            if self._file.is_gone:
+                self._leave()
+                return
+            if self._room is not None:
+                self._room.keep_budget(self._file)
+                self._room.check(again=False)
+        except OperatorError as error:
+            self._end_file(wait=False)
+            self._fail(str(error))
+        except Exception as error:  # noqa: BLE001 - as above
+            self._break_off(error)
+        self._take_stock()
+
+    def _leave(self) -> None:
+        """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
+        self._end_file(wait=False)
+        then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
+        self._tell_failure(f"{self._path} was removed, moved or replaced: {then}")
+        self._retry_s = 0.0
+        self._said_failure = not self._resumes  # why none can be begun is news
+
+    def _take_stock(self) -> None:
+        with self._lock:
+            if self._file is not None:
+                self._counts = self._counts._replace(file_bytes=self._file.size_bytes)
+            if self._room is not None:
+                self._counts = self._counts._replace(files_removed=self._room.files_removed)
+
+    def _end_file(self, *, wait: bool) -> None:
+        """Write the end of the file; the medium may take seconds for it, which nothing else waits for."""
+        if self._file is None:
+            return
+        try:
+            self._file.finish()
+            self._count_chunk(self._file)
+            self._take_stock()
+        except Exception as error:  # noqa: BLE001 - as above
+            self._break_off(error)
+            return
+        file, self._file = self._file, None
+        if wait:
+            self._sync(file)
+        else:
+            self._syncing = [thread for thread in self._syncing if thread.is_alive()]
+            self._syncing.append(threading.Thread(target=self._sync, args=(file,), name="recorder-sync", daemon=True))
+            self._syncing[-1].start()
+
+    def _sync(self, file: RecordingWriter) -> None:
+        try:
+            file.sync()
+        except OSError as error:
+            self._say(logging.WARNING, f"{file.path} may not be on the disk: {error.strerror}")
+
+    def _break_off(self, error: Exception) -> None:
+        """Leave a file as it is that takes nothing more."""
+        if self._file is not None:
+            if self._file.chunks != self._chunks:  # it failed behind a chunk, as at the file's end
+                self._count_chunk(self._file)
+            self._file.abandon()
+            self._take_stock()
+            self._file = None
+        lost, self._filling = self._filling, _Filling()
+        with self._lock:
+            self._count(events_missing=lost.traffic, messages_missing=lost.messages)
+        reason = (isinstance(error, OSError) and error.strerror) or repr(error)
+        self._fail(f"{self._path}: {reason}")
+
+    def _fail(self, reason: str) -> None:
+        then = f"it is tried again every {_RETRY_S:g} s" if self._resumes else "nothing more is recorded"
+        self._tell_failure(f"{reason}: {then}; what was written stays")
+
+    def _tell_failure(self, said: str) -> None:
+        with self._lock:
+            self._failure = said
+        self._retry_s = time.monotonic() + _RETRY_S
+        if not self._said_failure:
+            self._said_failure = True
+            self._say(logging.WARNING, said)
+
+
+def _is_of_use(standing: Standing, file: RecordingWriter) -> bool:
+    """Whether a replay could begin with it or, where the chunk before is damaged, go on with the open link."""
+    return not file.begun or (file.standing_due and standing.course.running is not None)

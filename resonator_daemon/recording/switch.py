@@ -1,0 +1,207 @@
+"""Recording switched on and off while a link is read, also in the middle of a connection."""
+
+import logging
+import operator
+import threading
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Mark, Origin
+from resonator_daemon.recording.recorder import Recorder, RecordingCounts
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.host_time import HostTime, read_host_time
+from resonator_daemon.session.link_events import Received, Sent, Standing, WireEvent
+
+log = logging.getLogger(__name__)
+
+KEPT_BYTES = 8 << 20  # half a second of a plate with 3072 tones and 100 frames/s
+
+_EVENT_BYTES = 300  # of memory, beside its data
+
+
+class RecordingRunningError(OperatorError):
+    """A recording runs already."""
+
+
+class NothingRecordedError(OperatorError):
+    """No recording runs, or the one that did has failed."""
+
+
+class RecordingNow(NamedTuple):
+    """The recording that runs; `failure` says why nothing is written any more, None while all is well."""
+
+    path: Path
+    since_utc_ns: int
+    failure: str | None
+
+
+class RecordingSummary(NamedTuple):
+    """A recording that has ended; `file` is the last of its files, `events_missing` are in none."""
+
+    file: Path
+    files: int
+    all_bytes: int
+    events: int
+    events_missing: int
+    seconds: float
+    failure: str | None
+
+
+class RecordingSwitch:
+    """Records what a reader's tap is handed, from and until whenever that is wanted.
+
+    It remembers how the link stood last and what has happened since, which is about 100 ms: a file begins with these,
+    so that a replay of it can go on from there.
+
+    Parameters
+    ----------
+    kept_bytes
+        Bound of the memory of what has happened since. Beyond it, a recording begins with the next standing.
+    """
+
+    def __init__(self, *, kept_bytes: int = KEPT_BYTES) -> None:
+        self._kept_bytes = kept_bytes
+        self._switching = threading.Lock()  # held while a disk may be waited for
+        self._lock = threading.Lock()
+        self._kept: list[WireEvent] | None = []  # None: too much has happened
+        self._size_bytes = 0
+        self._board: BoardOnline | None = None
+        self._recorder: Recorder | None = None
+        self._last: Recorder | None = None  # that one, or the one that ran last: it still counts while it is closed
+        self._before = RecordingCounts()  # of all earlier ones
+        self._states: dict[str, tuple[str, int, bytes, Mapping[str, Any]]] = {}
+        self._awaits_standing = False
+        self._since: HostTime | None = None
+
+    def tap(self, event: WireEvent) -> None:
+        """Take one event, in the reader's thread; never waits for a disk."""
+        with self._lock:
+            if isinstance(event, Standing):
+                self._kept, self._size_bytes = [], 0
+                self._awaits_standing = False
+            if self._recorder is not None:
+                if self._awaits_standing:
+                    self._recorder.skip(event)
+                else:
+                    self._recorder.put(event)
+            if self._kept is not None:
+                self._kept.append(event)
+                self._size_bytes += _EVENT_BYTES + (len(event.data) if isinstance(event, Received | Sent) else 0)
+                if self._size_bytes > self._kept_bytes:
+                    self._kept = None
+
+    def name_board(self, board: BoardOnline) -> None:
+        """Have files say which board counts, for whoever looks at them."""
+        with self._lock:
+            self._board = board
+            if self._recorder is not None:
+                self._recorder.name_board(board)
+
+    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Hand a published message, as JSON, to the recording that runs; never waits. See `Recorder.put_message`."""
+        with self._lock:
+            if self._recorder is not None:
+                self._recorder.put_message(topic_path, t_ns, payload, json_schema)
+
+    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
+        """Hand a published state to the recording that runs, and to those that follow; never waits."""
+        with self._lock:
+            self._states[topic_path] = (topic_path, t_ns, payload, json_schema)
+            if self._recorder is not None:
+                self._recorder.put_state(topic_path, t_ns, payload, json_schema)
+
+    def start(self, place: Path | Series, origin: Origin) -> None:
+        """Begin a recording.
+
+        Raises
+        ------
+        RecordingRunningError
+            One runs.
+        OperatorError
+            The file cannot be made, is there already, or there is no room for it, and the series does not resume.
+        """
+        with self._switching:
+            if self._recorder is not None:
+                raise RecordingRunningError(f"{self._recorder.path} is being recorded; stop that first")
+            recorder = Recorder(place, origin, say=log.log)
+            with self._lock:
+                self._since = read_host_time()
+                for state in self._states.values():
+                    recorder.put_state(*state)
+                kept = self._kept or []
+                counts = bool(kept) and isinstance(kept[0], Standing) and kept[0].course.running is not None
+                if self._board is not None and counts:
+                    recorder.name_board(self._board)
+                for event in kept:
+                    recorder.put(event)
+                self._awaits_standing = self._kept is None
+                self._before = self._all_counts()
+                self._recorder = self._last = recorder
+
+    def stop(self) -> RecordingSummary | None:
+        """End the recording; waits for the disk. Return None where none ran."""
+        with self._switching:
+            with self._lock:
+                recorder, self._recorder = self._recorder, None
+                since = self._since
+            if recorder is None or since is None:
+                return None
+            seconds = (read_host_time().monotonic_ns - since.monotonic_ns) * 1e-9
+            recorder.close()
+        counts = recorder.counts
+        return RecordingSummary(
+            recorder.path,
+            counts.files,
+            recorder.all_bytes,
+            recorder.events,
+            counts.events_missing,
+            round(seconds, 3),
+            recorder.failure,
+        )
+
+    def mark(self, text: str) -> int:
+        """Write a text into the file at the present time; return that time, in ns of UTC.
+
+        Raises
+        ------
+        NothingRecordedError
+            Nothing is being recorded.
+        """
+        now = read_host_time()
+        with self._lock:
+            if self._recorder is None:
+                raise NothingRecordedError("nothing is being recorded; start a recording first")
+            if self._recorder.failure is not None:
+                raise NothingRecordedError(self._recorder.failure)
+            if not self._recorder.mark(Mark(now, text)):
+                raise NothingRecordedError(f"the disk of {self._recorder.path} is too slow to take the mark; try again")
+        return now.utc_ns
+
+    @property
+    def current(self) -> RecordingNow | None:
+        """What is being recorded; None where nothing is."""
+        with self._lock:
+            if self._recorder is None or self._since is None:
+                return None
+            recorder = self._recorder
+            return RecordingNow(recorder.path, self._since.utc_ns, recorder.failure)
+
+    @property
+    def totals(self) -> RecordingCounts:
+        """What all recordings since this was made have come to; `file_bytes` is 0 while nothing is recorded."""
+        with self._lock:
+            totals = self._all_counts()
+            return totals if self._recorder is not None else totals._replace(file_bytes=0)
+
+    def _all_counts(self) -> RecordingCounts:
+        if self._last is None:
+            return self._before
+        last = self._last.counts
+        return RecordingCounts(*map(operator.add, self._before, last))._replace(file_bytes=last.file_bytes)
+
+    def close(self) -> None:
+        """End the recording, if one runs; call it once the reader has stopped."""
+        self.stop()

@@ -1,0 +1,203 @@
+"""One file of a recording while it is being written."""
+
+import fcntl
+import json
+import os
+from collections.abc import Mapping
+from contextlib import suppress
+from io import BufferedWriter
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from mcap.writer import CompressionType, Writer
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.host.new_file import NoNewFileError
+from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
+from resonator_daemon.recording.reader import (
+    BOARD,
+    ENCODING,
+    JSON_ENCODING,
+    JSON_SCHEMA_ENCODING,
+    MARK_SCHEMA,
+    MARK_SCHEMA_DATA,
+    MARKS,
+    PROFILE,
+    RECORDING,
+    TOPIC,
+    Mark,
+    Origin,
+    encode_mark,
+)
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.link_events import Skipped, Standing, WireEvent, encode
+
+_TOML: Final = "application/toml"
+
+
+class Published(NamedTuple):
+    """A message that was published, as JSON; `topic` is its path below the plate's name."""
+
+    topic: str
+    utc_ns: int
+    payload: bytes
+    schema: Mapping[str, Any]
+
+
+class RecordingWriter:
+    """A file that is being written; what it says of itself is in the kernel's hands once it is made.
+
+    For one thread. A lock (flock) on the file tells other programs that it is being written.
+
+    Parameters
+    ----------
+    path
+        The file to be made.
+    origin
+        Written into its beginning.
+    utc_ns
+        Now.
+
+    Raises
+    ------
+    OperatorError
+        It cannot be made, or is there already.
+
+    Attributes
+    ----------
+    begun
+        It has an event that a replay can begin with.
+    begun_ns
+        Monotonic time of the first of these.
+    chunks
+        How many are whole and in the kernel's hands, with all that was written until then.
+    standing_due
+        A chunk has ended since it was last written how the link stands.
+    """
+
+    def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:
+        self.path = path
+        self.begun = False
+        self.begun_ns = 0
+        self.chunks = 0
+        self.standing_due = False
+        self._whole_bytes = 0
+        self._channels: dict[str, int] = {}
+        self._file = _made(path)
+        self._writer = Writer(self._file, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
+        try:
+            self._begin(origin, utc_ns)
+        except OSError as error:
+            self.abandon()
+            path.unlink(missing_ok=True)  # nothing is in it
+            raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
+
+    @property
+    def size_bytes(self) -> int:
+        """What is written, without the chunk that is being filled."""
+        return self._whole_bytes
+
+    @property
+    def is_gone(self) -> bool:
+        """Whether nobody finds it under its name any more: it, or its directory, was removed, moved or replaced."""
+        mine = os.fstat(self._file.fileno())
+        try:
+            there = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            return True
+        return (there.st_dev, there.st_ino) != (mine.st_dev, mine.st_ino)
+
+    def write(self, event: WireEvent) -> None:
+        now = event.now
+        if not self.begun and not isinstance(event, Skipped):
+            self.begun, self.begun_ns = True, now.monotonic_ns
+        if isinstance(event, Standing):
+            self.standing_due = False
+        self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
+
+    def mark(self, mark: Mark) -> None:
+        channel = self._json_channel(MARKS, MARK_SCHEMA, MARK_SCHEMA_DATA)
+        self._add(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns)
+
+    def publish(self, message: Published) -> None:
+        title = str(message.schema.get("title", message.topic))
+        channel = self._json_channel(message.topic, title, message.schema)
+        self._add(channel, message.utc_ns, message.payload, message.utc_ns)
+
+    def name_board(self, board: BoardOnline) -> None:
+        identity = board.identity
+        self._writer.add_metadata(
+            BOARD,
+            {
+                "product": identity.product,
+                "serial_number": identity.serial_number,
+                "firmware": identity.firmware,
+                "boot_id": f"{board.boot_id:08x}",
+            },
+        )
+        self._file.flush()
+        self._whole_bytes = self._file.tell()
+
+    def flush(self) -> None:
+        """Hand what was written to the kernel."""
+        self._writer.flush()
+        self._note_chunk()
+
+    def finish(self) -> None:
+        """Write the end of the file; `sync` is to follow."""
+        self.flush()
+        self._writer.finish()
+        self._file.flush()
+        self._whole_bytes = self._file.tell()
+
+    def sync(self) -> None:
+        """Wait until the medium has the file, and close it."""
+        with self._file:
+            os.fsync(self._file.fileno())
+
+    def abandon(self) -> None:
+        """Close the file, with all that is whole: what is left of a chunk could not be read."""
+        raw = self._file.raw
+        with suppress(OSError):
+            raw.truncate(self._whole_bytes)
+        with suppress(OSError):
+            raw.close()  # without the rest of the chunk, which closing the buffer would write once more
+
+    def _begin(self, origin: Origin, utc_ns: int) -> None:
+        with suppress(OSError):  # not every file system has locks
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        metadata = origin.metadata
+        self._writer.start(PROFILE, f"resonatord {metadata['version']}")
+        self._writer.add_metadata(RECORDING, metadata)
+        for name, text in origin.attachments.items():  # outside of chunks, so that a file that was cut has them
+            self._writer.add_attachment(utc_ns, utc_ns, name, _TOML, text.encode())
+        self._wire = self._writer.register_channel(TOPIC, ENCODING, schema_id=0)
+        self._writer.flush()
+        self._whole_bytes = self._file.tell()
+
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        self._writer.add_message(channel, log_ns, data, publish_ns)
+        if self._file.tell() != self._whole_bytes:  # a chunk was full
+            self._file.flush()
+            self._note_chunk()
+
+    def _note_chunk(self) -> None:
+        self._whole_bytes = self._file.tell()
+        self.chunks += 1
+        self.standing_due = True
+
+    def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
+        if topic not in self._channels:
+            schema_id = self._writer.register_schema(name, JSON_SCHEMA_ENCODING, json.dumps(schema).encode())
+            self._channels[topic] = self._writer.register_channel(topic, JSON_ENCODING, schema_id)
+        return self._channels[topic]
+
+
+def _made(path: Path) -> BufferedWriter:
+    try:
+        return path.open("xb")
+    except FileExistsError as error:
+        remedy = "name a file in it" if path.is_dir() else "and nothing is overwritten; name another file"
+        raise NoNewFileError(f"{path} is {'a directory' if path.is_dir() else 'there already'}, {remedy}") from error
+    except OSError as error:
+        raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error

@@ -1,0 +1,1 @@
+"""A recording replayed to the messages of its live run."""

@@ -1,0 +1,242 @@
+"""A recording and what it is to become: made from a recording, to be compared with its replay later."""
+
+import gzip
+import hashlib
+import json
+import os
+import shutil
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, ValidationError
+
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
+from resonator_daemon.replay.lines import payload_json
+from resonator_daemon.replay.outputs import OutputFailedError
+from resonator_daemon.replay.recorded_pipeline import Playback
+from resonator_daemon.replay.source import open_playback
+
+RECORDING_FILE: Final = "recording.mcap"
+EXPECTED_FILE: Final = "expected.jsonl.gz"
+FORMAT: Final = 1
+KEPT_BYTES: Final = 64_000  # of JSON of each stream: of one that has more, each second message, each fourth...
+
+
+class Said(NamedTuple):
+    """A message of a replay: the number of those on its topic before it, and when, in UTC, it was made."""
+
+    topic: str
+    number: int
+    now_ns: int
+    payload: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a replay came to.
+
+    Parameters
+    ----------
+    summary
+        Frames, losses, differences, messages by topic; of the streams, which messages are kept: each how manieth.
+    kept
+        Messages in their order.
+    sha256
+        Of all messages, which alone tells whether replays are equal to the bit.
+    differences, damage
+        Of the replay and the recording.
+    begun_ns
+        UTC of its first message.
+    """
+
+    summary: dict[str, Any]
+    kept: list[Said]
+    sha256: str
+    differences: int
+    damage: str | None
+    begun_ns: int
+
+
+@dataclass
+class _Kept:
+    """Each `every`-th message of a topic, so that they take no more than a bound; None: all."""
+
+    bound_bytes: int | None
+    every: int = 1
+    said: list[tuple[int, Said]] = field(default_factory=list)  # with their place among all
+    _size_bytes: int = 0
+
+    def put(self, place: int, message: Said) -> None:
+        if message.number % self.every:
+            return
+        self.said.append((place, message))
+        self._size_bytes += len(message.payload)
+        while self.bound_bytes is not None and self._size_bytes > self.bound_bytes and len(self.said) > 1:
+            self.every *= 2
+            self.said = [(place, said) for place, said in self.said if said.number % self.every == 0]
+            self._size_bytes = sum(len(said.payload) for _, said in self.said)
+
+
+def play_whole(playback: Playback, every: Mapping[str, int] | None = None) -> Outcome:
+    """Play a recording, and keep all messages that change something, and of the streams as many as are asked for.
+
+    Parameters
+    ----------
+    every
+        By topic: keep each so manieth message; None: as many as fit a case.
+    """
+    counts: Counter[str] = Counter()
+    kept: dict[str, _Kept] = {}
+    digest = hashlib.sha256()
+    place = begun_ns = 0
+    for moment in playback.moments():
+        for topic, message in moment.messages:
+            path, payload = topic.path, payload_json(message)
+            if path not in kept:
+                fixed = every is not None or topic.qos == 1
+                kept[path] = _Kept(None if fixed else KEPT_BYTES, every.get(path, 1) if every is not None else 1)
+            kept[path].put(place, Said(path, counts[path], moment.now.utc_ns, payload))
+            counts[path] += 1
+            digest.update(f"{path} {payload}\n".encode())
+            begun_ns = begun_ns or moment.now.utc_ns
+            place += 1
+    account = playback.account
+    summary = {
+        "frames": account.frames,
+        "frames_lost": asdict(account.lost),
+        "differences": playback.differences,
+        "damaged": playback.damage is not None,
+        "refused": list(playback.refused),
+        "messages": dict(counts),
+        "every": {path: topic.every for path, topic in kept.items()},
+    }
+    in_order = sorted((item for topic in kept.values() for item in topic.said), key=lambda item: item[0])
+    said = [message for _, message in in_order]
+    return Outcome(summary, said, digest.hexdigest(), playback.differences, playback.damage, begun_ns)
+
+
+def save_case(recording: Path, directory: Path) -> Outcome:
+    """Make a case of a recording, in a new directory.
+
+    Raises
+    ------
+    LinkUnavailableError, ConfigError
+        The recording cannot be replayed with what it carries.
+    NoNewFileError
+        The directory is there already.
+    OutputFailedError
+        It cannot be written; nothing is left of it.
+    """
+    _check_free(directory)
+    with open_playback(recording):
+        pass  # it can be replayed
+    part = part_of(directory)
+    try:
+        part.mkdir(parents=True)
+    except FileExistsError as error:
+        raise part_is_there(part) from error
+    except OSError as error:
+        raise OutputFailedError(f"{directory} cannot be made: {error.strerror}") from error
+    try:
+        shutil.copyfile(recording, part / RECORDING_FILE)
+        with open_playback(part / RECORDING_FILE) as playback:  # whose name messages have
+            outcome = play_whole(playback)
+        write_expected(outcome, part)
+        _check_free(directory)
+        os.rename(part, directory)
+    except OSError as error:
+        raise OutputFailedError(f"{directory}: {error.strerror}; what was written is removed") from error
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return outcome
+
+
+def _check_free(directory: Path) -> None:
+    if os.path.lexists(directory):
+        raise NoNewFileError(f"{directory} is there already, and nothing is overwritten; name another directory")
+
+
+def write_expected(outcome: Outcome, directory: Path) -> None:
+    """Write what a replay is to come to into a case."""
+    head = {"format": FORMAT, "sha256": outcome.sha256, **outcome.summary}
+    lines = [json.dumps(head), *(_line(said) for said in outcome.kept)]
+    with (directory / EXPECTED_FILE).open("wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed:
+        packed.write("".join(f"{line}\n" for line in lines).encode())
+
+
+def _line(said: Said) -> str:
+    head = json.dumps({"topic": said.topic, "number": said.number, "now_ns": str(said.now_ns)})
+    return f'{head[:-1]}, "payload": {said.payload}}}'
+
+
+class _Head(BaseModel):
+    """What the first line is to have; all of it but these two is the summary."""
+
+    model_config = ConfigDict(strict=True)
+
+    format: Literal[1]
+    sha256: str
+    messages: dict[str, NonNegativeInt]
+    every: dict[str, PositiveInt]
+
+
+class ExpectedMessage(BaseModel):
+    """A message that a replay is to give, as `Said` is one that it gave."""
+
+    model_config = ConfigDict(strict=True)
+
+    topic: str
+    number: NonNegativeInt
+    now_ns: Annotated[str, Field(pattern=r"^[0-9]{1,20}$")]
+    payload: dict[str, Any]
+
+
+class Expected(NamedTuple):
+    """What a case says that its recording becomes."""
+
+    summary: dict[str, Any]
+    sha256: str
+    messages: list[ExpectedMessage]
+
+    @property
+    def every(self) -> Mapping[str, int]:
+        """By topic: each so manieth message is kept."""
+        every: Mapping[str, int] = self.summary["every"]
+        return every
+
+
+def read_expected(directory: Path) -> Expected:
+    """Read what a case expects.
+
+    Raises
+    ------
+    ConfigError
+        There is no such case, or its file cannot be read.
+    """
+    path = directory / EXPECTED_FILE
+    try:
+        lines = _objects(path)
+        told = next(lines)
+        if told["format"] != FORMAT:
+            raise ConfigError(f"{path} has format {told['format']!r}, this version reads {FORMAT}; save the case anew")
+        head = _Head.model_validate(told)
+        summary = {key: value for key, value in told.items() if key not in ("format", "sha256")}
+        return Expected(summary, head.sha256, [ExpectedMessage.model_validate(line) for line in lines])
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"]) or "line"
+        raise ConfigError(f"{path} cannot be read ({key}: {first['msg']}); save the case anew") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror or error}; cases are made by replay --save-case") from error
+    except (ValueError, EOFError, KeyError, TypeError, StopIteration, RecursionError) as error:
+        raise ConfigError(f"{path} cannot be read ({error}); save the case anew") from error
+
+
+def _objects(path: Path) -> Iterator[dict[str, Any]]:
+    with gzip.open(path, "rt", encoding="utf-8") as file:
+        for line in file:
+            yield json.loads(line)

@@ -1,0 +1,157 @@
+"""`resonatord replay --check`: cases replayed and compared with what they expect."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final
+
+from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError
+from resonator_daemon.host.printable import printable
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.replay.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
+from resonator_daemon.replay.comparing import (
+    ABSENT,
+    DECODED_TOLERANCE,
+    TOLERANCE,
+    Difference,
+    Scales,
+    payload_differences,
+    summary_differences,
+)
+from resonator_daemon.replay.source import open_playback
+
+_TOLD: Final = 5  # differences of a case; the rest is counted
+_VALUE_LENGTH: Final = 60
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Where a replay differs from what is expected: where, when after the first message, and in what."""
+
+    topic: str
+    at_s: float | None
+    difference: Difference
+
+    def __str__(self) -> str:
+        key, expected, got = self.difference
+        when = "" if self.at_s is None else f" at {self.at_s:.3f} s"
+        return f"{self.topic}{when}: {key}: expected {_short(expected)}, got {_short(got)}"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one case; `messages`: those compared; `to_the_bit`: all are equal, those that are not kept, too."""
+
+    case: str
+    messages: int
+    to_the_bit: bool
+    differences: int
+    first: tuple[Finding, ...]
+
+    def as_json(self) -> dict[str, Any]:
+        return {
+            "case": self.case,
+            "ok": not self.differences,
+            "messages": self.messages,
+            "to_the_bit": self.to_the_bit,
+            "differences": self.differences,
+            "first": [
+                {"topic": finding.topic, "at_s": finding.at_s, **finding.difference._asdict()} for finding in self.first
+            ],
+        }
+
+
+def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
+    """Check cases and print what came of each.
+
+    Raises
+    ------
+    ConfigError
+        What is named is no case, or what it expects cannot be read.
+    InterruptedVerbError
+        Ctrl-C came before the last one was checked.
+    """
+    verdicts: list[Verdict] = []
+    try:
+        expected = {directory: read_expected(directory) for directory in directories}
+        for directory, case in expected.items():
+            verdict = check_case(directory, case)
+            verdicts.append(verdict)
+            if not as_json:
+                sys.stdout.write(_text(verdict))
+    except KeyboardInterrupt:
+        words = f"{len(verdicts)} of {len(set(directories))} cases checked, {_bad(verdicts)} differ"
+        so_far = {"cases": [verdict.as_json() for verdict in verdicts]}
+        raise InterruptedVerbError(f"interrupted: {words}", so_far) from None
+    bad = _bad(verdicts)
+    if as_json:
+        cases = [verdict.as_json() for verdict in verdicts]
+        sys.stdout.write(json.dumps({"verb": "replay", "ok": not bad, "cases": cases}) + "\n")
+    else:
+        sys.stderr.write(f"{len(verdicts)} cases, {bad} differ\n")
+    return ExitCode.FAILED if bad else ExitCode.DONE
+
+
+def _bad(verdicts: Sequence[Verdict]) -> int:
+    return sum(1 for verdict in verdicts if verdict.differences)
+
+
+def check_case(directory: Path, expected: Expected) -> Verdict:
+    """Replay a case and compare; a recording that cannot be replayed any more is a difference."""
+    try:
+        with open_playback(directory / RECORDING_FILE) as playback:
+            outcome = play_whole(playback, expected.every)
+    except (LinkUnavailableError, ConfigError) as error:
+        finding = Finding("recording", None, Difference("replay", "possible", str(error)))
+        return Verdict(directory.name, 0, to_the_bit=False, differences=1, first=(finding,))
+    findings = _findings(expected, outcome)
+    return Verdict(
+        directory.name,
+        len(expected.messages),
+        expected.sha256 == outcome.sha256,
+        len(findings),
+        tuple(findings[:_TOLD]),
+    )
+
+
+def _findings(expected: Expected, outcome: Outcome) -> list[Finding]:
+    decoded = any(message.topic == DECODED.path for message in expected.messages)
+    scales = Scales(DECODED_TOLERANCE if decoded else TOLERANCE)
+    for message in expected.messages:
+        scales.take(message.topic, message.payload)
+    got = {(said.topic, said.number): said for said in outcome.kept}
+    findings = []
+    for message in expected.messages:
+        now_ns = int(message.now_ns)
+        said = got.pop((message.topic, message.number), None)
+        if said is None:
+            differences = [Difference(f"message {message.number}", "one", ABSENT)]
+        else:
+            differences = [Difference("(made)", now_ns, said.now_ns)] if said.now_ns != now_ns else []
+            payload = json.loads(said.payload)
+            differences += payload_differences(message.topic, message.payload, payload, scales)
+        at_s = (now_ns - outcome.begun_ns) * 1e-9
+        findings += [Finding(message.topic, at_s, difference) for difference in differences]
+    for said in got.values():
+        at_s = (said.now_ns - outcome.begun_ns) * 1e-9
+        findings.append(Finding(said.topic, at_s, Difference(f"message {said.number}", ABSENT, "one")))
+    summary = (Finding("summary", None, found) for found in summary_differences(expected.summary, outcome.summary))
+    return list(chain(findings, summary))
+
+
+def _text(verdict: Verdict) -> str:
+    if not verdict.differences:
+        how = "to the bit" if verdict.to_the_bit else "within rounding"
+        return f"ok      {verdict.case}: {verdict.messages} messages compared, equal {how}\n"
+    lines = [f"DIFFERS {verdict.case}: {verdict.differences} differences"]
+    lines += [f"        {printable(str(finding))}" for finding in verdict.first]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= _VALUE_LENGTH else f"{text[:_VALUE_LENGTH]}..."

@@ -1,0 +1,86 @@
+"""Where the messages of a replay go: lines of a file, or nowhere."""
+
+import contextlib
+import sys
+from pathlib import Path
+from types import TracebackType
+from typing import Literal, Protocol, Self, TextIO
+
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
+from resonator_daemon.replay.lines import line
+from resonator_daemon.replay.recorded_pipeline import Published
+
+
+class OutputFailedError(OperatorError):
+    """What the messages go to takes no more."""
+
+    exit_code = ExitCode.FAILED
+    code = "output"
+
+
+class Output(Protocol):
+    """Takes messages in order, between its beginning and its end."""
+
+    async def __aenter__(self) -> Self: ...
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None: ...
+
+    async def put(self, published: Published) -> None: ...
+
+
+class Lines:
+    """One line of JSON for each message, in a new file, on stdout, or to a character device or a pipe.
+
+    A new file without any message is removed again.
+
+    Raises
+    ------
+    NoNewFileError
+        The file is there already, or cannot be made.
+    OutputFailedError
+        It takes no more.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._closing = contextlib.ExitStack()
+        self._file: TextIO = sys.stdout
+        self._removable = False  # a new file without a message, which would stand in the way of the next try
+
+    async def __aenter__(self) -> Self:
+        if str(self._path) != "-":
+            check_new(self._path)
+            is_stream = takes_a_stream(self._path)
+            mode: Literal["w", "x"] = "w" if is_stream else "x"
+            try:
+                self._file = self._closing.enter_context(self._path.open(mode, encoding="utf-8"))
+                self._removable = not is_stream
+            except OSError as error:
+                raise NoNewFileError(f"{self._path} cannot be made: {error.strerror}") from error
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        try:
+            self._closing.close()
+            if self._removable:
+                self._path.unlink(missing_ok=True)
+        except OSError as failure:
+            if error is None:
+                raise self._failed(failure) from failure
+
+    async def put(self, published: Published) -> None:
+        self._removable = False
+        try:
+            self._file.write(line(published) + "\n")
+        except BrokenPipeError:
+            raise
+        except OSError as error:
+            raise self._failed(error) from error
+
+    def _failed(self, error: OSError) -> OutputFailedError:
+        return OutputFailedError(f"{self._path}: {error.strerror}; what was written stays")

@@ -1,0 +1,155 @@
+"""A recording from its bytes to its messages, one event after the other, without a clock or a second thread."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+from threadpoolctl import threadpool_limits
+
+from resonator_daemon.config import Config
+from resonator_daemon.pipeline.board_pipeline import BoardCourse
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.recording.event_replay import Replay
+from resonator_daemon.recording.reader import Mark, Recording
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import Arrival, BoardRefused, SingleToneFrame, in_blocks
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import WireEvent
+from resonator_daemon.session.link_state_machine import LinkCourse
+
+_RING_BYTES: Final = 1 << 30  # what one event brings is taken at once
+_BLOCK_EVENTS: Final = 128  # whose frames are measured together
+_BLOCK_FRAMES: Final = 1024
+
+
+class Published(NamedTuple):
+    """A message and its topic."""
+
+    topic: Topic[Any]
+    message: Message
+
+
+class Moment(NamedTuple):
+    """What followed from one event on the link, or a mark that somebody had made then."""
+
+    now: HostTime
+    messages: Sequence[Published] = ()
+    mark: str | None = None
+
+
+class Playback:
+    """Plays one recording, once.
+
+    Parameters
+    ----------
+    recording
+        Open.
+    config
+        What to do with it.
+    daemon_boot_id
+        That messages are to bear.
+
+    Attributes
+    ----------
+    config
+        What is done with it.
+    refused
+        Why the board could not be measured, where it could not.
+    """
+
+    def __init__(self, recording: Recording, config: Config, daemon_boot_id: str) -> None:
+        self._recording = recording
+        self.config = config
+        self._messages: list[Published] = []
+        self._ring = Ring(_RING_BYTES, lambda: None, ())
+        self._link = LinkCourse(config.plate, self._ring, lambda _: None)
+        self._replay = Replay(recording, self._link)
+        self._board = BoardCourse(config, daemon_boot_id, self._publish)
+        self._waiting: list[tuple[HostTime, list[Arrival]]] = []  # events of which nothing but frames came
+        self._waiting_frames: list[SingleToneFrame] = []  # of all of these: they are adjacent
+        self.refused: tuple[str, ...] = ()
+
+    @property
+    def differences(self) -> int:
+        """How often what followed was not what is recorded."""
+        return self._replay.differences
+
+    @property
+    def damage(self) -> str | None:
+        """Why the recording ended before its end, once it has; None where the file is whole."""
+        return self._recording.damage
+
+    @property
+    def read_bytes(self) -> int:
+        """How much of the file was read."""
+        return self._recording.read_bytes
+
+    @property
+    def account(self) -> LinkAccount:
+        """Where the recorded bytes and frames went."""
+        return self._link.account()
+
+    def moments(self) -> Iterator[Moment]:
+        """Give what follows from each event that anything follows from, and the marks, in order."""
+        with threadpool_limits(1, user_api="blas"):  # so that sums are made in the same order everywhere
+            for entry in self._recording.entries():
+                if isinstance(entry, Mark):
+                    yield from self._measured()
+                    yield Moment(entry.now, mark=entry.text)
+                    continue
+                self._replay.apply(entry)
+                arrivals = self._ring.take()
+                if arrivals and not self._keep(arrivals):
+                    yield from self._measured()
+                    yield from self._taken(entry, arrivals)
+                    continue
+                self._waiting.append((entry.now, arrivals))
+                if len(self._waiting) >= _BLOCK_EVENTS:
+                    yield from self._measured()
+            yield from self._measured()
+            yield from self._taken(self._replay.end(), self._ring.take())
+
+    def _keep(self, arrivals: list[Arrival]) -> bool:
+        """Keep frames to be measured with those of later events; return False where these do not merely adjoin."""
+        frames = [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame)]
+        kept = self._waiting_frames
+        if len(frames) < len(arrivals) or (kept and frames[0].index != kept[-1].index + 1):
+            return False
+        kept += frames
+        return True
+
+    def _taken(self, event: WireEvent, arrivals: list[Arrival]) -> Iterator[Moment]:
+        """Give what follows from an event and its arrivals, measured by themselves."""
+        for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
+            if isinstance(arrival, BoardRefused):
+                self.refused = arrival.problems
+            self._board.take(arrival)
+        yield from self._at(event.now)
+
+    def _measured(self) -> Iterator[Moment]:
+        """Measure the frames that wait, together; give what follows from each of their events."""
+        waiting, self._waiting = self._waiting, []
+        frames, self._waiting_frames = self._waiting_frames, []
+        readings = deque(self._board.measure(frames) if frames else ())
+        start = 0
+        for now, arrivals in waiting:
+            if arrivals:
+                arrived = frames[start : start + len(arrivals)]
+                start += len(arrivals)
+                told = []
+                while readings and readings[0].sequence <= arrived[-1].index:
+                    told.append(readings.popleft())
+                self._board.report(arrived, told)
+            yield from self._at(now)
+
+    def _at(self, now: HostTime) -> Sequence[Moment]:
+        self._board.pass_time(now.utc_ns)
+        if not self._messages:
+            return ()
+        messages, self._messages = self._messages, []
+        return (Moment(now, messages),)
+
+    def _publish(self, topic: Topic[Any], message: Any) -> None:
+        self._messages.append(Published(topic, message))

@@ -1,0 +1,70 @@
+"""What a recording is to be played with: what it carries itself, or a configuration in place of that."""
+
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TypeVar
+
+from resonator_daemon.config import Config, parse_link
+from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.host.printable import printable
+from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
+from resonator_daemon.replay.recorded_pipeline import Playback
+
+_Loaded = TypeVar("_Loaded")
+
+UNKNOWN_BOOT_ID: Final = "0" * 16  # of a recording that no daemon made
+
+
+@contextmanager
+def open_playback(path: Path, config: Config | None = None, daemon_boot_id: str | None = None) -> Iterator[Playback]:
+    """Open a recording to be played with what it carries, or with another configuration of the same plate.
+
+    Messages bear the given boot id of a daemon, or else the recorded one.
+
+    Raises
+    ------
+    LinkUnavailableError
+        No such file, no recording, of another format, or of a plate whose frames are others.
+    ConfigError
+        What it carries is damaged or does not suit this version, or a configuration is missing and it carries none.
+    """
+    with open_recording(str(path), config.plate if config else None) as recording:
+        boot_id = daemon_boot_id or recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
+        yield Playback(recording, config or recorded_config(recording), boot_id)
+
+
+def recorded_config(recording: Recording) -> Config:
+    """Return the configuration that a recording carries, as far as it matters to its messages."""
+    path = Path(recording.path)
+    if recording.plate_text is None or recording.settings_text is None:
+        if recording.damaged_attachments:
+            raise _damaged(path, recording.damaged_attachments[0])
+        raise ConfigError(f"{path} does not carry its plate file and settings; give --config FILE")
+    try:
+        link = parse_link(recording.header.get("link"))
+    except ValueError as error:
+        raise ConfigError(f"{path}: link: {error}") from error
+    plate = _loaded(load_plate_text, recording.plate_text, path, PLATE_FILE)
+    settings = _loaded(load_settings_text, recording.settings_text, path, SETTINGS_FILE)
+    return config_of(plate, settings, link, name=recording.header.get("name"))
+
+
+def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: str) -> _Loaded:
+    """Load a text that nobody can mend in its place, since it lies in the recording."""
+    try:
+        return load(text, path / name)
+    except ConfigError as error:
+        try:
+            tomllib.loads(text)
+        except (ValueError, RecursionError):
+            raise _damaged(path, name) from error
+        raise ConfigError(*error.messages, f"{path}: its {name} cannot be used; give --config FILE") from error
+
+
+def _damaged(path: Path, name: str) -> ConfigError:
+    return ConfigError(
+        f"{path}: its attachment {printable(name)} is damaged; give plate and settings with --config FILE"
+    )

@@ -1,0 +1,103 @@
+"""Which part of a recording is played out: from and to a time or a mark."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.host.printable import printable
+from resonator_daemon.recording.reader import Mark, open_recording
+from resonator_daemon.session.host_time import HostTime
+
+
+class NoSuchMarkError(OperatorError):
+    """The recording has no mark of this text."""
+
+    exit_code = ExitCode.USAGE
+    code = "no_mark"
+
+
+class BackwardSpanError(OperatorError):
+    """The end of a part is not after its beginning."""
+
+    exit_code = ExitCode.USAGE
+    code = "no_span"
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of a recording, in its monotonic time; None: from its beginning, to its end.
+
+    Parameters
+    ----------
+    begun
+        When the recording begins.
+    """
+
+    begun: HostTime
+    from_ns: int | None = None
+    until_ns: int | None = None
+
+    def is_before(self, now: HostTime) -> bool:
+        return self.from_ns is not None and now.monotonic_ns < self.from_ns
+
+    def is_over(self, now: HostTime) -> bool:
+        return self.until_ns is not None and now.monotonic_ns >= self.until_ns
+
+    @property
+    def words(self) -> str:
+        """Which part it is, in seconds after the beginning; empty of the whole."""
+        return self._word("from", self.from_ns) + self._word("until", self.until_ns)
+
+    def _word(self, word: str, at_ns: int | None) -> str:
+        return "" if at_ns is None else f" {word} {(at_ns - self.begun.monotonic_ns) * 1e-9:.10g} s"
+
+
+def find_span(path: Path, start: str | None, end: str | None) -> Span:
+    """Look up where a part of a recording begins and ends; a text that is a number means seconds, else it is a mark's.
+
+    Raises
+    ------
+    NoSuchMarkError
+        There is no such mark up to the end, or to the first damage.
+    BackwardSpanError
+        The end is not after the beginning.
+    LinkUnavailableError
+        The file cannot be opened as a recording.
+    """
+    wanted = {text for text in (start, end) if text is not None and _seconds(text) is None}
+    marks: dict[str, int] = {}  # the first of each text
+    begun = HostTime(0, 0, 0)
+    with open_recording(str(path)) as recording:
+        for number, entry in enumerate(recording.entries()):
+            if number == 0:
+                begun = entry.now
+            if isinstance(entry, Mark):
+                marks.setdefault(entry.text, entry.now.monotonic_ns)
+            if wanted <= marks.keys():
+                break
+    for text in sorted(wanted - marks.keys()):
+        there = ", ".join(repr(printable(mark)) for mark in marks) or "none"
+        raise NoSuchMarkError(f"{path} has no mark {printable(text)!r}; its marks: {there}. A number means seconds")
+
+    def place_ns(text: str | None) -> int | None:
+        if text is None:
+            return None
+        seconds = _seconds(text)
+        return marks[text] if seconds is None else begun.monotonic_ns + round(seconds * 1e9)
+
+    from_ns, until_ns = place_ns(start), place_ns(end)
+    if from_ns is not None and until_ns is not None and from_ns >= until_ns:
+        from_s, until_s = ((at_ns - begun.monotonic_ns) * 1e-9 for at_ns in (from_ns, until_ns))
+        raise BackwardSpanError(
+            f"--from is at {from_s:.10g} s, --until at {until_s:.10g} s of {path}: nothing lies between them; give a "
+            "later --until, or an earlier --from"
+        )
+    return Span(begun, from_ns, until_ns)
+
+
+def _seconds(text: str) -> float | None:
+    try:
+        seconds = float(text)
+    except ValueError:
+        return None
+    return seconds if abs(seconds) < 1e9 else None

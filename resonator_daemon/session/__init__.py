@@ -1,0 +1,1 @@
+"""The conversation with one board: handshake, frames, gaps, clock synchronisation, loss counters."""

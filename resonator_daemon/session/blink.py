@@ -1,0 +1,43 @@
+"""Asks a board that counts to make itself seen, as often as it takes, and always comes to an answer."""
+
+from firmware_protocol.host import HostSession, Located
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import BoardLocated
+
+_ASK_AGAIN_NS = 300_000_000
+_ANSWER_NS = 3_000_000_000
+
+
+class Locating:
+    """What one connection asks of this kind; the answers go to the ring."""
+
+    def __init__(self, ring: Ring) -> None:
+        self._ring = ring
+        self._asked_ns = 0
+        self.due_ns: int | None = None  # when it is to be asked again; None while nothing is asked
+
+    def ask(self, session: HostSession, now_ns: int) -> None:
+        self._asked_ns, self.due_ns = now_ns, now_ns + _ASK_AGAIN_NS
+        session.locate()
+
+    def tend(self, session: HostSession, now_ns: int) -> None:
+        """Ask again, or give up, when it is time to."""
+        if self.due_ns is None or now_ns < self.due_ns:
+            return
+        if now_ns - self._asked_ns >= _ANSWER_NS:
+            self._end(f"the board did not answer within {_ANSWER_NS // 1_000_000_000} s")
+        else:
+            self.due_ns = now_ns + _ASK_AGAIN_NS
+            session.locate()
+
+    def take(self, event: Located) -> None:
+        self._end(event.refusal.text if event.refusal is not None else None)
+
+    def close(self) -> None:
+        """Answer what is still open: the link is closed."""
+        self._end("the link was closed before the board had answered")
+
+    def _end(self, refused: str | None) -> None:
+        if self.due_ns is not None:
+            self.due_ns = None
+            self._ring.put(BoardLocated(refused))

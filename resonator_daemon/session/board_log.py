@@ -1,0 +1,45 @@
+"""What a board tells of itself, for people: why it started, and the lines of its log."""
+
+from firmware_protocol.messages import BoardLog, ResetCause
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import BoardSays
+
+_LOG_LINES_A_SECOND = 20
+_S = 1_000_000_000
+
+
+class LogLines:
+    """Hands on the lines of a board's log, no more than anyone would read; the others are counted."""
+
+    def __init__(self, ring: Ring, account: LinkAccount) -> None:
+        self._ring = ring
+        self._account = account
+        self._second = self._lines = 0
+
+    def take(self, line: BoardLog, now_ns: int) -> None:
+        second = now_ns // _S
+        if second != self._second:
+            self._second, self._lines = second, 0
+        self._lines += 1
+        if self._lines <= _LOG_LINES_A_SECOND:
+            self._ring.put(BoardSays(line.level, line.text))
+        else:
+            self._account.log_lines_dropped += 1
+
+
+def after(reset_cause: int | None) -> str:
+    """Return the end of a sentence that says that a board started anew."""
+    match reset_cause:
+        case ResetCause.POWER_ON:
+            return ", switched on"
+        case ResetCause.BROWN_OUT:
+            return " after a brown-out: look at its supply"
+        case ResetCause.WATCHDOG:
+            return ", by its watchdog"
+        case ResetCause.SOFTWARE:
+            return ", by its software"
+        case ResetCause.RESET_PIN:
+            return ", by its reset pin"
+        case _:
+            return ""

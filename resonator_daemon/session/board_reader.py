@@ -1,0 +1,343 @@
+"""One board on one link: identify, configure, run, reconnect, in a thread that nothing behind it can slow."""
+
+import random
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, frame_bytes
+from resonator_daemon.links.hot_plug import PortWatch
+from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
+from resonator_daemon.links.opening import open_link
+from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity
+from resonator_daemon.plate import Plate
+from resonator_daemon.recording.event_replay import Pace, replay
+from resonator_daemon.recording.reader import open_recording
+from resonator_daemon.session.compatibility import BoardRefusedError
+from resonator_daemon.session.counters import FrameLoss, LinkAccount
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import Arrival, BoardLocated, LinkChange, Outage, ReaderFailed, Steering
+from resonator_daemon.session.host_time import HostTime, read_host_time
+from resonator_daemon.session.link_events import (
+    Closed,
+    Goodbye,
+    Locate,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Steered,
+    Tended,
+    WireEvent,
+)
+from resonator_daemon.session.link_state import LinkLog
+from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.step_pacing import StepPacing
+
+RING_BYTES = 64 << 20
+
+_POLL_NS = 20_000_000  # the longest that `stop` waits for a read
+_BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
+_JITTER = (0.75, 1.25)  # so that several daemons do not knock together
+_REFUSED_S = 5.0
+_PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
+_FEW_BYTES, _GATHER_S = 64, 250e-6
+_RESET_EVERY = 3  # openings in a row without a frame
+
+
+def _to_nobody(_: WireEvent) -> None:
+    """Take an event that is not recorded."""
+
+
+class BoardReader:
+    """Reads one board for as long as it is wanted, whatever happens to the cable.
+
+    Parameters
+    ----------
+    target
+        Where the board is.
+    plate
+        What the board must serve; decides the gate.
+    wake
+        Called from the reader's thread when `take` has something to give.
+    step_frames
+        How many frames are of use together: `wake` waits until there are a multiple of any of these numbers.
+    ring_bytes
+        Bound of the memory of frames that nobody takes.
+    tap
+        Is handed everything that happens on the link, as a recorder wants it; must not wait.
+
+    Attributes
+    ----------
+    turns
+        How often the reader looked whether there is something to do: who stands still does not count on.
+    """
+
+    def __init__(
+        self,
+        target: LinkTarget,
+        plate: Plate,
+        wake: Callable[[], None],
+        *,
+        step_frames: Sequence[int] = (1,),
+        ring_bytes: int = RING_BYTES,
+        tap: Callable[[WireEvent], None] = _to_nobody,
+    ) -> None:
+        self._target = target
+        self._plate = plate
+        self._wake = wake
+        self._wake_due = False
+        self._ring = Ring(ring_bytes, self._wake_soon, step_frames)
+        self._course = LinkCourse(plate, self._ring, tap)
+        self._pacing = StepPacing(frame_bytes(plate), round(1e9 / plate.counter.frame_rate_hz))
+        self._log = LinkLog()
+        self._stopping = False
+        self._orders: deque[tuple[str, str]] = deque()
+        self.turns = 0
+        self._watch = PortWatch(target)
+        self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
+        self._port: PortIdentity | None = None
+        self._locating = threading.Lock()
+        self._told_located: list[Callable[[str | None], None]] = []  # whoever waits for an answer
+        self._to_locate = self._link_open = self._serving = False
+
+    def start(self) -> None:
+        if not self.replays:  # there it was said when it was recorded
+            self._course.apply(Said(read_host_time(), "starting", "the link is being opened"))
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End the thread, if it was started, and give the port back; returns when both are done."""
+        self._stopping = True
+        self._watch.wake()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._watch.close()
+
+    def take(self) -> list[Arrival]:
+        """Return what has arrived since the last call, in order."""
+        arrivals = self._ring.take()
+        for arrival in arrivals:
+            if isinstance(arrival, LinkChange | Outage):
+                self._log.write(arrival)
+            elif isinstance(arrival, BoardLocated):
+                with self._locating:
+                    told, self._told_located = self._told_located, []
+                for done in told:
+                    done(arrival.refused)
+        return arrivals
+
+    def locate(self, done: Callable[[str | None], None]) -> None:
+        """Have the board make itself seen while it counts on; from any thread.
+
+        `take` calls `done`, in any case unless the reader is stopped before: with why the board does not, or None where
+        it does.
+        """
+        with self._locating:
+            self._told_located.append(done)
+            self._to_locate = self._link_open
+            if self._link_open:
+                return
+        self._ring.put(BoardLocated("a recording has no board" if self.replays else "no board is connected"))
+
+    def steer(self, key: str, order: str) -> None:
+        """Have `take` give this order after all frames that have arrived, and a recording hold it there."""
+        if self.replays:  # what is recorded there was recorded before
+            self._ring.put(Steering(key, order))
+        else:
+            self._orders.append((key, order))
+            self._watch.wake()
+
+    def account(self) -> LinkAccount:
+        """Return where every byte and frame went, as of now."""
+        return self._course.account()
+
+    def wake_at(self, step_frames: Sequence[int]) -> None:
+        """Have `wake` called at the ends of other steps from now on."""
+        self._ring.step_frames = step_frames
+
+    @property
+    def replays(self) -> bool:
+        """Whether a recording is read: its frames have no age."""
+        return isinstance(self._target, ReplayLink)
+
+    @property
+    def newest_monotonic_ns(self) -> int:
+        """Middle of the newest gate whose frame has arrived; 0 before the first."""
+        newest = self._ring.newest
+        return newest.gate_middle.monotonic_ns if newest is not None else 0
+
+    @property
+    def lost(self) -> FrameLoss:
+        """Frames lost since the start, by cause."""
+        return self._course.lost
+
+    @property
+    def clock_rate_ppm(self) -> float:
+        """How much slower than nominal the board's ticks run; NaN while no board is there."""
+        connection = self._course.connection
+        clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
+        return clock.rate_ppm if clock else float("nan")
+
+    def _wake_soon(self) -> None:
+        """Wake the consumer; from the reader's thread before it waits next, so that both do not compete till then."""
+        self._wake_due = True
+        if not self._serving or threading.get_ident() != self._thread.ident:
+            self._wake_now()
+
+    def _wake_now(self) -> None:
+        if self._wake_due:
+            self._wake_due = False
+            self._wake()
+
+    def _run(self) -> None:
+        try:
+            if isinstance(self._target, ReplayLink):
+                self._replay(self._target)
+            else:
+                self._keep_reading()
+        except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
+            self._ring.put(ReaderFailed(error))
+
+    def _keep_reading(self) -> None:
+        backoff_s = _BACKOFF_FIRST_S
+        fruitless = 0
+        while not self._stopping:
+            self.turns += 1
+            self._pass_orders_on(read_host_time())
+            wait_s = 0.0
+            try:
+                link = self._open()
+            except LinkUnavailableError as error:
+                self._course.apply(Said(read_host_time(), "waiting", str(error)))
+            else:
+                try:
+                    counted = self._serve(link)
+                    fruitless = 0 if counted else fruitless + 1
+                    if counted:
+                        backoff_s = _BACKOFF_FIRST_S
+                    elif fruitless % _RESET_EVERY == 0:
+                        with suppress(LinkLostError):  # it is gone already, or goes with the reset
+                            link.reset()
+                except BoardRefusedError:
+                    wait_s = _REFUSED_S
+                finally:
+                    link.close()
+            if not self._stopping and self._watch.wait(wait_s or backoff_s * random.uniform(*_JITTER)):
+                backoff_s = _BACKOFF_FIRST_S
+            else:
+                backoff_s = min(2 * backoff_s, _BACKOFF_CAP_S)
+
+    def _open(self) -> Link:
+        """Open the link; an adapter that has come back under another name is opened there."""
+        target = self._target
+        if isinstance(target, SerialLink) and self._port and (moved_to := find_port(self._port, target.path)):
+            target = replace(target, path=moved_to)
+        link = open_link(target)
+        if isinstance(target, SerialLink):
+            self._port = port_identity(target.path)
+        return link
+
+    def _serve(self, link: Link) -> bool:
+        """Talk to the board until the link is lost; return whether it ever counted."""
+        course = self._course
+        now = read_host_time()
+        course.apply(Opened(now))
+        overruns = 0
+        self._link_open = self._serving = True
+        try:
+            while not self._stopping:
+                self.turns += 1
+                self._pass_orders_on(now)
+                self._send(link, now)
+                if self._to_locate:
+                    self._to_locate = False
+                    course.apply(Locate(now))
+                    self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
+                pieces = self._read(link, course.due_ns())
+                now = read_host_time()
+                if not pieces and (data := link.read(0.0)):  # silence ends before a thread that was kept waiting looks
+                    pieces = [Received(read_host_time(), data)]
+                if link.overruns != overruns:
+                    overruns = link.overruns
+                    course.apply(Overrun(read_host_time()))
+                for piece in pieces:
+                    course.apply(piece)
+                if self._ring.newest is not None:
+                    self._pacing.has_read(self._ring.newest)
+                if pieces:
+                    now = read_host_time()
+                course.apply(Tended(now, idle=not pieces))
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and course.within_packet:
+                    # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
+                    time.sleep(_GATHER_S)
+            self._say_goodbye(link)
+        except LinkLostError as error:
+            course.apply(Lost(read_host_time(), str(error)))
+        except BoardRefusedError as error:
+            course.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
+            with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
+                self._say_goodbye(link)
+            raise
+        finally:
+            self._serving = False
+            self._wake_now()
+            was_online = course.was_online
+            with self._locating:
+                self._link_open = False
+                unasked, self._to_locate = self._to_locate, False
+            course.apply(Closed(read_host_time()))
+            if unasked:
+                self._ring.put(BoardLocated("the link was closed before the board was asked"))
+        return was_online
+
+    def _pass_orders_on(self, now: HostTime) -> None:
+        while self._orders:
+            self._course.apply(Steered(now, *self._orders.popleft()))
+
+    def _read(self, link: Link, due_ns: int) -> list[Received]:
+        """Read until a monotonic time; while an answer is awaited all that is there, each piece with its time."""
+        now_ns = time.monotonic_ns()
+        due_ns = min(due_ns, now_ns + _POLL_NS)
+        newest = self._ring.newest
+        sleep_ns = 0
+        if newest is not None and not self._course.awaits_answer:
+            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._ring.step_frames, due_ns)
+        self._wake_now()
+        if sleep_ns:
+            time.sleep(sleep_ns * 1e-9)
+            if data := link.read(0.0):
+                return [Received(read_host_time(), data)]
+            now_ns = time.monotonic_ns()
+        timeout_s = max(0, due_ns - now_ns) * 1e-9
+        pieces: list[Received] = []
+        while len(pieces) < _PIECES and (data := link.read(timeout_s)):
+            pieces.append(Received(read_host_time(), data))
+            if not self._course.awaits_answer or len(data) < _FEW_BYTES:
+                break  # so few are the last of what there was, or a line hands them on one by one
+            timeout_s = _QUICK_S
+        return pieces
+
+    def _say_goodbye(self, link: Link) -> None:
+        now = read_host_time()
+        self._course.apply(Goodbye(now))
+        self._send(link, now)
+
+    def _send(self, link: Link, now: HostTime) -> None:
+        if data := self._course.data_to_send():
+            self._course.apply(Sent(now, data))
+            link.write(data)
+
+    def _replay(self, target: ReplayLink) -> None:
+        try:
+            with open_recording(target.path, self._plate) as recording:
+                replay(recording, self._course, Pace(self._watch.wait, lambda: self._stopping))
+        except LinkUnavailableError as error:
+            # Another file does not come by waiting.
+            self._course.apply(Refused(read_host_time(), (str(error),), other_protocol=False))

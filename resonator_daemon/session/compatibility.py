@@ -1,0 +1,111 @@
+"""Whether a board can serve a plate: what it describes against what the plate file says."""
+
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_protocol.host import Described
+from firmware_protocol.layouts import CHANNEL_COUNT
+from firmware_protocol.messages import CounterKind, Description
+from resonator_daemon.plate import Plate
+from resonator_daemon.session.frames import BoardRefused
+
+_KINDS = {CounterKind.SINGLE_TONE: "single-tone", CounterKind.CHANNELISED: "channelised"}
+_REFERENCE_TOLERANCE = 1e-6  # nominal against nominal: both are written down, not measured
+_OFFSET_LIMIT_HZ = 32_767.0  # offset_hz16 reaches no further
+
+
+class BoardRefusedError(Exception):
+    """The board can never serve this plate, or speaks another protocol."""
+
+    def __init__(self, *problems: str, other_protocol: bool = False) -> None:
+        super().__init__("; ".join(problems))
+        self.refused = BoardRefused(problems, other_protocol)
+
+
+def gate_ticks(plate: Plate) -> int:
+    """Return the gate, in board ticks, that gives the plate's frame rate."""
+    return round(plate.counter.reference_hz / plate.counter.frame_rate_hz)
+
+
+def oscillator_hz(description: Description) -> NDArray[np.float64]:
+    """Return the frequency (tones,) against which a channelised board counts each tone; of others nothing."""
+    channelised = description.counter_kind == CounterKind.CHANNELISED
+    number = np.arange(description.tones if channelised else 0, dtype=np.float64)
+    return (description.oscillator_millihertz + number * description.oscillator_spacing_millihertz) / 1e3
+
+
+def misfits(description: Description, plate: Plate) -> tuple[str, ...]:
+    """Return a sentence for everything about the board that does not fit the plate file; empty when it fits."""
+    reference_hz = description.reference_millihertz / 1e3
+    kind = _KINDS.get(CounterKind(description.counter_kind)) if description.counter_kind in set(CounterKind) else None
+    pairs: list[tuple[str, object, object]] = [
+        ("plate", description.plate, plate.name),
+        ("counter kind", kind or f"number {description.counter_kind}", plate.counter.kind),
+        ("channels", description.channels, CHANNEL_COUNT),
+    ]
+    if abs(reference_hz / plate.counter.reference_hz - 1) > _REFERENCE_TOLERANCE:
+        pairs.append(("reference_hz", reference_hz, plate.counter.reference_hz))
+    if plate.counter.kind == "channelised":
+        pairs.append(("tones", description.tones, len(plate.tones.f0_hz)))
+    found = [
+        f"{what}: the board describes {board}, the plate file has {expected}"
+        for what, board, expected in pairs
+        if board != expected
+    ]
+    if description.gate_ticks_min > description.gate_ticks_max:
+        low, high = description.gate_ticks_min, description.gate_ticks_max
+        found.append(f"gate: the board describes at least {low} and at most {high} ticks, which no gate can be")
+    if description.gate_ticks_step < 1:
+        found.append("gate: the board describes multiples of 0 ticks, which no gate can be")
+    if found:
+        return tuple(found)
+    if not description.gate_ticks_min <= gate_ticks(plate) <= description.gate_ticks_max:
+        low_hz = reference_hz / max(1, description.gate_ticks_max)
+        high_hz = reference_hz / max(1, description.gate_ticks_min)
+        expected_hz = plate.counter.frame_rate_hz
+        return (f"frame rate: the board makes {low_hz:g} to {high_hz:g} Hz, the plate file has {expected_hz:g} Hz",)
+    if gate_ticks(plate) % description.gate_ticks_step:
+        return (
+            f"frame rate: the board makes gates of multiples of {description.gate_ticks_step} ticks, the plate file's "
+            f"{plate.counter.frame_rate_hz:g} Hz need {gate_ticks(plate)}",
+        )
+    if plate.counter.kind == "channelised":
+        offset_hz = np.abs(plate.tones.f0_hz - oscillator_hz(description)[:, None])
+        worst = int(offset_hz.max(axis=1).argmax())
+        if offset_hz[worst].max() > _OFFSET_LIMIT_HZ:
+            return (
+                f"tone {worst}: the board's oscillator is {offset_hz[worst].max():.0f} Hz from the plate file's f0, "
+                f"at most {_OFFSET_LIMIT_HZ:.0f} Hz can be counted",
+            )
+    return ()
+
+
+def strangers(board: Described, known: Described) -> tuple[str, ...]:
+    """Return a sentence for everything that tells a board from the one that was here; empty when it is the same."""
+    if board.identity.serial_number != known.identity.serial_number:
+        return (
+            f"another board is on this link: {board.identity.serial_number}; {known.identity.serial_number} was here "
+            "before: connect that one again, or start the daemon anew to take this one",
+        )
+    pairs = [("product", board.identity.product, known.identity.product)]
+    pairs += [
+        (field.name, getattr(board.description, field.name), getattr(known.description, field.name))
+        for field in fields(board.description)
+    ]
+    return tuple(
+        f"{name}: the board says {present}, it said {past} before; mend its firmware, or start the daemon anew"
+        for name, present, past in pairs
+        if present != past
+    )
+
+
+def measured_misfit(description: Description, slower_ppm: float, uncertainty_ppm: float) -> str:
+    """Say that the board's ticks do not come at the rate that it describes."""
+    described_hz = description.reference_millihertz / 1e3
+    measured_hz = described_hz / (1 + slower_ppm * 1e-6)
+    return (
+        f"reference_hz: the board describes {described_hz:.0f} Hz, its ticks come at {measured_hz:.0f} Hz "
+        f"(give or take {uncertainty_ppm:.0f} ppm by this host's clock)"
+    )

@@ -1,0 +1,46 @@
+"""What later events of a link follow from, so that a recording can begin in the middle of a connection.
+
+Which board counts, the number and time of its last frame, what is known of its clock, and the pings on their way.
+"""
+
+from typing import NamedTuple
+
+from firmware_protocol.host import Described
+from firmware_protocol.messages import Configuration
+from resonator_daemon.session.clock import ClockStanding
+from resonator_daemon.session.frame_numbers import NumberStanding
+from resonator_daemon.session.link_state import StateStanding
+
+
+class Ping(NamedTuple):
+    """A ping on its way: what it carries, when it left, and the newest ticks that were known then."""
+
+    number: int
+    sent_ns: int
+    known_ticks: int
+
+
+class Running(NamedTuple):
+    """A connection whose board counts, between two packets and two frames.
+
+    `request_number` is that of the last request, `answered_ns` the monotonic time of the last answer, `rate_doubt` what
+    is odd about the board's ticks, `newest_ticks` the newest that any message told.
+    """
+
+    described: Described
+    configuration: Configuration
+    request_number: int
+    answered_ns: int
+    rate_doubt: str
+    newest_ticks: int
+    clock: ClockStanding
+    pings: tuple[Ping, ...]
+
+
+class CourseStanding(NamedTuple):
+    """A link as it stands; `running` None while it is closed, `known` the board of the connection before."""
+
+    state: StateStanding
+    numbers: NumberStanding
+    known: Described | None
+    running: Running | None

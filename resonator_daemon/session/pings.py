@@ -1,0 +1,78 @@
+"""Pings on their way to a board and back, made here or, in a replay that began midway, by the connection of then."""
+
+from firmware_protocol.host import HostSession
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.packets import Packet, PacketDecoder
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_snapshot import Ping
+
+_LOST_NS = 5_000_000_000
+_NUMBER_BYTES = 8
+_NUMBERS = 1 << 32
+
+
+class Pings:
+    """The pings of one connection."""
+
+    def __init__(self) -> None:
+        self._on_the_way: dict[int, Ping] = {}
+        self._made = 0
+        self._followed: PacketDecoder | None = None  # of what another connection sends
+
+    @property
+    def await_answer(self) -> bool:
+        """Whether a ping is on its way."""
+        return bool(self._on_the_way)
+
+    @property
+    def follow(self) -> bool:
+        """Whether another connection pings, of which `sent` tells."""
+        return self._followed is not None
+
+    def restart(self) -> None:
+        """Forget all, and whom was followed: the board has described itself anew, and all begins with that."""
+        self._on_the_way.clear()
+        self._made = 0
+        self._followed = None
+
+    def make(self, session: HostSession, now_ns: int, newest_ticks: int) -> None:
+        """Send a ping, if the board has room for one."""
+        if self._followed is not None:
+            return
+        for lost in [ping for ping in self._on_the_way.values() if now_ns - ping.sent_ns > _LOST_NS]:
+            del self._on_the_way[lost.number]
+        if session.ping(self._made.to_bytes(_NUMBER_BYTES, "little")):
+            self._on_the_way[self._made] = Ping(self._made, now_ns, newest_ticks)
+            self._made += 1
+
+    def take(self, opaque: bytes) -> Ping | None:
+        """Return the ping that is answered; None where nobody waits for that."""
+        taken = self._on_the_way.pop(int.from_bytes(opaque, "little"), None)
+        if taken is not None:
+            for before in [ping for ping in self._on_the_way.values() if ping.sent_ns < taken.sent_ns]:
+                del self._on_the_way[before.number]  # boards answer in order: it will not be answered any more
+        return taken
+
+    @property
+    def standing(self) -> tuple[Ping, ...]:
+        """Those on their way, for `follow_another`."""
+        return tuple(self._on_the_way.values())
+
+    def follow_another(self, on_the_way: tuple[Ping, ...]) -> None:
+        """Make no pings from here: another connection does, and has these on their way."""
+        self._followed = PacketDecoder(from_board=False)
+        self._on_the_way = {ping.number: ping for ping in on_the_way}
+
+    def sent(self, session: HostSession, data: bytes, now: HostTime, newest_ticks: int) -> None:
+        """Take what the connection that is followed has sent, and its request numbers with it."""
+        if self._followed is None:
+            return
+        session.data_to_send()  # the same, but for the pings
+        for packet in self._followed.feed(data):
+            if not isinstance(packet, Packet):
+                continue
+            if (packet.sequence - session.number) % _NUMBERS < _NUMBERS // 2:  # else it was sent again
+                session.number = packet.sequence
+            if packet.type == MessageType.PING:
+                number = int.from_bytes(packet.payload, "little")
+                self._on_the_way[number] = Ping(number, now.monotonic_ns, newest_ticks)

@@ -1,0 +1,151 @@
+"""What commands do to a daemon that is busy: under a touch, in a flood, and in a recording that is played again."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from brokers import Amqtt, Mosquitto
+from observer import Observer, observe
+from service_bench import Bench, events
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.publishing.requests import request
+
+HELD = """
+[plate]
+ideal = true
+[[touches]]
+start_s = 0.4
+site = 7
+force_newton = 2.0
+rise_s = 0.1
+hold_s = 60
+fall_s = 0.1
+"""
+ALL = ("tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify")
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+async def ask(bench: Bench, verb: str, **payload: Any) -> dict[str, Any]:
+    return await request(Mqtt(url=bench.broker_url), "hand", verb, payload)
+
+
+def forces(heard: Observer) -> list[dict[str, Any]]:
+    return heard.payloads("resonator/hand/forces")
+
+
+async def test_what_changes_nothing_is_answered_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
+    bench = Bench(tmp_path, broker.url)
+    async with (
+        bench.emulated(scenario="still"),
+        observe(broker.url) as heard,
+        bench.running(bench.service()) as service,
+    ):
+        await heard.until_count("resonator/hand/forces", 5)
+        pong = await ask(bench, "ping")
+        health = await ask(bench, "health")
+        snapshot = await ask(bench, "snapshot")
+        refused = await ask(bench, "set_rate", topic="forces", rate_hz=1)
+        info = heard.payloads("resonator/hand/info")[-1]
+    assert pong["daemon_boot_id"] == service.daemon_boot_id
+    assert health["health"]["frames"] > 0
+    assert snapshot["messages"]["state/link"]["state"] == "online"
+    assert set(snapshot["messages"]) >= {"state/daemon", "state/sensor", "info", "forces", "contacts", "health"}
+    assert refused["error"]["code"] == "not_permitted"
+    assert "allow" in refused["error"]["hint"]
+    assert set(info["commands"]) == {"ping", "health", "snapshot"}
+
+
+async def test_the_window_changes_under_a_touch_that_goes_on(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario=bench.scenario(HELD)),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(allow=ALL)),
+    ):
+        await heard.until(lambda: len(events(heard)) == 1)
+        await heard.until(lambda: any(message["sites"][0]["force_newton"] > 1.99 for message in forces(heard)[-1:]))
+        await heard.until_count("resonator/hand/forces", len(forces(heard)) + 20)
+        before = forces(heard)[-10:]
+        answer = await ask(bench, "set_window", window_ms=20, step_ms=10)
+        assert answer["ok"], answer
+        await heard.until(lambda: forces(heard)[-1]["window_s"] == pytest.approx(0.02))
+        info = await heard.until_last("resonator/hand/info", window_s=0.02, step_s=0.01)
+        await heard.until_count("resonator/hand/forces", len(forces(heard)) + 20)
+        after = forces(heard)[-10:]
+        wrong = await ask(bench, "set_window", window_ms=2.5, step_ms=10)
+        assert len(events(heard)) == 1
+    assert info["rates_hz"]["forces"] == pytest.approx(100)
+    means = [np.mean([message["sites"][0]["force_newton"] for message in part]) for part in (before, after)]
+    assert means[0] == pytest.approx(means[1], abs=0.005)
+    steps = np.diff([int(message["board_ticks"]) for message in after])
+    np.testing.assert_allclose(steps, 10_000_000, rtol=1e-3)
+    assert wrong["error"]["code"] == "window"
+    assert "whole number of frame periods" in wrong["error"]["message"]
+
+
+async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario=bench.scenario(HELD)),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(allow=ALL)),
+    ):
+        await heard.until(lambda: len(events(heard)) == 1)
+        started = await ask(bench, "start_recording", label="press")
+        assert started["ok"], started
+        assert (await ask(bench, "mark", text="now"))["ok"]
+        health = (await ask(bench, "health"))["health"]
+        await heard.until_count("resonator/hand/forces", len(forces(heard)) + 300)
+        stopped = await ask(bench, "stop_recording")
+        live = {message["board_ticks"]: message for message in forces(heard)}
+    path = Path(started["file"])
+    assert path.is_relative_to(bench.folder / "state" / "resonatord" / "recordings")
+    assert "press" in path.name
+    assert health["recording"]["file"] == str(path)
+    assert stopped["recording"]["events_missing"] == 0
+    assert stopped["recording"]["all_bytes"] == path.stat().st_size
+
+    replayed = bench.folder / "replay.toml"
+    replayed.write_text(
+        f'name = "again"\nplate = "quartz16"\nlink = "replay:{path}"\n[mqtt]\nurl = "{bench.broker_url}"\n'
+    )
+    again = Service(ConfigStore(replayed, bench.folder / "last-good"))
+    async with observe(mosquitto.url) as heard, bench.running(again) as service:
+        await heard.until(lambda: service.link_account.frames >= 400)
+        await heard.until_count("resonator/again/forces", 60)
+        again = heard.payloads("resonator/again/forces")
+    same = [message for message in again if message["board_ticks"] in live]
+    assert len(same) > 40
+    for message in same:
+        assert abs(int(message["t_ns"]) - int(live[message["board_ticks"]]["t_ns"])) < 2 * message["t_unc_ns"] + 1e6
+
+
+async def test_a_hundred_at_once_are_not_obeyed(
+    bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
+) -> None:
+    async with (
+        bench.emulated(scenario="still"),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()) as service,
+    ):
+        await heard.until_last("resonator/hand/state/link", state="online")
+        for _ in range(100):
+            await heard.client.publish("resonator/hand/cmd/ping", b"{}", qos=1)
+        await heard.until(
+            lambda: any(
+                message.topic.value.endswith("rsp/ping") and b"too_many" in message.payload for message in heard.heard
+            )
+        )
+        await heard.until_count("resonator/hand/health", len(heard.raw("resonator/hand/health")) + 2)
+        health = json.loads(heard.raw("resonator/hand/health")[-1])
+        assert service.link_account.lost.total == 0
+    assert sum(health["commands"].values()) == 100
+    assert health["commands"]["too_many"] + health["commands"]["unanswered"] >= 50
+    assert caplog.text.count("commands come faster") == 1

@@ -1,0 +1,84 @@
+"""A configuration that is read again: what is taken, what waits, and what is said of a file that is bad."""
+
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.daemon.config_in_use import ConfigInUse
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.errors import ConfigError
+
+GOOD = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    path = tmp_path / "left.toml"
+    path.write_text(GOOD)
+    return path
+
+
+def in_use(path: Path) -> ConfigInUse:
+    return ConfigInUse(ConfigStore(path, path.parent / "last-good"))
+
+
+async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_restart(path: Path) -> None:
+    present = in_use(path)
+    assert (present.remark, present.status.in_use, present.status.needs_restart) == ("", "file", ())
+    first = present.sha256
+    path.write_text(GOOD.replace("5000", "5001") + "[measurement]\nwindow_ms = 20\n")
+    found = await present.reload()
+    assert found is not None
+    assert (found.live, found.restart) == (("measurement.window_ms",), ("link",))
+    assert (present.config.measurement.window_ms, str(present.config.link)) == (20.0, "tcp://127.0.0.1:5000")
+    assert present.remark == "restart for changed link"
+    assert present.status.needs_restart == ("link",)
+    assert present.sha256 != first
+    path.write_text(GOOD)  # as it was at the start
+    await present.reload()
+    assert (present.remark, present.config.measurement.window_ms, present.sha256) == ("", 10.0, first)
+
+
+async def test_a_bad_file_changes_nothing_and_all_that_is_wrong_with_it_is_told(path: Path) -> None:
+    present = in_use(path)
+    before = present.config
+    path.write_text(GOOD + "[measurement]\nwindow_ms = 20\nspan_ms = 1\nstep_ms = 100\n")
+    assert await present.reload() is None
+    assert present.config is before
+    assert len(present.status.problems) == 2
+    assert present.remark.startswith(f"its changed configuration cannot be used: {path}:6: measurement.span_ms")
+    assert present.remark.endswith(", and 1 more")
+    path.write_text(GOOD)
+    await present.reload()
+    assert (present.remark, present.status.problems) == ("", ())
+
+
+async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_is_mended(path: Path) -> None:
+    in_use(path)
+    path.write_text(GOOD + "wrong = 1\n")
+    present = in_use(path)
+    assert present.status.in_use == "last_good"
+    assert present.remark.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
+    path.write_text(GOOD + "worse = 1\n")
+    await present.reload()
+    assert present.remark.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
+    path.write_text(GOOD + "[measurement]\nstep_ms = 2\n")
+    await present.reload()
+    assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == ("", "file", 2.0)
+
+
+def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
+    path.write_text(GOOD + "wrong = 1\n")
+    with pytest.raises(ConfigError, match="wrong: unknown key"):
+        in_use(path)
+
+
+async def test_a_file_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
+    path = tmp_path / "h\udcff.toml"
+    path.write_text(GOOD)
+    present = in_use(path)
+    path.write_text("wrong")
+    await present.reload()
+    status = present.status.model_dump_json()
+    assert "/h?.toml" in status
+    assert present.remark.encode().startswith(b"its changed configuration cannot be used: ")

@@ -1,0 +1,229 @@
+"""The last good configuration: kept as a whole, used when the file is bad, and in nobody's way."""
+
+import errno
+import logging
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.config.text import plate_text
+from resonator_daemon.daemon.config_store import ConfigStore, load_checked
+from resonator_daemon.errors import ConfigError
+from resonator_daemon.plate import load_plate
+
+GOOD = (
+    'name = "left"\nplate = "own.toml"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\nusername = "a"\npassword_file = "pw"\n'
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    (tmp_path / "own.toml").write_text(plate_text(load_plate("quartz16")))
+    (tmp_path / "pw").write_text("secret\n")
+    path = tmp_path / "left.toml"
+    path.write_text(GOOD)
+    return path
+
+
+def store(path: Path) -> ConfigStore:
+    return ConfigStore(path, path.parent / "state" / "last-good")
+
+
+def copies(path: Path) -> list[Path]:
+    return sorted((path.parent / "state" / "last-good").iterdir())
+
+
+def refused(path: Path) -> tuple[str, ...]:
+    with pytest.raises(ConfigError) as caught:
+        store(path).load()
+    return caught.value.messages
+
+
+def test_a_good_file_is_in_use_and_kept_for_its_owner_alone(path: Path) -> None:
+    loaded = store(path).load()
+    assert (loaded.in_use, loaded.problems) == ("file", ())
+    assert loaded.config.name == "left"
+    (copy,) = copies(path)
+    assert copy.name.startswith("left-")
+    assert stat.S_IMODE(copy.stat().st_mode) == 0o600
+    assert "secret" not in copy.read_text()
+
+
+def test_a_bad_file_is_made_up_for_by_the_last_good_copy(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    good = store(path).load()
+    path.write_text(GOOD.replace('"left"', '"a b"') + "prefix = 5\n")
+    loaded = store(path).load()
+    assert (loaded.in_use, loaded.sha256, loaded.config) == ("last_good", good.sha256, good.config)
+    assert [problem.removeprefix(f"{path}:")[:8] for problem in loaded.problems] == ["1: name:", "7: mqtt."]
+    assert [record.message.partition(",")[0] for record in caplog.records] == [
+        f"{path} cannot be used; running on the last good copy",
+        *(problem.partition(",")[0] for problem in loaded.problems),
+    ]
+
+
+@pytest.mark.parametrize("content", ["format = 2\n", None])
+def test_the_plate_is_kept_with_it(path: Path, content: str | None) -> None:
+    """The configuration is as before, and the plate's own file is bad, or gone."""
+    good = store(path).load()
+    (path.parent / "own.toml").unlink()
+    if content is not None:
+        (path.parent / "own.toml").write_text(content)
+    loaded = store(path).load()
+    assert (loaded.in_use, loaded.config) == ("last_good", good.config)
+    assert all("plate: got 'own.toml'" in problem for problem in loaded.problems)
+
+
+def test_paths_of_the_copy_are_relative_to_the_file_as_before(path: Path) -> None:
+    store(path).load()
+    path.write_text("bad\n")
+    (path.parent / "pw").write_text("changed\n")
+    assert store(path).load().config.mqtt.password == "changed"
+    (path.parent / "pw").unlink()
+    bad, copy = refused(path)
+    assert bad.startswith(f"{path}:1: not TOML")
+    assert copy.startswith("the last good copy cannot be used either: ")
+    assert "mqtt.password_file: got 'pw'" in copy
+
+
+def test_what_is_told_of_files_names_them_from_everywhere_and_by_the_users_own_links(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path.write_text(GOOD + '[recording]\ndirectory = "runs"\n')
+    (path.parent / "way").symlink_to(path.parent)
+    monkeypatch.chdir(path.parent)
+    relative = ConfigStore(Path("way") / path.name, path.parent / "state" / "last-good")
+    loaded = relative.load()
+    assert relative.path == path.parent / "way" / path.name
+    assert loaded.config.recording.directory == path.parent / "way" / "runs"
+    (path.parent / "way" / path.name).write_text("bad\n")
+    assert relative.load().config.recording.directory == path.parent / "way" / "runs"
+
+
+def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
+    path.write_text(GOOD.replace("tcp:", "tpc:"))
+    (message,) = refused(path)
+    assert message.startswith(f"{path}:3: link: got 'tpc://127.0.0.1:5000'; no link is called 'tpc'")
+
+
+def test_a_file_that_was_removed_is_not_wanted(path: Path) -> None:
+    store(path).load()
+    path.unlink()
+    assert refused(path) == (f"{path}: no such file; give the path of an existing TOML file",)
+
+
+def test_another_file_of_the_same_name_has_a_copy_of_its_own(path: Path) -> None:
+    store(path).load()
+    other = path.parent / "other" / "left.toml"
+    other.parent.mkdir()
+    other.write_text("bad\n")
+    with pytest.raises(ConfigError) as caught:
+        ConfigStore(other, path.parent / "state" / "last-good").load()
+    assert len(caught.value.messages) == 1  # nothing is said of a copy
+
+
+def test_the_newest_good_one_counts(path: Path) -> None:
+    keeper = store(path)
+    keeper.load()
+    path.write_text(GOOD.replace('"left"', '"right"'))
+    assert keeper.reload().config.name == "right"
+    path.write_text("bad\n")
+    with pytest.raises(ConfigError):
+        keeper.reload()
+    assert store(path).load().config.name == "right"
+    assert len(copies(path)) == 1
+
+
+def test_what_is_kept_already_is_not_written_again(path: Path) -> None:
+    store(path).load()
+    before = [copy.stat().st_ino for copy in copies(path)]
+    store(path).load()
+    assert [copy.stat().st_ino for copy in copies(path)] == before
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"\xff", b'{"format": 2}'])
+def test_a_damaged_copy_is_said_and_replaced(path: Path, content: bytes) -> None:
+    store(path).load()
+    (copy,) = copies(path)
+    copy.write_bytes(content)
+    path.write_text("bad\n")
+    damaged = refused(path)[1]
+    assert damaged == f"{copy}: is damaged; no last good copy"
+    path.write_text(GOOD)
+    store(path).load()
+    path.write_text("bad\n")
+    assert store(path).load().in_use == "last_good"
+
+
+def test_a_state_directory_that_takes_nothing_stops_nobody(path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (path.parent / "state").write_text("")
+    keeper = store(path)
+    assert keeper.load().in_use == keeper.reload().in_use == "file"
+    (record,) = caplog.records
+    assert record.levelno == logging.WARNING
+    assert "Not a directory" in record.message
+    path.write_text("bad\n")
+    assert "Not a directory; no last good copy" in refused(path)[1]
+
+
+def test_a_full_disk_leaves_the_old_copy(
+    path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    store(path).load()
+    path.write_text(GOOD.replace('"left"', '"right"'))
+
+    def full(_number: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        assert store(path).load().config.name == "right"
+    assert "No space left on device" in caplog.text
+    assert len(copies(path)) == 1
+    path.write_text("bad\n")
+    assert store(path).load().config.name == "left"
+
+
+def test_codes_that_overlap_are_a_problem_of_the_file(path: Path) -> None:
+    store(path).load()
+    plate = load_plate("quartz16")
+    first, second = plate.sites[:2]
+    twin = second.model_copy(update={"tones": first.tones})
+    plate = plate.model_copy(update={"sites": (first, twin, *plate.sites[2:])})
+    (path.parent / "own.toml").write_text(plate_text(plate))
+    with pytest.raises(ConfigError, match="can be mistaken for each other"):
+        load_checked(path)
+    assert "can be mistaken for each other" in store(path).load().problems[0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (os.mkfifo, "is no regular file; remove it"),
+        (lambda copy: copy.symlink_to("/dev/zero"), "is no regular file; remove it"),
+        (lambda copy: copy.mkdir(), "Is a directory"),
+    ],
+)
+def test_a_copy_that_is_no_file_is_refused_and_stops_nothing(
+    path: Path, make: Callable[[Path], None], said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    store(path).load()
+    (copy,) = copies(path)
+    copy.unlink()
+    make(copy)
+    assert store(path).load().in_use == "file"
+    assert said in caplog.text
+    path.write_text("name = 5\n")
+    assert refused(path)[-1].endswith(f"{said}; no last good copy")
+
+
+def test_a_plate_that_changes_alone_is_kept_anew(path: Path) -> None:
+    store(path).load()
+    plate = load_plate("quartz16")
+    changed = plate.model_copy(update={"force_max_newton": 0.5 * plate.force_max_newton})
+    (path.parent / "own.toml").write_text(plate_text(changed))
+    assert store(path).load().in_use == "file"
+    (path.parent / "own.toml").unlink()
+    assert store(path).load().config.plate.force_max_newton == changed.force_max_newton

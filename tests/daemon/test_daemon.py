@@ -1,0 +1,350 @@
+"""The whole daemon between an emulated board and a real broker, heard by a plain subscriber."""
+
+import asyncio
+import threading
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from logging import INFO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from brokers import Amqtt, Mosquitto
+from decoder_bench import until
+from observer import observe
+from service_bench import Bench, events
+
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import Arrival, BoardSays
+from simulators.faults import parse_faults
+
+IDEAL = "[plate]\nideal = true\n"
+LONG_TOUCH = """
+[[touches]]
+start_s = 0.4
+site = 7
+force_newton = 2.0
+rise_s = 0.1
+hold_s = {hold_s}
+fall_s = 0.1
+"""
+
+
+@pytest.fixture
+def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
+    return Bench(tmp_path, mosquitto.url)
+
+
+def mean_newton(window: list[dict[str, Any]]) -> float:
+    return float(sum(contact["force_newton"][2] for line in window for contact in line["contacts"]) / len(window))
+
+
+async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
+    bench = Bench(tmp_path, broker.url)
+    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=0.3))
+    async with (
+        observe(broker.url) as heard,
+        bench.measured(heard, bench.service(), scenario=scenario) as service,
+    ):
+        await heard.until(lambda: len(events(heard)) == 2)
+        onset, release = events(heard)
+        assert service.link_account.lost.total == 0
+    assert (onset["event"], release["event"]) == ("onset", "release")
+    assert onset["contact"]["site"] == release["contact"]["site"] == 7
+    assert onset["contact"]["id"] == release["contact"]["id"]
+    assert release["contact"]["peak_newton"] == pytest.approx(2.0, abs=0.01)
+
+    # Compared with the truth averaged over the same window, reading by reading.
+    errors = []
+    for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
+        true = mean_newton(window)
+        middle_ns = (int(window[0]["t_ns"]) - 1_000_000 + int(window[-1]["t_ns"])) / 2
+        assert abs(int(message["t_ns"]) - middle_ns) <= message["t_unc_ns"] + 100_000
+        errors += [site["force_newton"] - true for site in message["sites"] if true > 0.1]
+    assert len(errors) > 50
+    assert np.sqrt(np.mean(np.square(errors))) <= 0.005
+
+    retained = [message.topic.value for message in heard.heard]
+    assert {"resonator/hand/state/daemon", "resonator/hand/state/link", "resonator/hand/state/sensor"} <= set(retained)
+    info = heard.payloads("resonator/hand/info")[-1]
+    assert (info["plate"], info["serial_number"], len(info["sites"])) == ("quartz16", "EMU-0001", 16)
+
+
+async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario="still"):
+        async with bench.running(bench.service()), observe(mosquitto.url) as first:
+            await first.until_last("resonator/hand/state/sensor", state="online")
+            async with observe(mosquitto.url) as late:
+                daemon = await late.until_last("resonator/hand/state/daemon", state="online")
+                link = await late.until_last("resonator/hand/state/link", state="online")
+                sensor = await late.until_last("resonator/hand/state/sensor", state="online")
+        assert link["reason"] == "board EMU-0001 sends 1000 frames/s"
+        assert "site forces only" in sensor["reason"]
+        assert daemon["daemon_boot_id"] == link["daemon_boot_id"]
+        async with observe(mosquitto.url) as after:
+            await after.until_last("resonator/hand/state/daemon", state="offline", reason="stopped")
+
+
+async def test_pressed_at_start_gives_no_force_until_it_is_let_go(bench: Bench, mosquitto: Mosquitto) -> None:
+    held = (
+        LONG_TOUCH.format(hold_s=0.6).replace("start_s = 0.4", "start_s = 0.0").replace("rise_s = 0.1", "rise_s = 0.0")
+    )
+    again = LONG_TOUCH.format(hold_s=0.2).replace("start_s = 0.4", "start_s = 1.5")
+    async with (
+        observe(mosquitto.url) as heard,
+        bench.measured(heard, bench.service(), scenario=bench.scenario(held + again)),
+    ):
+        pressed = await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
+        await heard.until_last("resonator/hand/state/sensor", state="online")
+        seen_before = heard.payloads("resonator/hand/forces")
+        assert not any(message["sites"] for message in seen_before)
+        assert any(message["status"] == "pressed_at_start" for message in seen_before)
+        assert events(heard) == []
+        await heard.until(lambda: len(events(heard)) == 2)
+    assert "before the pilot was heard" in pressed["reason"]
+    assert events(heard)[0]["contact"]["site"] == 7
+
+
+async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("reboot_at_s=0.8")
+    async with (
+        observe(mosquitto.url) as heard,
+        bench.measured(heard, bench.service(), scenario=bench.scenario(LONG_TOUCH.format(hold_s=1.5)), faults=faults),
+    ):
+        await heard.until(lambda: len(events(heard)) == 2)
+        await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
+        await heard.until_last("resonator/hand/state/sensor", state="online")
+        boots = {message["board_boot_id"] for message in heard.payloads("resonator/hand/forces")}
+        after = [m for m in heard.payloads("resonator/hand/forces") if m["status"] == "pressed_at_start"]
+    onset, release = events(heard)
+    assert (onset["event"], release["event"]) == ("onset", "release")
+    assert len(boots) == 2
+    assert after
+    assert not any(message["sites"] for message in after)
+
+
+async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("unplug_at_s=0.7,unplug_for_s=0.5")
+    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=2.0))
+    async with (
+        observe(mosquitto.url) as heard,
+        bench.measured(heard, bench.service(), scenario=scenario, faults=faults) as service,
+    ):
+        await heard.until(lambda: "lost" in [m["state"] for m in heard.payloads("resonator/hand/state/link")])
+        await heard.until_last("resonator/hand/state/link", state="online")
+        count = len(heard.raw("resonator/hand/forces"))
+        await heard.until_count("resonator/hand/forces", count + 60)
+        lost = service.link_account.lost
+    forces = heard.payloads("resonator/hand/forces")
+    assert lost.link_gap == lost.total >= 500
+    assert forces[-1]["lost"]["link_gap"] == lost.link_gap
+    # The plate was pressed all the while: its zero was not learnt anew, and the force is what it was.
+    assert forces[-1]["sites"][0]["force_newton"] == pytest.approx(2.0, abs=0.01)
+    assert "pressed_at_start" not in [m["state"] for m in heard.payloads("resonator/hand/state/sensor")]
+    gap_s = max(int(b["t_ns"]) - int(a["t_ns"]) for a, b in pairwise(forces)) / 1e9
+    assert gap_s == pytest.approx(lost.link_gap * 1e-3, abs=0.05)
+
+
+async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
+    broker = Mosquitto(tmp_path)
+    bench = Bench(tmp_path, broker.url)
+    async with bench.emulated(scenario="still"), bench.running(bench.service()) as service:
+        await asyncio.to_thread(wait_for_frames, service, 200)
+        for _ in range(2):
+            await broker.start()
+            async with observe(broker.url) as heard:
+                await heard.until_last("resonator/hand/state/link", state="online")
+                await heard.until_last("resonator/hand/state/daemon", state="online")
+                await heard.until_count("resonator/hand/forces", 20)
+            await broker.kill()
+        await asyncio.to_thread(wait_for_frames, service, service.link_account.frames + 200)
+        assert service.link_account.lost.total == 0
+    account = service.message_account
+    dropped = sum(account.dropped.values())
+    known = account.acknowledged + account.handed_to_socket + dropped + account.unknown_at_disconnect
+    assert account.made == known + account.waiting
+    assert account.waiting == 0
+    assert account.dropped["no_connection"] > 0
+
+
+def wait_for_frames(service: Service, count: int) -> None:
+    deadline = time.monotonic() + 30
+    while service.link_account.frames < count and time.monotonic() < deadline:
+        threading.Event().wait(0.01)
+    assert service.link_account.frames >= count
+
+
+async def test_a_stalled_event_loop_loses_no_frame(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario="still"), observe(mosquitto.url) as heard:
+        async with bench.running(bench.service()) as service:
+            await heard.until_count("resonator/hand/forces", 20)
+            before = service.link_account.frames
+            wait_for_frames(service, before + 1000)  # blocks the event loop for a second
+            await heard.until_count("resonator/hand/forces", len(heard.raw("resonator/hand/forces")) + 250)
+            assert service.link_account.lost.total == 0
+        forces = heard.payloads("resonator/hand/forces")
+    steps = {int(b["board_ticks"]) - int(a["board_ticks"]) for a, b in pairwise(forces)}
+    assert max(steps) <= 5_000_000 * 260  # dropped streams are counted; measured frames are not among them
+
+
+async def test_beyond_the_range_there_is_no_number(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario="too-hard"),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service()),
+    ):
+        await heard.until(lambda: any(m["status"] == "overload" for m in heard.payloads("resonator/hand/forces")))
+        await heard.until(lambda: any(event["event"] == "release" for event in events(heard)))
+    sites = [site for message in heard.payloads("resonator/hand/forces") for site in message["sites"]]
+    overloaded = [site for site in sites if site["status"] == "overload"]
+    assert overloaded
+    assert all(site["force_newton"] is None and site["at_least_newton"] == 10 for site in overloaded)
+    assert all(site["force_newton"] <= 10.5 for site in sites if site["force_newton"] is not None)
+
+
+async def test_between_sites_what_is_not_seen_stays_within_the_bound(bench: Bench, mosquitto: Mosquitto) -> None:
+    places = ((-0.5, 1.5), (1.4, 2.75), (-2.0, -2.0), (6.2, -3.9))  # from half a millimetre off a site to midway
+    between = "".join(
+        LONG_TOUCH.format(hold_s=0.2).replace("site = 7", f"position_mm = [{x}, {y}]").replace("0.4", f"{start_s:.1f}")
+        for (x, y), start_s in zip(places, (0.4, 1.0, 1.6, 2.2), strict=True)
+    )
+    async with (
+        observe(mosquitto.url) as heard,
+        bench.measured(heard, bench.service(), scenario=bench.scenario(IDEAL + between)),
+    ):
+        await heard.until_count("resonator/hand/forces", 1)
+        start_ticks = int(heard.payloads("resonator/hand/forces")[0]["board_ticks"])
+        await heard.until(
+            lambda: int(heard.payloads("resonator/hand/forces")[-1]["board_ticks"]) - start_ticks > 2_900_000_000
+        )
+    seen = set()
+    for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
+        true = mean_newton(window)
+        if true > 0.1:
+            seen.add(message["status"])
+            if message["sites"]:
+                seen_newton = sum(site["force_newton"] for site in message["sites"])
+                hidden = max(site["hidden_newton"] for site in message["sites"])
+                noise = sum(site["noise_newton"] for site in message["sites"])
+                assert -0.005 - 3 * noise <= true - seen_newton <= hidden
+    assert seen <= {"ok", "ambiguous", "settling", "rejected", "possibly_more"}
+    assert "ok" in seen
+
+
+async def test_without_a_name_the_serial_number_is_the_topic(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with (
+        bench.emulated(scenario="still"),
+        observe(mosquitto.url) as heard,
+        bench.running(bench.service(name=None)),
+    ):
+        await heard.until_last("resonator/EMU-0001/state/link", state="online")
+        await heard.until_last("resonator/EMU-0001/state/daemon", state="online")
+
+
+async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
+    async with bench.emulated(scenario="still"):
+        with pytest.raises(ConfigError, match=r"serial number .EMU\+1. .*; set name in the configuration"):
+            await bench.service(name=None).run()
+
+
+async def test_a_board_for_another_plate_ends_the_daemon(bench: Bench, mosquitto: Mosquitto) -> None:
+    async with bench.emulated(scenario="still", tcp=("127.0.0.1", 0)) as emulator, observe(mosquitto.url) as heard:
+        with pytest.raises(ConfigError, match="the board describes quartz16, the plate file has skin32") as refused:
+            await bench.service("skin32", emulator.link.address).run()
+        await heard.until_last("resonator/hand/state/link", state="refused")
+    assert refused.value.exit_code == ExitCode.CONFIG
+
+
+async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: Bench) -> None:
+    async def other_version(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(encode_packet(0x81, 1, b"?", boot_id=7, major=2))
+        await writer.drain()
+        writer.close()
+
+    async with await asyncio.start_server(other_version, "127.0.0.1", 0) as server:
+        port = server.sockets[0].getsockname()[1]
+        with pytest.raises(IncompatibleBoardError, match="speaks protocol 2, this daemon speaks 1") as refused:
+            await bench.service("skin32", f"tcp://127.0.0.1:{port}").run()
+    assert refused.value.exit_code == ExitCode.UNAVAILABLE
+
+
+async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    service = bench.service()
+    as_handled = service._handle
+    give_up_s = time.monotonic() + 20.0
+    behind, handled = asyncio.Event(), 0
+
+    def slow(arrival: object) -> None:
+        nonlocal handled
+        handled += 1
+        if handled > 300:
+            behind.set()
+        time.sleep(0.002)  # 1000 frames come in a second
+        if time.monotonic() > give_up_s:
+            service.stop()  # nobody else comes to his turn
+        as_handled(arrival)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(service, "_handle", slow)
+    turns = 0
+    async with bench.emulated(scenario="still"), bench.running(service):
+        await behind.wait()
+        for _ in range(10):
+            await asyncio.sleep(0.001)
+            turns += time.monotonic() < give_up_s
+    assert turns == 10
+    assert time.monotonic() < give_up_s
+
+
+class BusyReader(BoardReader):
+    """A reader without a thread: more arrivals than are handled in one part, and one that comes meanwhile."""
+
+    def __init__(self, target: Any, plate: Any, wake: Callable[[], None], **options: Any) -> None:
+        super().__init__(target, plate, wake, **options)
+        self._wake_consumer = wake
+        self._batches: list[list[Arrival]] = [[BoardSays(INFO, str(number)) for number in range(60)]]
+
+    def start(self) -> None:
+        self._wake_consumer()
+
+    def take(self) -> list[Arrival]:
+        batch = self._batches.pop() if self._batches else []
+        if len(batch) > 1:
+            self._batches.append([BoardSays(INFO, "meanwhile")])
+            self._wake_consumer()
+        return batch
+
+
+async def test_what_arrives_while_others_are_handled_needs_no_later_arrival(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(INFO)
+    monkeypatch.setattr("resonator_daemon.daemon.daemon.BoardReader", BusyReader)
+    async with bench.running(bench.service(link="tcp://127.0.0.1:1")):
+        await until(lambda: "board: meanwhile" in caplog.messages)
+    assert [text for text in caplog.messages if text.startswith("board: ")][-2:] == ["board: 59", "board: meanwhile"]
+
+
+async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:
+    faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
+    async with (
+        observe(mosquitto.url) as heard,
+        bench.measured(
+            heard, bench.service(), scenario=bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=10)), faults=faults
+        ),
+    ):
+        await heard.until(lambda: len(events(heard)) == 2)
+        assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"
+        await heard.until(lambda: len(events(heard)) == 3)
+    first, lost, again = events(heard)
+    assert [event["event"] for event in (first, lost, again)] == ["onset", "release", "onset"]
+    assert lost["reason"] == "no frames for 0.5 s"
+    assert lost["contact"]["id"] == first["contact"]["id"] != again["contact"]["id"]
+    assert again["contact"]["site"] == 7

@@ -1,0 +1,230 @@
+"""A running daemon whose configuration file changes, and one that finds its file broken."""
+
+import asyncio
+import contextlib
+import functools
+import os
+import signal
+import sys
+from pathlib import Path
+
+from brokers import Mosquitto
+from mcap.reader import make_reader
+from observer import DEADLINE_S, observe
+from service_bench import Bench
+
+from resonator_daemon.config import Mqtt
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
+from resonator_daemon.publishing.requests import request
+from resonator_daemon.recording.reader import open_recording
+
+RESONATORD = Path(sys.executable).with_name("resonatord")
+
+
+async def test_windows_and_commands_are_taken_live_and_a_bad_file_is_told(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = bench.service()
+        async with bench.running(service):
+            await heard.until_last("resonator/hand/info", step_s=0.005)
+            path = bench.folder / "board.toml"
+            good = path.read_text().replace("allow = []", 'allow = ["tare"]')
+            path.write_text(good + "[measurement]\nwindow_ms = 20\nstep_ms = 10\n")
+            service.reload()
+            await heard.until_last("resonator/hand/info", step_s=0.01)
+            await heard.until_last("resonator/hand/forces", window_s=0.02)
+            await heard.until(lambda: "tare" in heard.payloads("resonator/hand/info")[-1]["commands"])
+            path.write_text("name = \n")
+            service.reload()
+            await heard.until(lambda: "cannot be used" in heard.payloads("resonator/hand/state/daemon")[-1]["reason"])
+            assert heard.payloads("resonator/hand/state/daemon")[-1]["state"] == "online"
+            path.write_text(good)
+            service.reload()
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+            await heard.until_last("resonator/hand/info", step_s=0.005)
+
+
+async def test_a_broken_file_at_the_start_is_told_on_mqtt_and_the_last_good_one_is_used(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service()  # which keeps a copy
+    path = bench.folder / "board.toml"
+    path.write_text(path.read_text().replace("plate", "plaet"))
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = Service(ConfigStore(path, bench.folder / "last-good"))
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 10)
+            reason = heard.payloads("resonator/hand/state/daemon")[-1]["reason"]
+    assert reason.startswith("measuring; on the last good configuration: ")
+    assert "plate: missing" in reason
+    assert reason.endswith(", and 1 more")
+
+
+async def test_continuous_recording_begins_with_the_first_byte_and_is_switched_by_a_reload(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        bench.service()
+        path = bench.folder / "board.toml"
+        bare = path.read_text()
+        path.write_text(f'{bare}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+        service = Service(ConfigStore(path, bench.folder / "last-good"))
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 20)
+            path.write_text(bare)
+            service.reload()
+            await heard.until(
+                lambda: (
+                    bool(told := heard.payloads("resonator/hand/health"))
+                    and (told[-1]["recording"]["file"], told[-1]["recording"]["files"]) == (None, 1)
+                )
+            )
+        (file,) = (tmp_path / "runs").glob("*.mcap")
+    with open_recording(str(file)) as recording:
+        kinds = [type(event).__name__ for event in recording.events()]
+    assert kinds.index("Opened") < kinds.index("Received")
+    assert recording.damage is None
+
+
+async def test_a_file_that_changes_while_it_is_read_is_read_again(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard:
+        service = bench.service(link="tcp://127.0.0.1:9")
+        path = bench.folder / "board.toml"
+        good = path.read_text()
+        async with bench.running(service):
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+            path.write_text(good + "wrong = 1\n")
+            service.reload()
+            in_use, reload = service._in_use, service._in_use.reload
+            begun = asyncio.Event()
+
+            async def slowly() -> object:
+                begun.set()
+                found = await reload()
+                path.write_text(good)
+                service.reload()
+                in_use.reload = reload  # type: ignore[method-assign]
+                return found
+
+            in_use.reload = slowly  # type: ignore[method-assign, assignment]
+            await begun.wait()
+            said = functools.partial(heard.payloads, "resonator/hand/state/daemon")
+            await heard.until(lambda: any("cannot be used" in state["reason"] for state in said()))
+            await heard.until_last("resonator/hand/state/daemon", reason="measuring")
+
+
+async def test_a_reload_that_waits_for_the_reader_does_not_hold_up_the_end(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        service = bench.service()
+        path = bench.folder / "board.toml"
+        async with asyncio.timeout(DEADLINE_S), bench.running(service):
+            await heard.until_count("resonator/hand/forces", 3)
+            service._steering._send = lambda key, order: None  # type: ignore[method-assign]  # never obeyed
+            path.write_text(path.read_text() + "[measurement]\nwindow_ms = 20\n")
+            service.reload()
+            await heard.until(lambda: bool(service._steering._asked))
+
+
+async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_does(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard:
+        service = bench.service(name=None)
+        path = bench.folder / "board.toml"
+        async with bench.running(service):
+            path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+            reloaded = asyncio.Event()
+            say, service._say_measuring = service._say_measuring, reloaded.set  # type: ignore[method-assign]
+            service.reload()
+            await reloaded.wait()
+            service._say_measuring = say  # type: ignore[method-assign]
+            async with bench.emulated():
+                await heard.until_last("resonator/EMU-0001/state/link", state="online")
+                await heard.until(
+                    lambda: (
+                        bool(states := heard.payloads("resonator/EMU-0001/health"))
+                        and bool(states[-1]["recording"]["file"])
+                    )
+                )
+
+
+async def test_a_reload_at_the_end_is_ignored(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service(link="tcp://127.0.0.1:9")
+    async with observe(mosquitto.url) as heard:
+        command = (RESONATORD, "run", "--config", bench.folder / "board.toml")
+        process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason="measuring")
+        process.send_signal(signal.SIGTERM)
+        ended = asyncio.create_task(process.communicate())
+        while not ended.done():
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(process.pid, signal.SIGHUP)  # `send_signal` may reap it, and asyncio then calls its code 255
+            await asyncio.wait([ended], timeout=0.01)
+        _, said = await ended
+    assert (process.returncode, b"Traceback" in said) == (0, False)
+
+
+async def test_sighup_reads_the_file_again_and_sigterm_ends(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    bench.service(link="tcp://127.0.0.1:9")
+    path = bench.folder / "board.toml"
+    async with observe(mosquitto.url) as heard:
+        command = (RESONATORD, "run", "--config", path)
+        process = await asyncio.create_subprocess_exec(*command, env=os.environ, stderr=asyncio.subprocess.PIPE)
+        await heard.until_last("resonator/hand/state/daemon", state="online", reason="measuring")
+        path.write_text(path.read_text().replace("tcp://127.0.0.1:9", "tcp://127.0.0.1:10"))
+        process.send_signal(signal.SIGHUP)
+        await heard.until_last(
+            "resonator/hand/state/daemon", state="online", reason="measuring; restart for changed link"
+        )
+        process.send_signal(signal.SIGTERM)
+        _, said = await process.communicate()
+    assert process.returncode == 0
+    assert b"configuration read again: restart for link" in said
+
+
+async def test_a_command_that_a_reload_allows_is_obeyed_from_then_on(tmp_path: Path, mosquitto: Mosquitto) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated(scenario="still"):
+        service = bench.service()
+        path = bench.folder / "board.toml"
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 3)
+            broker = Mqtt(url=mosquitto.url)
+            assert not (await request(broker, "hand", "tare", {}))["ok"]
+            path.write_text(path.read_text().replace("allow = []", 'allow = ["tare"]'))
+            service.reload()
+            await heard.until(lambda: "tare" in heard.payloads("resonator/hand/info")[-1]["commands"])
+            assert (await request(broker, "hand", "tare", {}))["ok"]
+
+
+async def test_what_is_measured_is_recorded_from_the_reload_on_that_wants_it(
+    tmp_path: Path, mosquitto: Mosquitto
+) -> None:
+    bench = Bench(tmp_path, mosquitto.url)
+    async with observe(mosquitto.url) as heard, bench.emulated():
+        bench.service()
+        path = bench.folder / "board.toml"
+        path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
+        service = Service(ConfigStore(path, bench.folder / "last-good"))
+        async with bench.running(service):
+            await heard.until_count("resonator/hand/forces", 20)
+            assert not service._recorded.derived
+            path.write_text(path.read_text() + "derived = true\n")
+            service.reload()
+            await heard.until(lambda: service._recorded.derived)
+            await heard.until_count("resonator/hand/forces", len(heard.payloads("resonator/hand/forces")) + 20)
+        topics = set()
+        for file in (tmp_path / "runs").glob("*.mcap"):
+            with file.open("rb") as stream:
+                topics |= {channel.topic for _, channel, _ in make_reader(stream).iter_messages()}
+    assert {"wire", "forces"} <= topics

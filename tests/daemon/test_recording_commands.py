@@ -1,0 +1,188 @@
+"""Recordings that the configuration starts: when, where, and with which limits."""
+
+import json
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from command_stand_ins import configured
+
+from resonator_daemon.config import Config, ReplayLink
+from resonator_daemon.config.text import load_plate_text, load_settings_text
+from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
+from resonator_daemon.publishing.verbs import StartRecording, StopRecording
+from resonator_daemon.recording import file_series as recording_budget
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.switch import RecordingSwitch
+
+
+def config(directory: Path, **recording: Any) -> Config:
+    given = configured(directory)
+    return given.model_copy(update={"recording": given.recording.model_copy(update=recording)})
+
+
+class Seen:
+    """In place of a switch: what it would be started with."""
+
+    def __init__(self) -> None:
+        self.started: list[Series] = []
+        self.current = None
+
+    def start(self, place: Series, _origin: Origin) -> None:
+        self.started.append(place)
+
+
+async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_wanted_any_more(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    endless = config(tmp_path, continuous=True)
+    commands = RecordingCommands(endless, "left", switch, daemon_boot_id="b", config_sha256="1")
+    await commands.keep_recording()
+    now = switch.current
+    assert now is not None
+    await commands.keep_recording()
+    assert (await commands.start(StartRecording())).already
+    assert switch.current is not None
+    assert switch.current.path == now.path
+    await commands.adopt(config(tmp_path), "2")
+    assert switch.current is None
+    await commands.adopt(config(tmp_path), "3")
+    assert switch.current is None
+    await commands.adopt(endless, "4")
+    assert switch.current is not None
+    last = switch.current.path
+    await commands.stop(StopRecording())
+    with open_recording(str(last)) as it:
+        assert {key: it.header[key] for key in ("name", "daemon_boot_id", "config_sha256")} == {
+            "name": "left",
+            "daemon_boot_id": "b",
+            "config_sha256": "4",
+        }
+        assert it.plate_text is not None
+        assert it.settings_text is not None
+        assert load_plate_text(it.plate_text, last).model_dump_json() == endless.plate.model_dump_json()
+        settings = load_settings_text(it.settings_text, last)
+        assert (settings.measurement, settings.decoding) == (endless.measurement, endless.decoding)
+
+
+async def test_a_recording_that_a_command_began_outlasts_another_configuration(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path), "left", switch)
+    await commands.keep_recording()
+    assert switch.current is None
+    await commands.start(StartRecording(label="press"))
+    await commands.adopt(config(tmp_path, file_max_mb=5.0), None)
+    assert switch.current is not None
+    switch.close()
+
+
+@pytest.mark.parametrize("config_began_before", [False, True])
+async def test_what_a_command_began_goes_on_where_the_configuration_stops_recording(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, config_began_before: bool
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = RecordingSwitch()
+    endless = config(tmp_path, continuous=True)
+    commands = RecordingCommands(endless if config_began_before else config(tmp_path), "left", switch)
+    await commands.keep_recording()
+    await commands.stop(StopRecording())
+    began = await commands.start(StartRecording(label="mine"))
+    await commands.adopt(endless, None)
+    await commands.adopt(config(tmp_path), None)
+    assert switch.current is not None
+    assert str(switch.current.path) == began.file
+    assert caplog.messages == []
+    assert not (await commands.stop(StopRecording())).already
+
+
+async def test_what_the_configuration_began_ends_with_it_and_the_log_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path), "left", switch)
+    await commands.start(StartRecording(label="mine"))
+    await commands.stop(StopRecording())
+    await commands.adopt(config(tmp_path, continuous=True), None)
+    assert switch.current is not None
+    path = switch.current.path
+    await commands.adopt(config(tmp_path), None)
+    assert switch.current is None
+    assert caplog.messages == [f"recording ended with {path}: [recording] was changed"]
+    await commands.adopt(config(tmp_path, continuous=True), None)
+    await commands.stop(StopRecording())
+    await commands.adopt(config(tmp_path), None)
+    assert len(caplog.messages) == 1
+
+
+async def test_another_directory_is_taken_at_once_by_what_the_configuration_began(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path, continuous=True), "left", switch)
+    await commands.keep_recording()
+    await commands.adopt(config(tmp_path / "other", continuous=True), None)
+    assert switch.current is not None
+    assert switch.current.path.parent == tmp_path / "other"
+    switch.close()
+
+
+async def test_a_reload_that_changes_nothing_of_it_begins_no_recording_that_was_stopped(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path, continuous=True), "left", switch)
+    await commands.keep_recording()
+    await commands.stop(StopRecording())
+    await commands.adopt(config(tmp_path, continuous=True), None)
+    assert switch.current is None
+
+
+async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    replaying = config(tmp_path, continuous=True).model_copy(update={"link": ReplayLink("run.mcap")})
+    await RecordingCommands(replaying, "left", switch).keep_recording()
+    assert switch.current is None
+
+
+async def test_limits_are_those_of_the_configuration(tmp_path: Path) -> None:
+    seen = Seen()
+    limits = {"file_max_mb": 2.5, "file_max_minutes": 0.5, "budget_mb": 7.0, "keep_free_mb": 3.0, "continuous": True}
+    await RecordingCommands(config(tmp_path, **limits), "left", seen).keep_recording()  # type: ignore[arg-type]
+    assert seen.started == [
+        Series(
+            tmp_path,
+            "left",
+            file_max_bytes=2_500_000,
+            file_max_ns=30 * 10**9,
+            budget_bytes=7_000_000,
+            keep_free_bytes=3_000_000,
+            resumes=True,
+        )
+    ]
+
+
+async def test_a_recording_without_end_waits_for_room_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=1))
+    switch = RecordingSwitch()
+    await RecordingCommands(config(tmp_path, continuous=True), "left", switch).keep_recording()
+    told = json.loads(recording_info(switch).model_dump_json())
+    assert "MB are kept free" in told["failure"]
+    assert (told["files"], told["file_bytes"], told["file"]) == (0, 0, str(tmp_path))
+    switch.close()
+
+
+async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    commands = RecordingCommands(config(tmp_path), "left", switch)
+    idle = {"file": None, "since_t_ns": None, "failure": None, "file_bytes": 0}
+    none = {"files_removed": 0, "events_missing": 0, "messages_missing": 0}
+    assert json.loads(recording_info(switch).model_dump_json()) == {**idle, **none, "files": 0, "messages": 0}
+    for number in (1, 2):
+        began = await commands.start(StartRecording())
+        told = recording_info(switch)
+        assert (told.file, told.since_t_ns, told.files) == (began.file, began.since_t_ns, number)
+        switch.put_message("forces", number, b"{}", {"title": "Forces", "type": "object"})
+        await commands.stop(StopRecording())
+        told = recording_info(switch)
+        assert json.loads(told.model_dump_json()) == {**idle, **none, "files": number, "messages": number}

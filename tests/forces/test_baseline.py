@@ -1,0 +1,147 @@
+import math
+
+import numpy as np
+import pytest
+
+from resonator_daemon.forces.baseline import CommonMode
+
+FLOOR_STD = 2e-7
+READING_STD = 3e-9
+STEP_S = 0.005
+
+
+def learnt(channels=4, value=0.0, floor_std=FLOOR_STD):
+    mode = CommonMode(channels, needed=20, reading_std=READING_STD, floor_std=floor_std)
+    for _ in range(200):
+        mode.update([value] * channels, STEP_S)
+    return mode
+
+
+def test_unknown_until_every_channel_was_heard_often_enough():
+    mode = CommonMode(2, needed=3, reading_std=READING_STD)
+    for _ in range(5):
+        mode.update([1e-6, math.nan], STEP_S)
+    assert not mode.known
+    assert all(math.isnan(g) for g in mode.value)
+    assert math.isnan(mode.std)
+    for _ in range(2):
+        mode.update([1e-6, 2e-6], STEP_S)
+    assert not mode.known
+    mode.update([1e-6, 2e-6], STEP_S)
+    assert mode.known
+    assert mode.value == pytest.approx((1e-6, 2e-6))
+
+
+def test_the_first_readings_are_averaged_plainly():
+    mode = CommonMode(1, needed=4, reading_std=1.0)  # noise far above any walk
+    for reading in (1.0, 2.0, 3.0, 6.0):
+        mode.update([reading], STEP_S)
+    assert mode.value == pytest.approx((3.0,))
+
+
+def test_a_drift_is_followed_while_untouched():
+    mode = learnt()
+    for k in range(2000):
+        mode.update([1e-9 * k * STEP_S] * 4, STEP_S)  # 6e-7 in ten minutes
+    assert mode.value == pytest.approx((1e-9 * 2000 * STEP_S,) * 4, abs=1e-10)
+
+
+def test_untouched_readings_leave_less_noise_than_one_has():
+    rng = np.random.default_rng(4)
+    mode = learnt(1)
+    errors = []
+    for _ in range(4000):
+        mode.update([READING_STD * rng.normal()], STEP_S)
+        errors.append(mode.value[0])
+    assert np.std(errors) < 0.5 * READING_STD
+
+
+def test_reset_makes_it_unknown_again():
+    mode = CommonMode(1, needed=2, reading_std=READING_STD)
+    mode.update([5.0], STEP_S)
+    mode.update([5.0], STEP_S)
+    mode.reset()
+    mode.update([1.0], STEP_S)
+    assert not mode.known
+    mode.update([1.0], STEP_S)
+    assert mode.value == pytest.approx((1.0,))
+
+
+def test_a_held_value_stays_and_grows_less_certain():
+    mode = learnt(value=1e-6)
+    held = mode.value
+    stds = []
+    for _ in range(600):
+        mode.update([math.nan] * 4, 1.0)
+        stds.append(mode.std)
+    assert mode.value == held
+    assert stds[0] == pytest.approx(FLOOR_STD, rel=0.01)
+    assert (np.diff(stds) > 0).all()
+    # A random walk: its variance is proportional to the time.
+    growth = np.array(stds) ** 2 - FLOOR_STD**2
+    assert growth[599] / growth[149] == pytest.approx(4.0, rel=0.01)
+
+
+def test_one_channel_that_is_not_heard_makes_the_whole_less_certain():
+    mode = learnt()
+    before = mode.std
+    mode.update([0.0, 0.0, 0.0, math.nan], 600.0)
+    assert mode.std > 1.5 * before
+
+
+def test_a_press_held_for_ten_minutes_is_covered_while_the_plate_drifts_by_two_kelvin():
+    """Sinusoids of 2 K with periods of 5 minutes to 2 hours; coefficients of site and pilot as of a usual AT cut."""
+    rng = np.random.default_rng(5)
+    sensitivity = -6.3e-6
+    ratios = []
+    for _ in range(2000):
+        period_s, phase = np.exp(rng.uniform(np.log(300), np.log(7200))), rng.uniform(0, 2 * np.pi)
+        theta = [2.0 * np.sin(2 * np.pi * t / period_s + phase) for t in (0.0, 600.0)]
+        pilot, difference = -5e-8 + 5e-8 * rng.normal(), 5e-8 * rng.normal()
+        mode = CommonMode(1, needed=1, reading_std=READING_STD)
+        mode.update([pilot * theta[0]], STEP_S)
+        mode.update([math.nan], 600.0)
+        shift = sensitivity * 2.0 + pilot * theta[1] + difference * theta[1]
+        force = (shift - mode.value[0]) / sensitivity
+        ratios.append(abs(force - 2.0) / (mode.std / abs(sensitivity)))
+    assert np.mean(np.array(ratios) <= 2.0) >= 0.95
+    assert np.sqrt(np.mean(np.square(ratios))) > 0.25  # and the stated one is not far too large
+
+
+def test_tare_takes_the_present_readings_at_once():
+    mode = learnt(2, 1e-6)
+    mode.update([math.nan] * 2, 3600.0)
+    mode.tare([3e-6, math.nan])
+    assert mode.value == pytest.approx((3e-6, 1e-6), abs=1e-12)
+    mode.tare([3e-6, 4e-6])
+    assert mode.std == pytest.approx(FLOOR_STD, rel=0.01)
+    fresh = CommonMode(1, needed=50, reading_std=READING_STD)
+    fresh.tare([2e-6])
+    assert fresh.value == (2e-6,)
+
+
+def test_a_plate_with_its_own_floor_states_it():
+    assert learnt(floor_std=1e-8).std == pytest.approx(1e-8, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("change", "name"),
+    [
+        ({"needed": 0}, "needed"),
+        ({"reading_std": 0.0}, "reading_std"),
+        ({"reading_std": math.inf}, "reading_std"),
+        ({"floor_std": -1e-9}, "floor_std"),
+        ({"floor_std": math.nan}, "floor_std"),
+    ],
+)
+def test_impossible_settings_are_refused(change, name):
+    with pytest.raises(ValueError, match=name):
+        CommonMode(1, **({"needed": 1, "reading_std": 1e-9} | change))
+
+
+def test_readings_of_another_number_of_channels_are_refused():
+    mode = CommonMode(2, needed=1, reading_std=1e-9)
+    with pytest.raises(ValueError, match="1 readings for 2 channels"):
+        mode.update([0.0], STEP_S)
+    with pytest.raises(ValueError, match="elapsed_s"):
+        mode.update([0.0, 0.0], -1.0)

@@ -1,0 +1,171 @@
+import math
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+from resonator_daemon.forces.codes import code_overlaps, guard_step
+from resonator_daemon.forces.site_identification import Matcher
+from resonator_daemon.plate import load_plate
+
+LARGEST = 10.0
+
+
+def least_mismatch_ppm(unloaded, sensitivity, common_shift):
+    """Least over both forces and the common shift of the largest mismatch, by a linear program in ppm and newtons."""
+    difference, (a, b) = unloaded[0] - unloaded[1], sensitivity
+    channels = len(difference)
+    rows = np.column_stack([a, -b, np.full(channels, 1e-6), np.zeros(channels)]) * 1e6
+    above, below = rows.copy(), -rows
+    above[:, 3] = below[:, 3] = -1
+    forces = [(-0.02 * LARGEST, LARGEST)] * 2
+    return linprog(
+        [0, 0, 0, 1],
+        A_ub=np.vstack([above, below]),
+        b_ub=np.concatenate([-difference, difference]) * 1e6,
+        bounds=[*forces, (-common_shift * 1e6, common_shift * 1e6), (0, None)],
+        method="highs",
+    ).fun
+
+
+@pytest.mark.parametrize("channels", [1, 2, 3, 4])
+@pytest.mark.parametrize("kind", ["any sign", "one sign", "channels alike", "one of a sign"])
+@pytest.mark.parametrize("common_shift", [0.0, 3e-6, 2e-5])
+def test_two_codes_overlap_exactly_where_a_linear_program_says_so(channels, kind, common_shift):
+    rng = np.random.default_rng([channels, len(kind)])
+    for _ in range(15):
+        unloaded = rng.uniform(-1, 1, (2, channels)) * rng.choice([20e-6, 80e-6])
+        sensitivity = rng.uniform(-8e-6, 8e-6, (2, channels))
+        if kind == "one sign":
+            sensitivity = -np.abs(sensitivity)
+        elif kind == "channels alike":
+            sensitivity = np.repeat(sensitivity[:, :1], channels, axis=1)
+        elif kind == "one of a sign":
+            sensitivity = np.abs(sensitivity) * np.array([[1], [-1]])
+        least = least_mismatch_ppm(unloaded, sensitivity, common_shift)
+        f0_hz = 10e6 * np.exp(unloaded)
+        for margin_ppm in (least - 0.01, least + 0.01):
+            if margin_ppm >= 0:
+                found = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=common_shift, margin=margin_ppm * 1e-6)
+                assert bool(found) == (margin_ppm > least)
+
+
+def ladder(step, sites=16, *, factor=1.0):
+    f0_hz = 10e6 * np.exp(-step * np.arange(sites))[:, None] * np.ones(4)
+    return f0_hz, np.full((sites, 4), -6.3e-6 * factor)
+
+
+def test_a_ladder_overlaps_below_the_step_that_its_bands_need():
+    # One sign, channels alike: span of 1.02 F_max, the common shift and the margin.
+    needed = 6.3e-6 * 1.02 * LARGEST + 5e-6 + 2e-6
+    for step, overlaps in ((needed * 0.999, 15), (needed * 1.001, 0)):
+        found = code_overlaps(*ladder(step), LARGEST, common_shift=5e-6, margin=2e-6)
+        assert len(found) == overlaps
+        for pair in found:
+            assert pair.other - pair.site == 1
+            assert pair.spacing_ppm == pytest.approx(step * 1e6, rel=1e-9)
+            assert pair.needed_ppm == pytest.approx(needed * 1e6, rel=1e-9)
+
+
+def test_signs_that_differ_between_neighbours_double_the_step():
+    needed = 2 * 6.3e-6 * LARGEST + 2e-6
+    sign = np.where(np.arange(16) % 2, 1, -1)[:, None]
+    for step, overlaps in ((needed * 0.99, True), (needed * 1.01, False)):
+        f0_hz, sensitivity = ladder(step)
+        found = code_overlaps(f0_hz, sensitivity * -sign, LARGEST, common_shift=0.0, margin=2e-6)
+        assert bool(found) == overlaps
+
+
+def test_the_pair_that_lacks_most_comes_first():
+    f0_hz, sensitivity = ladder(300e-6)
+    f0_hz[9] = f0_hz[8] * (1 - 50e-6)
+    f0_hz[4] = f0_hz[3] * (1 - 20e-6)
+    found = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=5e-6, margin=5e-6)
+    assert [(pair.site, pair.other) for pair in found] == [(3, 4), (8, 9)]
+    assert [pair.spacing_ppm for pair in found] == pytest.approx([20, 50], abs=0.01)
+
+
+def test_what_is_missing_is_told_of_the_channel_where_least_is():
+    f0_hz, sensitivity = ladder(0.0, 2)
+    f0_hz[1] *= np.exp([-10e-6, 20e-6, -50e-6, 30e-6])
+    (pair,) = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=5e-6, margin=60e-6)
+    assert pair.channel == 2
+    assert (pair.spacing_ppm, pair.needed_ppm) == pytest.approx((50, 63 * 1.02 + 65), rel=1e-6)
+
+
+def test_the_shipped_plate_has_no_overlap_and_a_ladder_of_60_ppm_has():
+    tones = load_plate("quartz16").tones
+    allowed = {"common_shift": 50e-6, "margin": 10e-6}
+    assert code_overlaps(tones.f0_hz, tones.sensitivity, LARGEST, **allowed) == ()
+    assert len(code_overlaps(*ladder(60e-6), LARGEST, **allowed)) == 15 + 14
+
+
+def test_pulling_tells_apart_what_the_bands_of_single_channels_do_not():
+    f0_hz, sensitivity = ladder(60e-6, 2)
+    f0_hz[1] *= 1 + 25e-6 * np.array([1, -1, 1, -1])
+    assert code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=1e-5, margin=20e-6) == ()
+    assert len(code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=1e-5, margin=30e-6)) == 1
+
+
+def test_sites_that_a_matcher_takes_for_each_other_are_among_the_overlaps():
+    rng = np.random.default_rng(8)
+    f0_hz = 10e6 * (1 - rng.uniform(0, 60e-6, (60, 4)))
+    sensitivity = np.repeat(-6.3e-6 * rng.uniform(0.7, 1.3, (60, 1)), 4, axis=1)
+    margin = 7 * 0.01 * 8.2e-6 * LARGEST  # of seven standard deviations of one channel at the largest force
+    found = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=0.0, margin=margin)
+    pairs = {(pair.site, pair.other) for pair in found}
+    assert len(pairs) < 60 * 59 / 4
+    site, force = rng.integers(60, size=50_000), rng.uniform(0, LARGEST, 50_000)
+    frequency = f0_hz[site] / (1 - sensitivity[site] * (1 + 0.01 * rng.normal(size=(50_000, 4))) * force[:, None])
+    matcher = Matcher(f0_hz, sensitivity, LARGEST, model_error=0.01)
+    matches = matcher.match_many(frequency, np.full(4, 3e-9), 0.0, 0.0)
+    taken = [matcher.match(f, np.full(4, 3e-9), 0.0, 0.0).candidates for f in frequency[matches.status == 1]]
+    assert len(taken) > 20
+    assert set(taken) <= pairs
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"margin": -1e-6}, "margin -1e-06 must"),
+        ({"common_shift": math.nan}, "common_shift nan must"),
+        ({"force_max_newton": 0.0}, "force_max_newton"),
+        ({"sensitivity": np.ones((3, 4))}, "one shape"),
+    ],
+)
+def test_impossible_arguments_are_refused(options, message):
+    f0_hz, sensitivity = ladder(400e-6)
+    arguments = {"sensitivity": sensitivity, "force_max_newton": LARGEST, "common_shift": 1e-6, "margin": 1e-6}
+    with pytest.raises(ValueError, match=message):
+        code_overlaps(f0_hz, **arguments | options)
+
+
+PLAN = {
+    "tempco_difference_per_kelvin": -2e-8,
+    "temperature_span_kelvin": 40.0,
+    "ageing": 3e-6,
+    "noise_std": 1e-7,
+    "noise_factor": 5.0,
+    "pulling": 50e-6,
+}
+
+
+def test_the_guard_step_adds_its_terms():
+    # By hand: 63 + 0.8 + 3 + 1 + 50 ppm.
+    assert guard_step(np.full((16, 4), -6.3e-6), LARGEST, **PLAN) == pytest.approx(117.8e-6)
+    assert guard_step(np.full((16, 4), -6.3e-6), LARGEST, **PLAN, common_shift=-10e-6) == pytest.approx(137.8e-6)
+
+
+def test_mixed_signs_on_one_channel_double_the_force_in_the_guard_step_and_across_channels_they_do_not():
+    by_site = np.full((16, 4), -6.3e-6) * np.where(np.arange(16) % 2, 1, -1)[:, None]
+    by_channel = np.full((16, 4), -6.3e-6) * np.array([1, -1, 1, -1])
+    assert guard_step(by_site, LARGEST, **PLAN) == pytest.approx(180.8e-6)
+    assert guard_step(by_channel, LARGEST, **PLAN) == pytest.approx(117.8e-6)
+
+
+def test_a_ladder_at_the_guard_step_has_no_overlap():
+    rng = np.random.default_rng(3)
+    sensitivity = np.repeat(-6.3e-6 * rng.uniform(0.7, 1.3, (16, 1)), 4, axis=1)
+    step = guard_step(sensitivity, LARGEST, **PLAN, common_shift=10e-6)
+    f0_hz = 10e6 * np.exp(-step * rng.permutation(16)[:, None] + rng.uniform(-25e-6, 25e-6, (16, 4)))
+    assert code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=10e-6, margin=1e-6) == ()

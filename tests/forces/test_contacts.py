@@ -1,0 +1,160 @@
+import math
+
+import numpy as np
+
+from resonator_daemon.forces.contacts import ContactTracker, Touch
+
+POSITIONS_M = ((0.001, 0.002), (-0.003, 0.004))
+COVARIANCE_M2 = np.diag([1e-6, 4e-6])
+TIMEOUT = 1000
+
+
+def tracker():
+    return ContactTracker(TIMEOUT)
+
+
+def force(newton, site=0):
+    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, newton, 0.001, 0.02, 0.0, "ok")
+
+
+def at(x_mm, y_mm, newton=1.0):
+    return Touch(0, (x_mm * 1e-3, y_mm * 1e-3), COVARIANCE_M2, newton, 0.001, 0.02, 0.0, "ok")
+
+
+def over(site=0):
+    nan = math.nan
+    return Touch(site, POSITIONS_M[site], COVARIANCE_M2, nan, nan, nan, nan, "overload", "too much", 10.0)
+
+
+def tell(contacts, ticks, *touches, complete=False, status="ok", reason=""):
+    events = contacts.update(ticks, touches, complete=complete, status=status, reason=reason)
+    return [(event.event, event.contact.id, event.contact.touch.site) for event in events]
+
+
+def test_onset_and_release_have_a_hysteresis():
+    contacts = tracker()
+    told = [tell(contacts, k, force(f)) for k, f in enumerate([0.0199, 0.0201, 0.0101, 0.5, 0.0101, 0.0099, 0.0199])]
+    assert told == [[], [("onset", 1, 0)], [], [], [], [("release", 1, 0)], []]
+    assert contacts.contacts == ()
+
+
+def test_a_contact_keeps_identity_onset_and_peak_and_counts_its_duration():
+    contacts = tracker()
+    for ticks, newton in [(100, 0.5), (200, 2.0), (300, 1.0)]:
+        tell(contacts, ticks, force(newton, 1))
+    tell(contacts, 400, status="settling")
+    (contact,) = contacts.contacts
+    assert (contact.id, contact.touch.site, contact.since_ticks, contact.peak_newton) == (1, 1, 100, 2.0)
+    assert contact.duration_ticks == 200  # the last reading did not tell its force
+    assert contact.touch.position_m == POSITIONS_M[1]
+
+
+def test_the_next_touch_is_another_contact():
+    contacts = tracker()
+    assert tell(contacts, 0, force(1.0)) == [("onset", 1, 0)]
+    assert tell(contacts, 1, complete=True) == [("release", 1, 0)]
+    assert tell(contacts, 2, force(1.0)) == [("onset", 2, 0)]
+
+
+def test_release_says_when_and_why():
+    contacts = tracker()
+    tell(contacts, 5, force(1.5))
+    (event,) = contacts.update(77, (), complete=True, status="ok", reason="")
+    assert (event.event, event.board_ticks, event.reason) == ("release", 77, "no longer felt")
+    assert (event.contact.peak_newton, event.contact.since_ticks) == (1.5, 5)
+
+
+def test_one_of_two_touches_ends_where_a_reading_tells_of_all():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0, 0), force(1.0, 1), complete=True)
+    assert tell(contacts, 1, force(1.0, 1), complete=True) == [("release", 1, 0)]
+    assert [contact.id for contact in contacts.contacts] == [2]
+
+
+def test_a_gap_makes_the_force_unknown_and_does_not_end_the_contact():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0))
+    assert tell(contacts, TIMEOUT, status="settling", reason="why") == []
+    (contact,) = contacts.contacts
+    touch = contact.touch
+    assert np.isnan([touch.force_newton, touch.noise_newton, touch.systematic_newton, touch.hidden_newton]).all()
+    assert (touch.status, touch.reason) == ("settling", "why")
+    assert tell(contacts, TIMEOUT, force(1.0)) == []
+    assert (contacts.contacts[0].touch.force_newton, contacts.contacts[0].touch.reason) == (1.0, "")
+
+
+def test_a_contact_unknown_for_longer_than_stated_is_released_for_that_reason():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0))
+    tell(contacts, 500, force(1.0))
+    assert tell(contacts, 500 + TIMEOUT, status="no_signal") == []
+    (event,) = contacts.update(501 + TIMEOUT, (), complete=False, status="no_signal", reason="")
+    assert event.event == "release"
+    assert "unknown" in event.reason
+    assert contacts.contacts == ()
+
+
+def test_a_touch_after_a_gap_that_was_too_long_is_another_contact():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0))
+    assert tell(contacts, TIMEOUT + 1, force(1.0)) == [("release", 1, 0), ("onset", 2, 0)]
+
+
+def test_a_touch_that_is_told_of_without_a_force_does_not_keep_its_contact():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0))
+    assert tell(contacts, TIMEOUT // 2, force(math.nan), complete=True) == []
+    assert math.isnan(contacts.contacts[0].touch.force_newton)
+    assert contacts.contacts[0].duration_ticks == 0
+    assert tell(contacts, TIMEOUT + 1, force(math.nan), complete=True) == [("release", 1, 0)]
+    assert contacts.contacts == ()
+
+
+def test_a_site_that_another_one_masks_is_unknown():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0, 0))
+    assert tell(contacts, 1, force(2.0, 1), status="no_signal") == [("onset", 2, 1)]
+    masked, heard = contacts.contacts
+    assert (masked.touch.site, masked.touch.status) == (0, "no_signal")
+    assert math.isnan(masked.touch.force_newton)
+    assert (heard.touch.site, heard.touch.force_newton) == (1, 2.0)
+
+
+def test_an_overload_opens_a_contact_with_a_lower_bound_only():
+    contacts = tracker()
+    assert tell(contacts, 0, over()) == [("onset", 1, 0)]
+    (contact,) = contacts.contacts
+    assert contact.touch.status == "overload"
+    assert math.isnan(contact.touch.force_newton)
+    assert (contact.touch.at_least_newton, contact.peak_newton) == (10.0, 10.0)
+    assert tell(contacts, 1, force(9.0)) == []
+    assert contacts.contacts[0].touch.at_least_newton is None
+    assert contacts.contacts[0].peak_newton == 10.0
+    assert tell(contacts, 2, over()) == []
+
+
+def test_a_contact_that_moves_keeps_its_identity_within_the_reach():
+    contacts = ContactTracker(TIMEOUT, reach_m=1e-3)
+    tell(contacts, 0, at(0, 0), at(3, 0), complete=True)
+    assert tell(contacts, 1, at(2.4, 0), at(0.8, 0), complete=True) == []
+    assert [(contact.id, contact.touch.position_m[0]) for contact in contacts.contacts] == [(1, 0.8e-3), (2, 2.4e-3)]
+    assert tell(contacts, 2, at(2.4, 0), at(2.0, 0), complete=True) == [("release", 1, 0), ("onset", 3, 0)]
+
+
+def test_of_two_touches_within_the_reach_the_nearer_one_is_the_contact():
+    contacts = ContactTracker(TIMEOUT, reach_m=1e-3)
+    tell(contacts, 0, at(0, 0), complete=True)
+    assert tell(contacts, 1, at(0.9, 0), at(-0.2, 0), complete=True) == [("onset", 2, 0)]
+    places_m = {contact.id: contact.touch.position_m for contact in contacts.contacts}
+    assert places_m == {1: at(-0.2, 0).position_m, 2: at(0.9, 0).position_m}
+
+
+def test_closing_releases_every_contact_with_the_reason_given():
+    contacts = tracker()
+    tell(contacts, 0, force(1.0, 0), force(1.0, 1))
+    events = contacts.close(9, "because")
+    assert [(event.contact.touch.site, event.board_ticks, event.reason) for event in events] == [
+        (0, 9, "because"),
+        (1, 9, "because"),
+    ]
+    assert contacts.contacts == ()

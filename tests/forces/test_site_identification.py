@@ -1,0 +1,280 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from brute_force_board import Ladder
+from drawn_touches import COMMON_MODE_STD, COUNTER_STD, MODEL_ERROR, NOISE, OSCILLATOR_STD, draws, matcher_of
+from scipy.stats import multivariate_normal
+
+from resonator_daemon.forces.force import hidden_fraction
+from resonator_daemon.forces.site_identification import STATUSES, Matcher
+
+DOUBT_STD = 3.0
+
+
+def test_one_reading_is_matched_as_in_a_batch():
+    plate = Ladder(mixed_sign=True)
+    rng = np.random.default_rng(7)
+    _, _, frequency = draws(plate, 300, seed=7, newton=(-0.1, 12.0))
+    _, _, other = draws(plate, 300, seed=8)
+    frequency[100:200, 1] = other[100:200, 1]
+    frequency[200:250, 2] = 10.02e6
+    frequency[rng.random((300, 4)) < 0.1] = np.nan
+    counter = rng.uniform(3e-10, 3e-8, (300, 4))
+    oscillator, common_mode = rng.uniform(0, 1e-8, 300), rng.uniform(0, 3e-7, 300)
+    matches = matcher_of(plate).match_many(frequency, counter, oscillator, common_mode)
+    statuses = set()
+    for row in range(300):
+        match = matcher_of(plate).match(frequency[row], counter[row], oscillator[row], common_mode[row])
+        statuses.add((match.status, len(match.forces)))
+        assert match.status == STATUSES[matches.status[row]]
+        assert match.chi2 == pytest.approx(matches.chi2[row], rel=1e-9, nan_ok=True)
+        assert matches.site[row] == (match.forces[0].site if len(match.forces) == 1 else -1)
+        if len(match.forces) == 1:
+            of_one = match.forces[0].force_newton, match.forces[0].noise_newton, match.forces[0].systematic_newton
+            of_many = matches.force_newton[row], matches.noise_newton[row], matches.systematic_newton[row]
+            assert of_one == pytest.approx(of_many, rel=1e-9, nan_ok=True)
+    assert statuses >= {("ok", 1), ("ok", 2), ("overload", 1), ("rejected", 0)}
+
+
+def test_no_reading_gives_no_match():
+    assert len(matcher_of(Ladder()).match_many(np.empty((0, 4)), *NOISE).status) == 0
+
+
+def test_chi2_force_and_uncertainty_are_those_of_the_full_matrices():
+    plate = Ladder(2, mixed_sign=True)
+    matcher = matcher_of(plate)
+    std = np.array([1e-8, 3e-8, 2e-8, 5e-9])
+    for site, force, frequency in zip(*draws(plate, 20, seed=3, noise=(std, 1e-8, 2e-7)), strict=True):
+        match = matcher.match(frequency, std, 1e-8, COMMON_MODE_STD)
+        (found,) = match.forces
+        y, k = 1 - plate.f0_hz[site] / frequency, plate.sensitivity[site]
+        covariance = np.diag(std**2) + 1e-16 + COMMON_MODE_STD**2
+        estimate = k @ np.linalg.solve(covariance, y) / (k @ np.linalg.solve(covariance, k))
+        doubt = DOUBT_STD**2 / (k @ np.linalg.solve(covariance, k))
+        covariance += np.diag((MODEL_ERROR * k) ** 2 * (estimate**2 + doubt))
+        inverse = np.linalg.inv(covariance)
+        weights = k @ inverse / (k @ inverse @ k)
+        estimate = weights @ y
+        residual = y - k * estimate
+        assert found.force_newton == pytest.approx(estimate, rel=1e-9)
+        assert found.force_newton == pytest.approx(force, rel=0.1)
+        assert match.chi2 == pytest.approx(residual @ inverse @ residual, rel=1e-5)
+        assert found.noise_newton == pytest.approx(np.sqrt(weights @ (np.diag(std**2) + 1e-16) @ weights), rel=1e-9)
+        of_model = np.diag((MODEL_ERROR * k * estimate) ** 2) + COMMON_MODE_STD**2
+        assert found.systematic_newton == pytest.approx(np.sqrt(weights @ of_model @ weights), rel=1e-9)
+
+
+@pytest.mark.parametrize("mixed_sign", [False, True])
+@pytest.mark.parametrize("force", [-0.05, 0.0, 0.02, 1.0, 5.0, 10.0 * (1 - 1e-9)])
+def test_eq_1_round_trip(force, mixed_sign):
+    plate = Ladder(mixed_sign=mixed_sign)
+    for site in range(16):
+        match = matcher_of(plate).match(plate.loaded_hz(site, force), *NOISE)
+        assert match.status == "ok"
+        assert match.forces[0].site == site
+        assert match.forces[0].force_newton == pytest.approx(force, abs=1e-8)
+
+
+def test_noise_is_the_spread_of_forces_and_systematic_the_stated_parts():
+    plate = Ladder()
+    matcher, counter = matcher_of(plate), np.array([4e-9, 8e-9, 4e-9, 6e-9])
+    rng = np.random.default_rng(4)
+    forces = []
+    for _ in range(3000):
+        error = counter * rng.normal(size=4) + OSCILLATOR_STD * rng.normal()
+        match = matcher.match(plate.loaded_hz(5, 0.5) * (1 + error), counter, OSCILLATOR_STD, COMMON_MODE_STD)
+        forces.append(match.forces[0])
+    assert np.std([f.force_newton for f in forces]) == pytest.approx(forces[0].noise_newton, rel=0.04)
+    # Four channels alike, each with an error of K of its own.
+    expected = math.hypot(0.015 * 0.5 / 2, COMMON_MODE_STD / abs(plate.sensitivity[5, 0]))
+    assert forces[0].systematic_newton == pytest.approx(expected, rel=0.01)
+
+
+def test_a_common_mode_leaves_mixed_sign_channels_almost_alone():
+    plate = Ladder(mixed_sign=True)
+    match = matcher_of(plate).match(plate.loaded_hz(3, 1.0) * (1 + 3e-7), *NOISE)
+    assert match.status == "ok"
+    assert match.forces[0].force_newton == pytest.approx(1.0, abs=1e-3)
+    assert match.forces[0].systematic_newton == pytest.approx(0.015 / 2, rel=0.05)
+
+
+@pytest.mark.parametrize("lost", [(0,), (1, 3)])
+@pytest.mark.parametrize("value", [np.nan, 0.0, -1.0, np.inf])
+def test_channels_that_are_not_known_are_left_out(lost, value):
+    plate = Ladder()
+    frequency = plate.loaded_hz(9, 2.0)
+    frequency[list(lost)] = value
+    match = matcher_of(plate).match(frequency, *NOISE)
+    assert match.status == "ok"
+    assert match.forces[0].site == 9
+    assert match.forces[0].force_newton == pytest.approx(2.0, abs=1e-6)
+
+
+def test_the_gate_of_fewer_channels_is_tighter():
+    # Two channels have one degree of freedom: a chi2 of 14 passes with four, not with two.
+    plate = Ladder(pull=0.0)
+    difference = math.sqrt(14 * 2) * 1e-8
+    two = plate.loaded_hz(0, 0.0) * (1 + np.array([difference, 0.0, np.nan, np.nan]))
+    match = matcher_of(plate, model_error=0.0).match(two, np.full(4, 1e-8), OSCILLATOR_STD, COMMON_MODE_STD)
+    assert match.chi2 == pytest.approx(14, rel=5e-3)
+    assert match.status == "rejected"
+    four = plate.loaded_hz(0, 0.0) * (1 + np.array([difference, 0.0, difference / 2, difference / 2]))
+    match = matcher_of(plate, model_error=0.0).match(four, np.full(4, 1e-8), OSCILLATOR_STD, COMMON_MODE_STD)
+    assert match.chi2 == pytest.approx(14, rel=5e-3)
+    assert match.status == "ok"
+
+
+@pytest.mark.parametrize("heard", [0, 1])
+def test_one_channel_is_too_few(heard):
+    plate = Ladder()
+    frequency = np.where(np.arange(4) < heard, plate.loaded_hz(9, 2.0), np.nan)
+    match = matcher_of(plate).match(frequency, *NOISE)
+    assert match.status == "rejected"
+    assert match.forces == ()
+    assert f"{heard} channel" in match.reason
+
+
+def test_codes_that_a_force_makes_alike_are_ambiguous():
+    f0 = np.array([[10e6] * 4, [10e6 * (1 - 30e-6)] * 4])
+    sensitivity = np.full((2, 4), -6.3e-6)
+    match = Matcher(f0, sensitivity, 10.0).match(f0[0] / (1 + 6.3e-6 * 8.5), *NOISE)
+    assert match.status == "ambiguous"
+    assert match.forces == ()
+    assert match.candidates == (0, 1)
+
+
+def test_where_codes_overlap_the_odds_are_those_of_the_two_densities():
+    f0 = np.array([[10e6, 10e6 * (1 + 2e-6), 10e6, 10e6], [10e6 * (1 - 25e-6)] * 4])
+    sensitivity = np.array([[-6.3e-6] * 4, [-4e-6] * 4])
+    matcher, rng, told = Matcher(f0, sensitivity, 10.0), np.random.default_rng(21), []
+    for _ in range(400):
+        site, force = int(rng.integers(2)), rng.uniform(0.0, 9.5)
+        k = sensitivity[site] * (1 + MODEL_ERROR * rng.normal(size=4))
+        frequency = f0[site] / (1 - k * force)
+        match = matcher.match(frequency, *NOISE)
+        log_density = []
+        for m in range(2):
+            y = 1 - f0[m] / frequency
+            covariance = np.diag(COUNTER_STD**2) + OSCILLATOR_STD**2 + COMMON_MODE_STD**2
+            for _ in range(2):  # first without, then with the model error at the force found
+                inverse = np.linalg.inv(covariance)
+                found = sensitivity[m] @ inverse @ y / (sensitivity[m] @ inverse @ sensitivity[m])
+                last, covariance = covariance, covariance + np.diag((MODEL_ERROR * sensitivity[m] * found) ** 2)
+            if -0.2 <= found <= 10.0:
+                log_density.append(multivariate_normal(sensitivity[m] * found, last).logpdf(y))
+        if match.status == "rejected" or len(log_density) < 2:
+            continue
+        told.append(match.status)
+        assert (match.status == "ok") == (abs(log_density[0] - log_density[1]) >= 13.8 / 2)
+    assert min(told.count("ok"), told.count("ambiguous")) > 20
+
+
+def test_a_tone_that_is_no_sites_is_rejected():
+    plate = Ladder()
+    match = matcher_of(plate).match(np.full(4, 10.02e6), *NOISE)
+    assert match.status == "rejected"
+    assert match.forces == ()
+
+
+def test_a_chance_excess_of_the_gate_is_not_an_overload_of_the_neighbour():
+    # Corners alike: the tone of every site is also that of its neighbour under some force beyond the range.
+    plate = Ladder(pull=0.0)
+    off = plate.loaded_hz(4, 5.0) * (1 + 4e-6 * np.array([1, -1, 1, -1]))
+    assert matcher_of(plate).match(off, *NOISE).status == "rejected"
+
+
+@pytest.mark.parametrize("pull", [0.0, 25e-6])
+@pytest.mark.parametrize("force", [10.01, 12.0, 20.0, 30.0])
+def test_a_force_beyond_the_range_is_an_overload_of_its_site(force, pull):
+    plate = Ladder(pull=pull)
+    match = matcher_of(plate).match(plate.loaded_hz(6, force), *NOISE)
+    assert match.status == "overload"
+    assert match.forces[0].site == 6
+    assert match.forces[0].status == "overload"
+    assert math.isnan(match.forces[0].force_newton)
+    assert math.isnan(match.forces[0].noise_newton)
+    assert math.isnan(match.forces[0].systematic_newton)
+    assert match.forces[0].at_least_newton == 10.0
+
+
+def test_a_touch_between_sites_is_told_in_parts_or_covered_by_what_may_be_hidden():
+    plate = Ladder()
+    hidden = hidden_fraction(plate.positions_m, plate.outline_m, 4.0)
+    matcher = matcher_of(plate, hidden_fraction=hidden)
+    rng = np.random.default_rng(12)
+    told = {1: 0, 2: 0}
+    pairs = [
+        (i, j) for i in range(16) for j in range(i) if np.hypot(*(plate.positions_m[i] - plate.positions_m[j])) < 6e-3
+    ]
+    for i, j in pairs:
+        for _ in range(4):
+            touch = plate.positions_m[i] + rng.uniform(0.35, 0.65) * (plate.positions_m[j] - plate.positions_m[i])
+            force = rng.uniform(0.5, 6.0)
+            raw = ((plate.positions_m - touch) ** 2).sum(axis=1) ** -2.0
+            share = raw / raw.sum()
+            # Each corner captures the site with the largest share as it hears it: levels differ by a factor below 2.
+            captured = [int(np.argmax(share * rng.uniform(0.75, 1.33, 16))) for _ in range(4)]
+            frequency = np.array([plate.loaded_hz(m, share[m] * force)[c] for c, m in enumerate(captured)])
+            match = matcher.match(frequency, *NOISE)
+            told[len(match.forces)] += 1
+            assert match.status == "ok"
+            assert {found.site for found in match.forces} == set(captured)
+            for found in match.forces:
+                assert found.force_newton == pytest.approx(share[found.site] * force, rel=1e-6)
+                assert found.hidden_newton == pytest.approx(hidden[found.site] * found.force_newton)
+                assert 0 <= force - found.force_newton <= found.hidden_newton * (1 + 1e-6)
+    assert min(told.values()) > 10
+
+
+def test_a_site_that_shares_no_load_hides_none():
+    plate = Ladder()
+    (found,) = matcher_of(plate).match(plate.loaded_hz(3, 2.0), *NOISE).forces
+    assert found.hidden_newton == 0.0
+    assert found.channels == (0, 1, 2, 3)
+    assert replace(found, systematic_newton=0.5).force_newton == found.force_newton
+
+
+GOOD_F0 = np.full((2, 4), 10e6)
+GOOD_K = np.full((2, 4), -6.3e-6)
+
+
+@pytest.mark.parametrize(
+    ("f0", "sensitivity", "largest", "message"),
+    [
+        (GOOD_F0, GOOD_K[:1], 10.0, "one shape"),
+        (GOOD_F0[0], GOOD_K[0], 10.0, "one shape"),
+        (GOOD_F0 * np.nan, GOOD_K, 10.0, "f0_hz"),
+        (-GOOD_F0, GOOD_K, 10.0, "f0_hz"),
+        (GOOD_F0, GOOD_K * np.array([1, 1, 0, 1]), 10.0, "sensitivity"),
+        (GOOD_F0, GOOD_K * np.inf, 10.0, "sensitivity"),
+        (GOOD_F0, GOOD_K, 0.0, "force_max_newton"),
+        (GOOD_F0, GOOD_K, math.nan, "force_max_newton"),
+    ],
+)
+def test_impossible_plates_are_refused(f0, sensitivity, largest, message):
+    with pytest.raises(ValueError, match=message):
+        Matcher(f0, sensitivity, largest)
+
+
+@pytest.mark.parametrize("options", [{"model_error": -0.1}, {"model_error": math.nan}, {"hidden_fraction": np.ones(3)}])
+def test_impossible_options_are_refused(options):
+    with pytest.raises(ValueError, match=next(iter(options))):
+        Matcher(GOOD_F0, GOOD_K, 10.0, **options)
+
+
+@pytest.mark.parametrize(("oscillator", "common_mode"), [(math.nan, 1e-7), (1e-9, math.nan), (1e-9, math.inf)])
+def test_a_common_error_of_unknown_size_is_refused(oscillator, common_mode):
+    with pytest.raises(ValueError, match="common_mode_std"):
+        matcher_of(Ladder()).match(Ladder().loaded_hz(1, 1.0), COUNTER_STD, oscillator, common_mode)
+
+
+@pytest.mark.parametrize("shift", [5e-6, 10e-6, 20e-6, 60e-6])
+def test_a_common_error_that_lifts_a_touch_above_its_band_is_not_an_overload_of_the_next_site(shift):
+    # Channels alike: what lies above one site's untouched tone could be the site above it, under 50 N and more.
+    plate = Ladder(pull=0.0)
+    site, _, frequency = draws(plate, 1000, 71, newton=(0.05, 3.0))
+    matches = matcher_of(plate).match_many(frequency * (1 + shift), *NOISE)
+    assert not (matches.status == STATUSES.index("overload")).any()
+    assert (matches.site[matches.site >= 0] == site[matches.site >= 0]).all()

@@ -1,0 +1,242 @@
+"""Waiting for a port: what ends the wait at once, what does not, and that nothing between two waits is missed."""
+
+import errno
+import os
+import pty
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from resonator_daemon.config import LinkTarget, SerialLink, TcpLink, UsbLink
+from resonator_daemon.links import hot_plug as port_watch
+from resonator_daemon.links import inotify as port_inotify
+from resonator_daemon.links.hot_plug import PortWatch
+from resonator_daemon.links.inotify import DirectoryEvents
+
+AMPLE_S = 20.0
+USB = UsbLink(0x1209, 0x0001)
+
+
+def serial(path: Path) -> SerialLink:
+    return SerialLink(str(path), 4_000_000)
+
+
+@pytest.fixture
+def pseudo_terminal() -> Iterator[str]:
+    master, slave = pty.openpty()
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def came(target: LinkTarget, happens: Callable[[], object]) -> bool:
+    """Whether a wait that would be long is ended by what happens before it."""
+    with PortWatch(target) as watch:
+        happens()
+        return watch.wait(0.0)
+
+
+def test_a_port_that_appears_ends_the_wait(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    with PortWatch(serial(port)) as watch:
+        plugger = threading.Timer(0.05, port.touch)
+        plugger.start()
+        assert watch.wait(AMPLE_S)
+        plugger.join()
+        assert not watch.wait(0.0)  # told once
+
+
+def test_a_port_that_is_there_and_stays_as_it_is_does_not_end_it(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    port.touch()
+    assert not came(serial(port), port.read_bytes)
+
+
+def test_permissions_that_come_late_end_it(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    port.touch(0)
+    assert came(serial(port), lambda: port.chmod(0o660))
+
+
+def test_the_same_kind_of_port_with_another_number_ends_it_and_other_files_do_not(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    assert came(serial(port), (tmp_path / "ttyACM1").touch)
+    assert not came(serial(port), (tmp_path / "ttyUSB0").touch)
+    assert not came(serial(port), (tmp_path / "ttyACM").touch)
+
+
+def test_terminals_that_only_have_a_number_are_no_kin(tmp_path: Path) -> None:
+    assert not came(serial(tmp_path / "3"), (tmp_path / "4").touch)
+
+
+def test_a_port_that_goes_does_not_end_it(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    port.touch()
+    assert not came(serial(port), port.unlink)
+
+
+def test_a_directory_that_does_not_exist_yet_is_waited_for(tmp_path: Path) -> None:
+    port = tmp_path / "serial" / "by-id" / "usb-RD_board_0042-if00"
+
+    def plug_in() -> None:
+        port.parent.mkdir(parents=True)
+        port.symlink_to(os.devnull)
+
+    assert came(serial(port), plug_in)
+
+
+def test_directories_that_come_one_by_one_are_followed_and_followed_again_when_they_went(tmp_path: Path) -> None:
+    port = tmp_path / "serial" / "by-id" / "board"
+    with PortWatch(serial(port)) as watch:
+        for _ in range(3):
+            port.parent.parent.mkdir()
+            assert not watch.wait(0.0)
+            port.parent.mkdir()
+            assert not watch.wait(0.0)
+            port.touch()
+            assert watch.wait(0.0)
+            port.unlink()
+            port.parent.rmdir()
+            port.parent.parent.rmdir()
+            assert not watch.wait(0.0)
+
+
+def test_a_directory_that_was_replaced_meanwhile_is_followed(tmp_path: Path) -> None:
+    port = tmp_path / "by-id" / "board"
+    port.parent.mkdir()
+    with PortWatch(serial(port)) as watch:
+        port.parent.rmdir()
+        port.parent.mkdir()
+        assert not watch.wait(0.0)
+        port.touch()
+        assert watch.wait(0.0)
+
+
+def test_a_directory_that_appears_while_its_parent_is_aimed_at_is_not_missed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = tmp_path / "by-id" / "board"
+    watch_directories = DirectoryEvents.watch
+
+    def late(events: DirectoryEvents, directories: set[str]) -> None:
+        port.parent.mkdir(exist_ok=True)  # after it was looked for, before its parent is watched
+        watch_directories(events, directories)
+
+    monkeypatch.setattr(DirectoryEvents, "watch", late)
+    assert came(serial(port), port.touch)
+
+
+def test_a_directory_that_matters_no_more_is_watched_no_more(tmp_path: Path) -> None:
+    for name in ("before", "after"):
+        (tmp_path / name).mkdir()
+    events = DirectoryEvents()
+    watches = Path(f"/proc/self/fdinfo/{events.fileno()}")
+    events.watch({str(tmp_path / "before")})
+    events.watch({str(tmp_path / "after")})
+    assert watches.read_text().count("inotify wd:") == 1
+    for name in ("before", "after"):
+        (tmp_path / name / "port").touch()
+    happened = [event for event in events.read() if event.name]
+    events.close()
+    assert {event.directory for event in happened} == {str(tmp_path / "after")}
+
+
+def test_a_port_that_comes_after_waking_is_told(tmp_path: Path) -> None:
+    port = tmp_path / "ttyACM0"
+    with PortWatch(serial(port)) as watch:
+        watch.wake()
+        assert not watch.wait(AMPLE_S)
+        port.touch()
+        assert watch.wait(AMPLE_S)
+
+
+def test_a_link_that_is_moved_into_its_place_ends_it(tmp_path: Path, pseudo_terminal: str) -> None:
+    fresh = tmp_path / ".fresh"
+    fresh.symlink_to(pseudo_terminal)
+    assert came(serial(tmp_path / "board"), lambda: fresh.replace(tmp_path / "board"))
+
+
+def test_what_a_dangling_link_points_to_ends_it_when_it_appears(tmp_path: Path) -> None:
+    (tmp_path / "dev").mkdir()
+    (tmp_path / "by-id").mkdir()
+    link = tmp_path / "by-id" / "board"
+    link.symlink_to("../dev/board-port")
+    assert came(serial(link), (tmp_path / "dev" / "board-port").touch)
+    assert came(serial(link), lambda: (tmp_path / "dev" / "board-port").chmod(0o600))
+
+
+def test_a_link_to_itself_is_no_crash(tmp_path: Path) -> None:
+    link = tmp_path / "board"
+    link.symlink_to(link)
+    assert not came(serial(link), lambda: None)
+
+
+def test_a_path_through_a_file_is_waited_for_where_it_begins(tmp_path: Path) -> None:
+    (tmp_path / "dev").touch()
+    assert not came(serial(tmp_path / "dev" / "ttyACM0"), lambda: None)
+
+
+def test_any_device_on_any_bus_ends_the_wait_for_usb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    buses = tmp_path / "bus" / "usb"
+    monkeypatch.setattr(port_watch, "_USB", str(buses))
+    with PortWatch(USB) as watch:
+        (buses / "001").mkdir(parents=True)
+        assert watch.wait(0.0)  # there was no USB at all
+        (buses / "001" / "007").touch()
+        assert watch.wait(0.0)
+        (buses / "001" / "007").chmod(0o600)
+        assert watch.wait(0.0)
+        (buses / "002").mkdir()
+        assert watch.wait(0.0)
+        (buses / "002" / "001").touch()
+        assert watch.wait(0.0)
+        assert not watch.wait(0.0)
+
+
+@pytest.mark.parametrize("target", [TcpLink("127.0.0.1", 1), SerialLink("/none/ttyACM0", 1), USB])
+def test_time_and_waking_end_it_without_a_port(target: LinkTarget) -> None:
+    with PortWatch(target) as watch:
+        assert not watch.wait(0.01)
+        waker = threading.Timer(0.02, watch.wake)
+        waker.start()
+        assert not watch.wait(AMPLE_S)
+        waker.join()
+        watch.wake()
+        watch.wake()
+        assert not watch.wait(AMPLE_S)  # what woke nobody wakes the next, once
+
+
+def test_a_system_without_inotify_is_waited_on_by_time_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def none_left() -> DirectoryEvents:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    monkeypatch.setattr(port_watch, "DirectoryEvents", none_left)
+    assert not came(serial(tmp_path / "ttyACM0"), (tmp_path / "ttyACM0").touch)
+
+
+def test_events_that_the_system_had_no_room_for_are_taken_for_the_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = tmp_path / "ttyACM0"
+    queue = [struct.pack("iIII", -1, 0x4000, 0, 0)]  # the kernel's record of an overflow, in place of what it had
+
+    def read(_descriptor: int, _count: int) -> bytes:
+        if not queue:
+            raise BlockingIOError
+        return queue.pop()
+
+    monkeypatch.setattr(port_inotify, "os", SimpleNamespace(**vars(os) | {"read": read}))
+    assert came(serial(port), port.touch)
+
+
+def test_closing_gives_everything_back_and_waking_afterwards_is_harmless(tmp_path: Path) -> None:
+    before = os.listdir("/proc/self/fd")
+    watch = PortWatch(serial(tmp_path / "ttyACM0"))
+    watch.close()
+    watch.close()
+    watch.wake()
+    assert os.listdir("/proc/self/fd") == before

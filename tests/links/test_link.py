@@ -1,0 +1,276 @@
+"""The link over a file descriptor, on socket pairs and pseudo-terminals: bytes, silence, hang-ups, deaf peers."""
+
+import errno
+import os
+import pty
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from resonator_daemon.links import link as link_module
+from resonator_daemon.links.link import FileDescriptorLink, LinkLostError
+
+AMPLE_S = 20.0  # to wait for what must come: ends a test that hangs
+
+
+class Pair:
+    """A link over one end of a socket pair, and the other end."""
+
+    def __init__(self) -> None:
+        self.near, self.far = socket.socketpair()
+        self.near.setblocking(False)
+        self.far.settimeout(AMPLE_S)
+        self.link = FileDescriptorLink(self.near.fileno(), self.near.close)
+
+    def close(self) -> None:
+        self.near.close()
+        self.far.close()
+
+
+@pytest.fixture
+def pair() -> Iterator[Pair]:
+    pair = Pair()
+    yield pair
+    pair.close()
+
+
+@pytest.fixture
+def terminal() -> Iterator[tuple[int, int]]:
+    """Master and slave of a raw pseudo-terminal, both non-blocking; a test may close either."""
+    ends = pty.openpty()
+    for descriptor in ends:
+        tty.setraw(descriptor)
+        os.set_blocking(descriptor, False)
+    yield ends
+    for descriptor in ends:
+        try:
+            os.close(descriptor)
+        except OSError:
+            continue  # the test did
+
+
+def link_on(descriptor: int) -> FileDescriptorLink:
+    return FileDescriptorLink(descriptor, lambda: os.close(descriptor))
+
+
+def test_read_returns_what_has_come(pair: Pair) -> None:
+    pair.far.sendall(b"\x00\xff\r\n board")
+    assert pair.link.read(AMPLE_S) == b"\x00\xff\r\n board"
+
+
+def test_read_is_woken_by_what_comes_later(pair: Pair) -> None:
+    sender = threading.Timer(0.02, pair.far.sendall, (b"late",))
+    sender.start()
+    try:
+        assert pair.link.read(AMPLE_S) == b"late"
+    finally:
+        sender.join()
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 0.05])
+def test_silence_for_the_time_given_is_empty_and_no_loss(pair: Pair, timeout_s: float) -> None:
+    started = time.monotonic()
+    assert pair.link.read(timeout_s) == b""
+    assert timeout_s <= time.monotonic() - started < AMPLE_S
+    pair.far.sendall(b"on")
+    assert pair.link.read(AMPLE_S) == b"on"
+
+
+def test_a_read_that_finds_nothing_after_all_is_silence(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing(_descriptor: int, _buffers: object) -> int:
+        raise BlockingIOError
+
+    pair.far.sendall(b"gone again")
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=nothing))
+    assert pair.link.read(AMPLE_S) == b""
+
+
+def test_the_last_bytes_come_before_the_end_of_the_stream(pair: Pair) -> None:
+    pair.far.sendall(b"last words")
+    pair.far.close()
+    assert pair.link.read(AMPLE_S) == b"last words"
+    with pytest.raises(LinkLostError, match="end of stream"):
+        pair.link.read(AMPLE_S)
+
+
+def test_a_link_whose_descriptor_was_closed_is_lost(pair: Pair) -> None:
+    pair.near.close()
+    with pytest.raises(LinkLostError, match="Bad file descriptor"):
+        pair.link.read(AMPLE_S)
+
+
+def test_write_sends_all_in_order_through_a_small_buffer(pair: Pair) -> None:
+    data = bytes(range(251)) * 8000  # 2 MB, of a period that no buffer size divides
+    pair.near.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    received = bytearray()
+
+    def take() -> None:
+        while len(received) < len(data) and (piece := pair.far.recv(65536)):
+            received.extend(piece)
+
+    taker = threading.Thread(target=take)
+    taker.start()
+    try:
+        pair.link.write(data)
+    except LinkLostError:
+        pair.near.close()  # which ends the taker
+        raise
+    finally:
+        taker.join()
+    assert received == data
+
+
+def test_write_to_a_peer_that_takes_nothing_ends(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "WRITE_TIMEOUT_S", 0.05)
+    started = time.monotonic()
+    with pytest.raises(LinkLostError, match=r"took no bytes for 0\.05 s"):
+        pair.link.write(bytes(8 << 20))
+    assert time.monotonic() - started >= 0.05
+
+
+def test_write_ends_where_a_descriptor_claims_to_be_writable_and_never_is(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ample = time.monotonic() + AMPLE_S
+
+    def refuse(_descriptor: int, _data: bytes) -> int:
+        if time.monotonic() > ample:
+            raise OSError(errno.ETIME, "tried for ever")
+        raise BlockingIOError
+
+    monkeypatch.setattr(link_module, "WRITE_TIMEOUT_S", 0.05)
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(write=refuse))
+    with pytest.raises(LinkLostError, match="took no bytes"):
+        pair.link.write(b"ping")
+
+
+def test_write_to_a_closed_socket_is_a_loss(pair: Pair) -> None:
+    pair.far.close()
+    with pytest.raises(LinkLostError, match="Broken pipe"):
+        pair.link.write(b"ping")
+
+
+def test_what_a_terminal_gives_in_pieces_comes_in_one_read(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    data = bytes(range(251)) * 36  # 9 kB, of which a terminal gives 4 kB a call
+    link = link_on(slave)
+    most_bytes = 0
+    for _ in range(20):  # now and then the kernel hands on a few bytes only, behind which there are more
+        assert os.write(master, data) == len(data)
+        received = link.read(AMPLE_S)
+        most_bytes = max(most_bytes, len(received))
+        while len(received) < len(data):
+            received += link.read(AMPLE_S)
+        assert received == data
+    assert most_bytes > 8192
+
+
+def test_a_flood_is_handed_on_in_pieces(pair: Pair) -> None:
+    flood = threading.Thread(target=pair.far.sendall, args=(bytes(4 << 20),))
+    flood.start()
+    received = 0
+    while received < 4 << 20:
+        piece = pair.link.read(AMPLE_S)
+        assert 0 < len(piece) <= 2 * link_module._READ_BYTES
+        received += len(piece)
+    flood.join()
+
+
+def test_an_error_behind_bytes_is_told_after_them_and_every_time(pair: Pair, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers: list[int | OSError] = [4096, OSError(errno.ECONNRESET, os.strerror(errno.ECONNRESET))]
+
+    def reset(_descriptor: int, _buffers: object) -> int:
+        answer = answers.pop(0)  # the system tells of a reset once
+        if isinstance(answer, OSError):
+            raise answer
+        return answer
+
+    pair.far.sendall(b"ready")
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=reset))
+    assert len(pair.link.read(AMPLE_S)) == 4096
+    for _ in range(2):
+        with pytest.raises(LinkLostError, match="Connection reset by peer"):
+            pair.link.read(AMPLE_S)
+
+
+def test_a_descriptor_that_hangs_and_gives_nothing_is_a_loss_and_no_busy_loop(
+    pair: Pair, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nothing(_descriptor: int, _buffers: object) -> int:
+        raise BlockingIOError
+
+    pair.far.close()
+    monkeypatch.setattr(link_module, "os", SimpleNamespace(readv=nothing))
+    with pytest.raises(LinkLostError, match="hung up"):
+        pair.link.read(AMPLE_S)
+
+
+def test_a_closed_link_is_lost_whoever_has_its_descriptor_now(pair: Pair) -> None:
+    number = pair.near.fileno()
+    pair.link.close()
+    os.dup2(pair.far.fileno(), number)
+    try:
+        for use in (lambda: pair.link.read(0.0), lambda: pair.link.write(b"stop"), pair.link.reset):
+            with pytest.raises(LinkLostError, match="closed here"):
+                use()
+        pair.link.close()
+        os.fstat(number)  # is not closed a second time
+    finally:
+        os.close(number)
+
+
+def test_what_gives_the_descriptor_back_is_called_once(pair: Pair) -> None:
+    closed = []
+    link = FileDescriptorLink(pair.near.fileno(), lambda: closed.append(True))
+    link.close()
+    link.close()
+    assert closed == [True]
+
+
+def test_a_plain_descriptor_has_no_losses_and_nothing_to_reset(pair: Pair) -> None:
+    pair.link.reset()
+    assert pair.link.overruns == 0
+
+
+def test_close_closes_what_was_given(pair: Pair) -> None:
+    pair.link.close()
+    assert pair.near.fileno() == -1
+    assert pair.far.recv(1) == b""
+
+
+def test_bytes_pass_a_terminal_both_ways(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    link = link_on(slave)
+    os.write(master, b"frame\n\x03\x00")
+    assert link.read(AMPLE_S) == b"frame\n\x03\x00"
+    link.write(b"start\n\x03\x00")
+    assert os.read(master, 100) == b"start\n\x03\x00"
+
+
+def test_read_after_the_master_closed_is_a_loss(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    link = link_on(slave)
+    assert link.read(0.0) == b""
+    os.close(master)
+    with pytest.raises(LinkLostError, match="unplugged"):
+        link.read(AMPLE_S)
+
+
+def test_write_after_the_master_closed_is_a_loss_and_names_the_error(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    link = link_on(slave)
+    os.close(master)
+    with pytest.raises(LinkLostError, match="Input/output error"):
+        link.write(b"ping")
+
+
+def test_an_input_output_error_while_reading_is_a_loss(terminal: tuple[int, int]) -> None:
+    master, slave = terminal
+    os.close(slave)
+    with pytest.raises(LinkLostError, match="Input/output error"):
+        link_on(master).read(AMPLE_S)

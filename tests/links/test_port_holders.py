@@ -1,0 +1,80 @@
+"""Who holds a port, from this system's own /proc and from made-up ones."""
+
+import fcntl
+import os
+import pty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from resonator_daemon.links import port_holders as room
+from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal, port_holders
+
+OWN_NAME = Path("/proc/self/comm").read_text().strip()
+
+
+@pytest.fixture
+def slave() -> Iterator[int]:
+    master, slave = pty.openpty()
+    yield slave
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_port_that_this_process_holds_is_told_with_and_without_a_lock(slave: int) -> None:
+    path = os.ttyname(slave)
+    assert port_holders(path).processes == (Holder(os.getpid(), OWN_NAME, locks=False),)
+    fcntl.flock(slave, fcntl.LOCK_EX)
+    assert port_holders(path).processes == (Holder(os.getpid(), OWN_NAME, locks=True),)
+
+
+def test_a_lock_on_something_else_is_none_on_the_port(slave: int, tmp_path: Path) -> None:
+    with open(tmp_path / "other", "w") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        assert [holder.locks for holder in port_holders(os.ttyname(slave)).processes] == [False]
+
+
+def test_a_path_that_links_to_the_port_is_the_same_port(slave: int, tmp_path: Path) -> None:
+    link = tmp_path / "board"
+    link.symlink_to(os.ttyname(slave))
+    assert [holder.pid for holder in port_holders(str(link)).processes] == [os.getpid()]
+
+
+def test_a_port_that_nobody_holds_a_file_and_nothing_have_no_holders(tmp_path: Path) -> None:
+    (tmp_path / "notes").touch()
+    with open(tmp_path / "notes"):
+        for path in (tmp_path / "notes", tmp_path / "none"):
+            assert port_holders(str(path)) == Holders((), True)
+
+
+def test_those_that_lock_are_named_alone() -> None:
+    daemon, emulator = Holder(12, "resonatord", locks=True), Holder(7, "emulator", locks=False)
+    assert str(Holders((emulator, daemon), True)) == "resonatord (pid 12)"
+    assert str(Holders((emulator, daemon._replace(locks=False)), True)) == "emulator (pid 7) and resonatord (pid 12)"
+
+
+def test_processes_that_may_not_be_looked_into_are_told_of(
+    slave: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for pid in ("7", "8", "self"):
+        (tmp_path / pid / "fd").mkdir(parents=True)
+    (tmp_path / "8" / "fd" / "3").symlink_to(os.ttyname(slave))
+    (tmp_path / "8" / "comm").write_text("minicom\n")
+    (tmp_path / "9").mkdir()  # has just ended
+    real = os.scandir
+
+    def scan(path: Path) -> object:
+        if path.parent.name == "7":
+            raise PermissionError
+        return real(path)
+
+    monkeypatch.setattr(room, "_PROC", tmp_path)
+    monkeypatch.setattr(os, "scandir", scan)
+    assert port_holders(os.ttyname(slave)) == Holders((Holder(8, "minicom", locks=False),), False)
+
+
+def test_pseudo_terminals_are_told_from_other_ports(slave: int, tmp_path: Path) -> None:
+    assert is_pseudo_terminal(os.ttyname(slave))
+    assert not is_pseudo_terminal("/dev/null")
+    assert not is_pseudo_terminal(str(tmp_path / "none"))

@@ -1,0 +1,398 @@
+"""Opening serial ports, on pseudo-terminals: raw bytes, one holder at a time, and the reason of every refusal."""
+
+import array
+import errno
+import fcntl
+import grp
+import os
+import pty
+import struct
+import subprocess
+import sys
+import termios
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import serial
+from serial.tools import list_ports
+
+from resonator_daemon.config import SerialLink
+from resonator_daemon.links import serial as serial_link
+from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
+from resonator_daemon.links.port_holders import Holders
+from resonator_daemon.links.serial import open_serial
+
+BAUD = 4_000_000
+AMPLE_S = 30.0
+TIOCGEXCL = 0x80045440  # asks Linux whether TIOCEXCL holds
+TCSETS2 = 0x402C542B  # sets a baud rate that has no constant
+TCGETS2 = 0x802C542A
+TIOCGICOUNT = 0x545D
+
+
+class Terminal:
+    """A pseudo-terminal in the place of a board's port."""
+
+    def __init__(self) -> None:
+        self.master, self.slave = pty.openpty()
+        self.path = os.ttyname(self.slave)
+
+    def hang_up(self) -> None:
+        os.close(self.master)
+        self.master = -1
+
+    def close(self) -> None:
+        for descriptor in (self.master, self.slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+
+@pytest.fixture
+def port() -> Iterator[Terminal]:
+    terminal = Terminal()
+    yield terminal
+    terminal.close()
+
+
+def refusal(path: str | Path, baud: int = BAUD) -> str:
+    with pytest.raises(LinkUnavailableError) as raised:
+        open_serial(SerialLink(str(path), baud))
+    return str(raised.value)
+
+
+def read_exactly(link: FileDescriptorLink, count: int) -> bytes:
+    data = b""
+    while len(data) < count:
+        piece = link.read(AMPLE_S)
+        assert piece, f"{len(data)} of {count} bytes came"
+        data += piece
+    return data
+
+
+@contextmanager
+def locked_elsewhere(path: str, *, lock: bool = True) -> Iterator[subprocess.Popen[str]]:
+    """Let another process hold the port for as long as the context lasts."""
+    program = (
+        f"import fcntl, os; d = os.open({path!r}, os.O_RDWR | os.O_NOCTTY); "
+        f"{lock} and fcntl.flock(d, fcntl.LOCK_EX); print('held', flush=True); os.read(0, 1)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        yield holder
+
+
+def failing_ioctl(request: int, code: int) -> Callable[..., Any]:
+    """The real one, but for one request."""
+    real = fcntl.ioctl
+
+    def ioctl(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked == request:
+            raise OSError(code, os.strerror(code))
+        return real(descriptor, asked, *rest)
+
+    return ioctl
+
+
+@pytest.mark.parametrize("baud", [115_200, BAUD, 2_345_678])
+def test_every_byte_value_passes_unchanged_both_ways(port: Terminal, baud: int) -> None:
+    every_byte = bytes(range(256))
+    link = open_serial(SerialLink(port.path, baud))
+    os.write(port.master, every_byte)
+    assert read_exactly(link, 256) == every_byte
+    link.write(every_byte)
+    assert os.read(port.master, 1000) == every_byte  # and nothing was echoed before it
+    link.close()
+
+
+def test_an_open_port_is_silent_without_waiting_and_tells_a_hang_up(port: Terminal) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    assert link.read(0.0) == b""
+    port.hang_up()
+    with pytest.raises(LinkLostError, match="unplugged"):
+        link.read(AMPLE_S)
+    link.close()
+    link.close()  # never fails, on a port that is gone and closed either
+
+
+def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Terminal) -> None:
+    exclusive = array.array("i", [0])
+    link = open_serial(SerialLink(port.path, BAUD))
+    fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
+    assert exclusive[0] == 1
+    link.close()
+    fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
+    assert exclusive[0] == 0
+
+
+def test_closing_never_fails(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    close = serial.Serial.close
+
+    def close_late(closed: serial.Serial) -> None:
+        close(closed)
+        raise OSError(errno.EIO, os.strerror(errno.EIO))  # as a driver may say whose device is gone
+
+    with monkeypatch.context() as patched:
+        patched.setattr(serial.Serial, "close", close_late)
+        link.close()
+
+
+def test_closing_twice_leaves_the_port_of_the_next_holder_alone(port: Terminal) -> None:
+    first = open_serial(SerialLink(port.path, BAUD))
+    first.close()
+    second = open_serial(SerialLink(port.path, BAUD))  # takes over the descriptor's number
+    first.close()
+    exclusive = array.array("i", [0])
+    fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
+    assert exclusive[0] == 1
+    second.close()
+
+
+def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
+    held = open_serial(SerialLink(port.path, BAUD))
+    said = refusal(port.path)
+    name = Path("/proc/self/comm").read_text().strip()
+    assert said == f"{port.path} is held by {name} (pid {os.getpid()}); close it there"
+    held.close()
+    open_serial(SerialLink(port.path, BAUD)).close()
+
+
+def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal) -> None:
+    # This process has the terminal open as well, and no lock on it.
+    with locked_elsewhere(port.path) as holder:
+        name = Path(f"/proc/{holder.pid}/comm").read_text().strip()
+        assert refusal(port.path) == f"{port.path} is held by {name} (pid {holder.pid}); close it there"
+    open_serial(SerialLink(port.path, BAUD)).close()
+
+
+@pytest.mark.parametrize(
+    ("all_seen", "ending"),
+    [(True, "another program; close it there"), (False, "this user may not look at; as root: fuser -v {path}")],
+)
+def test_a_holder_that_is_not_found_is_said_so(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch, all_seen: bool, ending: str
+) -> None:
+    held = open_serial(SerialLink(port.path, BAUD))
+    monkeypatch.setattr(serial_link, "port_holders", lambda _path: Holders((), all_seen))
+    assert refusal(port.path).endswith(ending.format(path=port.path))
+    held.close()
+
+
+def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serial_link, "is_pseudo_terminal", lambda _path: False)
+    with locked_elsewhere(port.path, lock=False) as holder:
+        assert f"also held by {Path(f'/proc/{holder.pid}/comm').read_text().strip()} (pid {holder.pid})" in refusal(
+            port.path
+        )
+    open_serial(SerialLink(port.path, BAUD)).close()  # this process's own hold counts for nothing
+
+
+def test_closing_leaves_the_modem_lines_as_they_are(port: Terminal) -> None:
+    settings = termios.tcgetattr(port.slave)
+    settings[2] |= termios.HUPCL
+    termios.tcsetattr(port.slave, termios.TCSANOW, settings)
+    link = open_serial(SerialLink(port.path, 2_345_678))
+    assert not termios.tcgetattr(port.slave)[2] & termios.HUPCL
+    settings2 = bytearray(44)
+    fcntl.ioctl(port.slave, TCGETS2, settings2)
+    assert struct.unpack_from("II", settings2, 36) == (2_345_678, 2_345_678)  # the rate without a constant stayed
+    link.close()
+
+
+def test_nothing_that_came_before_is_read_or_sent_back(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = termios.tcflush
+    flushed = []
+
+    def flush(descriptor: int, queue: int) -> None:
+        flushed.append(queue)  # of a terminal that is not raw, output holds an echo; a pseudo-terminal's goes at once
+        real(descriptor, queue)
+
+    monkeypatch.setattr(termios, "tcflush", flush)
+    os.write(port.master, b"frames of an old run\n")
+    link = open_serial(SerialLink(port.path, BAUD))
+    assert link.read(0.0) == b""
+    assert flushed == [termios.TCIFLUSH, termios.TCOFLUSH]
+    link.close()
+
+
+def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(port: Terminal) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    os.write(port.master, bytes(3000))  # so many that the link looks for more
+    assert read_exactly(link, 3000) == bytes(3000)
+    assert link.read(0.0) == b""
+    link.close()
+
+
+def test_the_last_bytes_are_still_sent_when_the_port_is_closed(port: Terminal) -> None:
+    link = open_serial(SerialLink(port.path, BAUD))
+    link.write(b"stop")
+    link.close()
+    assert os.read(port.master, 100) == b"stop"
+
+
+@pytest.mark.parametrize(("queued", "dropped"), [([28, 5, 0], []), ([28] * 3, [termios.TCOFLUSH])])
+def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch, queued: list[int], dropped: list[int]
+) -> None:
+    real = fcntl.ioctl
+    flushed: list[int] = []
+    instants = iter((0.0, 0.04, 0.049, 0.05))  # at the fourth it has been a moment
+
+    def stuck(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked == termios.TIOCOUTQ:
+            rest[0][0] = queued.pop(0)
+            return 0
+        return real(descriptor, asked, *rest)
+
+    link = open_serial(SerialLink(port.path, BAUD))
+    monkeypatch.setattr(fcntl, "ioctl", stuck)
+    clock = SimpleNamespace(monotonic=lambda: next(instants), sleep=lambda _s: None)
+    monkeypatch.setattr(serial_link, "time", clock)
+    monkeypatch.setattr(termios, "tcflush", lambda _descriptor, queue: flushed.append(queue))
+    link.close()
+    assert flushed == dropped
+    assert not queued
+
+
+def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    real = fcntl.ioctl
+    overrun, buffer_overrun = 2**31 - 1, 5
+    gone = False
+
+    def counting(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked != TIOCGICOUNT:
+            return real(descriptor, asked, *rest)
+        if gone:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        struct.pack_into("11i", rest[0], 0, 1, 2, 3, 4, 5, 6, 7, overrun, 8, 9, buffer_overrun)
+        return 0
+
+    monkeypatch.setattr(fcntl, "ioctl", counting)
+    link = open_serial(SerialLink(port.path, BAUD))
+    assert link.overruns == 0
+    overrun, buffer_overrun = -(2**31) + 1, 8  # two more, past the end of the driver's number, and three more
+    assert link.overruns == 5
+    gone = True
+    assert link.overruns == 5
+    gone, buffer_overrun = False, 100
+    link.close()
+    assert link.overruns == 5  # nobody asks a descriptor that may be another's
+
+
+def ports_present(monkeypatch: pytest.MonkeyPatch, root: Path, devices: tuple[str, ...] = ()) -> Path:
+    """Let the machine have these ports, and a directory of ports by id, which is returned."""
+    monkeypatch.setattr(serial_link, "Path", lambda path: root / path.lstrip("/"))
+    present = [SimpleNamespace(device=device) for device in devices]
+    monkeypatch.setattr(list_ports, "comports", lambda: present)
+    by_id = root / "dev/serial/by-id"
+    by_id.mkdir(parents=True)
+    return by_id
+
+
+def test_a_missing_port_is_said_with_those_present(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    by_id = ports_present(monkeypatch, tmp_path, ("/dev/ttyUSB1", "/dev/ttyACM0"))
+    missing = tmp_path / "ttyACM9"
+    assert refusal(missing) == f"no port {missing}; present: /dev/ttyACM0, /dev/ttyUSB1"
+    for name in ("usb-RD_board_0043-if00", "usb-RD_board_0042-if00"):
+        (by_id / name).touch()
+    boards = f"{by_id}/usb-RD_board_0042-if00, {by_id}/usb-RD_board_0043-if00"
+    assert refusal(missing) == f"no port {missing}; present: {boards}"
+
+
+def test_a_machine_without_ports_is_said_to_have_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ports_present(monkeypatch, tmp_path)
+    assert refusal(tmp_path / "ttyACM9").endswith("no serial port is present")
+
+
+def test_a_link_that_points_nowhere_is_a_missing_port(tmp_path: Path) -> None:
+    link = tmp_path / "board"
+    link.symlink_to(tmp_path / "pts-that-is-gone")
+    assert refusal(link).startswith(f"no port {link}; ")
+
+
+def test_a_path_through_a_file_is_a_missing_port(tmp_path: Path) -> None:
+    (tmp_path / "dev").touch()
+    assert refusal(tmp_path / "dev" / "ttyACM0").startswith(f"no port {tmp_path}/dev/ttyACM0; ")
+
+
+def test_a_port_that_is_back_already_was_missing(tmp_path: Path) -> None:
+    error = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
+    assert serial_link._why_not(SerialLink(str(tmp_path), BAUD), error).startswith(f"no port {tmp_path}; ")
+
+
+@pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
+def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    path = tmp_path / "notes.txt"
+    make(path)
+    said = refusal(path)
+    assert said.startswith(f"{path} is no serial port; ")
+    assert "present" in said
+
+
+def test_any_other_error_is_said_once_and_without_its_number(tmp_path: Path) -> None:
+    error = serial.SerialException(errno.EMFILE, f"could not open port {tmp_path}: [Errno 24] Too many open files: 'x'")
+    said = serial_link._why_not(SerialLink(str(tmp_path), BAUD), error)
+    assert said == f"{tmp_path} cannot be opened: {os.strerror(errno.EMFILE)}"
+
+
+def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(fcntl, "ioctl", failing_ioctl(TCSETS2, errno.EINVAL))
+        said = refusal(port.path, 2_345_678)
+    assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
+    open_serial(SerialLink(port.path, BAUD)).close()  # the failure left no lock behind
+
+
+@pytest.mark.parametrize("code", [errno.EACCES, errno.EPERM])
+def test_a_port_that_is_not_permitted_names_the_group_to_join(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    monkeypatch.setattr(grp, "getgrgid", lambda _number: SimpleNamespace(gr_name="dialout"))
+    path = tmp_path / "ttyACM0"
+    path.touch()
+    said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(code, os.strerror(code)))
+    assert said == (
+        f"{path} may not be opened by this user; join its group: sudo usermod -aG dialout $USER, then log in anew"
+    )
+
+
+@pytest.mark.parametrize("group", [None, "root"])
+def test_a_group_that_nobody_should_join_asks_for_a_rule(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
+) -> None:
+    def look_up(number: int) -> SimpleNamespace:
+        if group is None:
+            raise KeyError(f"getgrgid(): gid not found: {number}")
+        return SimpleNamespace(gr_name=group)
+
+    path = tmp_path / "ttyACM0"
+    path.touch()
+    monkeypatch.setattr(grp, "getgrgid", look_up)
+    said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
+    assert said.endswith("give it to a group of this user with a udev rule (docs/links.md)")
+
+
+def test_a_port_that_goes_away_while_it_is_set_up_is_no_crash(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(_descriptor: int, _queue: int) -> None:
+        raise termios.error(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(termios, "tcflush", gone)
+    assert os.strerror(errno.EIO) in refusal(port.path)
+
+
+def test_a_port_that_goes_away_at_the_last_moment_is_given_back(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(fcntl, "ioctl", failing_ioctl(termios.TIOCEXCL, errno.EIO))
+        assert f"{port.path} went away" in refusal(port.path)
+    open_serial(SerialLink(port.path, BAUD)).close()

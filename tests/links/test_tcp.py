@@ -1,0 +1,208 @@
+"""Connecting over TCP on the loopback: bytes both ways, peers that misbehave, nobody there, names no host can have."""
+
+import contextlib
+import ctypes
+import os
+import socket
+import struct
+import threading
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import pytest
+
+from resonator_daemon.config import TcpLink
+from resonator_daemon.links import link as link_module
+from resonator_daemon.links import tcp as tcp_link
+from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
+from resonator_daemon.links.tcp import open_tcp
+
+AMPLE_S = 30.0
+SO_ATTACH_FILTER = 26
+
+
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        listener.settimeout(AMPLE_S)
+        yield listener
+
+
+class Connected(NamedTuple):
+    link: FileDescriptorLink
+    board: socket.socket
+
+
+@pytest.fixture
+def connected(listener: socket.socket) -> Iterator[Connected]:
+    """A link and the board's end of its connection."""
+    link = open_tcp(target(listener))
+    board, _ = listener.accept()
+    with board:
+        board.settimeout(AMPLE_S)
+        yield Connected(link, board)
+    link.close()
+
+
+def target(listener: socket.socket) -> TcpLink:
+    return TcpLink("127.0.0.1", listener.getsockname()[1])
+
+
+def test_bytes_pass_both_ways_until_either_end_closes(listener: socket.socket) -> None:
+    link = open_tcp(target(listener))
+    board, _ = listener.accept()
+    with board:
+        board.settimeout(AMPLE_S)
+        board.sendall(b"frame")
+        assert link.read(AMPLE_S) == b"frame"
+        link.write(b"start")
+        assert board.recv(100) == b"start"
+    with pytest.raises(LinkLostError):
+        link.read(AMPLE_S)
+    link.close()
+
+
+def test_closing_ends_the_connection(listener: socket.socket) -> None:
+    link = open_tcp(target(listener))
+    board, _ = listener.accept()
+    with board:
+        board.settimeout(AMPLE_S)
+        link.close()
+        assert board.recv(1) == b""
+
+
+def test_the_socket_never_blocks_and_sends_at_once(connected: Connected) -> None:
+    descriptor = connected.link._descriptor
+    assert not os.get_blocking(descriptor)
+    with socket.socket(fileno=os.dup(descriptor)) as near:
+        assert near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+
+
+def test_bytes_that_come_one_by_one_come_all_and_in_order(connected: Connected) -> None:
+    data = bytes(range(256)) * 4
+
+    def send() -> None:
+        for value in data:
+            connected.board.sendall(bytes((value,)))
+
+    sender = threading.Thread(target=send)
+    sender.start()
+    received = b""
+    while len(received) < len(data):
+        piece = connected.link.read(AMPLE_S)
+        assert piece
+        received += piece
+    sender.join()
+    assert received == data
+
+
+def test_what_a_board_said_before_it_reset_the_connection_is_no_crash(connected: Connected) -> None:
+    connected.board.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    connected.board.close()
+    for _ in range(2):  # the system says it once, the link every time
+        with pytest.raises(LinkLostError, match=r"unplugged \(Connection reset by peer\)"):
+            connected.link.read(AMPLE_S)
+
+
+def test_a_board_that_ends_its_half_of_the_connection_is_gone_after_its_last_bytes(connected: Connected) -> None:
+    connected.board.sendall(b"last words")
+    connected.board.shutdown(socket.SHUT_WR)
+    received = b""
+    with pytest.raises(LinkLostError, match="end of stream"):  # noqa: PT012 - the bytes may come in pieces
+        while True:
+            received += connected.link.read(AMPLE_S)
+    assert received == b"last words"
+
+
+def test_a_board_that_accepts_and_says_nothing_is_silence(connected: Connected) -> None:
+    assert connected.link.read(0.0) == b""
+    assert connected.link.read(0.01) == b""
+    connected.link.write(b"who are you?")
+
+
+def test_a_board_that_never_reads_ends_a_write(connected: Connected, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(link_module, "WRITE_TIMEOUT_S", 0.05)
+    with pytest.raises(LinkLostError, match="took no bytes"):
+        connected.link.write(bytes(32 << 20))
+    connected.link.close()
+
+
+def cut_off(board: socket.socket) -> None:
+    """Let nothing through to this end: no end of stream, no reset, no acknowledgement, as when a cable is cut."""
+    drop_all = ctypes.create_string_buffer(struct.pack("HBBI", 0x06, 0, 0, 0))
+    board.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("HxxxxxxP", 1, ctypes.addressof(drop_all)))
+
+
+def test_a_board_that_vanished_is_noticed_by_what_it_does_not_acknowledge(
+    listener: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tcp_link, "_UNACKNOWLEDGED_MS", 300)
+    link = open_tcp(target(listener))
+    board, _ = listener.accept()
+    with board:
+        cut_off(board)
+        link.write(b"who are you?")
+        with pytest.raises(LinkLostError, match="Connection timed out"):
+            assert link.read(AMPLE_S) == b""
+    link.close()
+
+
+def test_a_board_that_vanished_without_a_word_is_noticed(connected: Connected) -> None:
+    cut_off(connected.board)
+    with pytest.raises(LinkLostError, match="Connection timed out"):
+        assert connected.link.read(AMPLE_S) == b""
+
+
+def test_a_host_that_does_not_answer_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tcp_link, "_CONNECT_TIMEOUT_S", 0.05)
+    with socket.create_server(("127.0.0.1", 0), backlog=0) as busy:
+        where = target(busy)
+        with contextlib.ExitStack() as waiting:
+            for _ in range(2):  # its queue is full: the next attempt gets no answer at all
+                client = waiting.enter_context(socket.socket())
+                client.setblocking(False)
+                client.connect_ex(("127.0.0.1", where.port))
+            with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.1: no answer in time"):
+                open_tcp(where)
+
+
+def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    instants = iter((0.0, 1.0, 2.5))  # the name took a second, the first address one and a half
+    given = []
+
+    def connect(_family: int, _address: object, timeout_s: float) -> socket.socket:
+        given.append(timeout_s)
+        raise TimeoutError("timed out")
+
+    monkeypatch.setattr(tcp_link, "time", SimpleNamespace(monotonic=lambda: next(instants)))
+    monkeypatch.setattr(
+        tcp_link, "look_up", lambda _host, _port, _timeout_s: [(socket.AF_INET, ("192.0.2.1", 5000))] * 2
+    )
+    monkeypatch.setattr(tcp_link, "_connect", connect)
+    with pytest.raises(LinkUnavailableError, match=r"192\.0\.2\.1: no answer in time; 192"):
+        open_tcp(TcpLink("board.local", 5000))
+    assert given == [2.0, 0.5]
+
+
+def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = target(listener).port
+    addresses = [(socket.AF_INET, ("127.0.0.2", 1)), (socket.AF_INET, ("127.0.0.1", port))]
+    monkeypatch.setattr(tcp_link, "look_up", lambda _host, _port, _timeout_s: addresses)
+    open_tcp(TcpLink("board.local", port)).close()
+    monkeypatch.setattr(tcp_link, "look_up", lambda _host, _port, _timeout_s: addresses[:1] * 2)
+    with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"):
+        open_tcp(TcpLink("board.local", port))
+
+
+def test_nobody_there_is_said_with_the_address(listener: socket.socket) -> None:
+    where = target(listener)
+    listener.close()
+    with pytest.raises(LinkUnavailableError, match=rf"tcp://127\.0\.0\.1:{where.port} .*refused"):
+        open_tcp(where)
+
+
+@pytest.mark.parametrize("host", ["left..finger", "x" * 70])
+def test_a_name_that_no_host_can_have_is_no_crash(host: str) -> None:
+    with pytest.raises(LinkUnavailableError, match=f"tcp://{host}:5000 does not answer"):
+        open_tcp(TcpLink(host, 5000))

@@ -1,0 +1,393 @@
+"""The USB link over real libusb and unmodified pyusb; what no emulated device can do is made at pyusb's edge."""
+
+import errno
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import usb.backend.libusb1
+from usb.core import USBError
+from usb_bench import LINK, SERIAL_NUMBER, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
+
+from resonator_daemon.config import UsbLink
+from resonator_daemon.links import usb as usb_link
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.links.port_holders import Holder, Holders
+from resonator_daemon.links.usb import open_usb
+from resonator_daemon.links.usb_devices import UsbBoard
+
+FRAME_BYTES = 204
+SKIN_FRAME_BYTES = 147_000
+UNSUPPORTED = "Operation not supported or unimplemented on this platform"
+
+_IMPORTS = """
+import errno, hashlib, os, threading
+from usb.core import USBError
+from resonator_daemon.links import usb as usb_link
+from resonator_daemon.links import usb_transfers
+from resonator_daemon.links.port_holders import Holder, Holders
+from resonator_daemon.links.usb_devices import present_boards
+from resonator_daemon.links.usb import open_usb
+from resonator_daemon.config import parse_link
+
+def open_link(text):
+    global link
+    link = open_usb(parse_link(text))
+
+def take(size):
+    data = b""
+    while len(data) < size:
+        piece = link.read(20.0)
+        if not piece:
+            raise TimeoutError(f"{len(data)} of {size} bytes came")
+        data += piece
+    return data
+
+def digest(data):
+    return hashlib.sha256(data).hexdigest()
+
+def links():
+    return [board.link for board in present_boards()]
+
+def unsupported(*arguments):
+    raise NotImplementedError("Operation not supported or unimplemented on this platform")
+
+def held():
+    return len(os.listdir("/proc/self/fd")), threading.active_count(), len(os.listdir("/proc/self/task"))
+"""
+
+
+@pytest.fixture
+def board() -> Iterator[UsbBoardEnd]:
+    with usb_board() as board:
+        yield board
+
+
+@pytest.fixture
+def host(board: UsbBoardEnd) -> Iterator[UsbHost]:
+    with usb_host(board) as host:
+        host.run(_IMPORTS)
+        yield host
+
+
+def refusal(host: UsbHost, link: str) -> str:
+    with pytest.raises(HostError) as caught:
+        host.run(f"open_link({link!r})")
+    kind, _, text = str(caught.value).partition(": ")
+    assert kind == "LinkUnavailableError"
+    return text
+
+
+def loss(host: UsbHost, source: str) -> str:
+    with pytest.raises(HostError) as caught:
+        host.run(source)
+    kind, _, text = str(caught.value).partition(": ")
+    assert kind == "LinkLostError"
+    return text
+
+
+def sha256(host: UsbHost, data: bytes) -> object:
+    return host.value(f"digest(bytes.fromhex({data.hex()!r}))")
+
+
+def test_bytes_go_both_ways_and_what_is_old_is_thrown_away(board: UsbBoardEnd, host: UsbHost) -> None:
+    board.send(b"old")
+    board.wait(board.all_written)
+    host.run(f"open_link({LINK!r})")
+    assert board.begins == 1
+    board.send(b"new")
+    assert host.value("take(3)") == b"new"
+    packet = bytes(range(256)) * 5  # more than a USB packet
+    host.run(f"link.write({packet!r})")
+    board.wait(lambda: board.received == packet)
+    host.run("link.close(); link.close()")
+
+
+def test_frames_arrive_whole_and_in_order(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    frames = b"".join(number.to_bytes(4, "little") * (FRAME_BYTES // 4) for number in range(2000))
+    host.begin("?", f"take({len(frames)})")
+    for start in range(0, len(frames), FRAME_BYTES):  # a transfer each, as of a counter that sends each when it is due
+        board.send(frames[start : start + FRAME_BYTES])
+    assert host.end().strip() == repr(frames)
+
+
+def test_large_frames_arrive_whole_and_in_order(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    frame = os.urandom(SKIN_FRAME_BYTES)
+    host.begin("?", f"digest(take({40 * len(frame)}))")
+    board.send(40 * frame)
+    received = host.end()
+    assert received.strip() == repr(host.value(f"digest(40 * bytes.fromhex({frame.hex()!r}))"))
+
+
+def test_the_next_transfers_are_always_in_flight(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    assert host.value("usb_transfers.TRANSFERS") == 8
+    assert host.value("link._reader._in_flight") == 8
+    board.send(b"x")
+    assert host.value("take(1)") == b"x"
+    assert host.value("link._reader._in_flight") == 8
+
+
+def test_nothing_comes_is_no_loss(host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    assert host.value("[link.read(0.01), link.read(0.0), link.overruns]") == [b"", b"", 0]
+
+
+def test_a_stall_is_cleared(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    host.run("""
+calls, clear = [], link._backend.clear_halt
+link._backend.clear_halt = lambda handle, endpoint: (calls.append(endpoint), clear(handle, endpoint))
+""")
+    for times in (1, 2, 3, 4, 5):  # more than may follow each other
+        board.link.stall()
+        assert host.value("link.read(0.1)") == b""
+        data = os.urandom(50_000)
+        board.send(data)
+        assert host.value(f"digest(take({len(data)}))") == sha256(host, data)
+        assert host.value("calls") == [0x81] * times
+
+
+def test_a_stall_of_what_is_written_is_cleared_too(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    host.run("""
+calls, write = [], link._backend.bulk_write
+def stall_once(*arguments):
+    link._backend.bulk_write = write
+    raise USBError("Pipe error", -9, errno.EPIPE)
+link._backend.bulk_write, link._backend.clear_halt = stall_once, lambda handle, endpoint: calls.append(endpoint)
+link.write(b"in the end")
+""")
+    board.wait(lambda: board.received == b"in the end")
+    assert host.value("calls") == [0x01]
+
+
+@pytest.mark.parametrize("status", ["usb_transfers._CANCELLED", "usb_transfers.Failure.STALL"])
+def test_what_came_before_a_transfer_ended_is_kept(host: UsbHost, status: str) -> None:
+    host.run(f"open_link({LINK!r})")
+    # The emulated device ends its transfers whole or empty; a real one may end them after some packets.
+    host.run(f"""
+reader = link._reader
+assert reader.stop(20.0)
+transfer, reader._buffers[0][:4] = reader._transfers[0].contents, b"part"
+transfer.status, transfer.actual_length, reader._in_flight = int({status}), 4, 1
+reader._ended(reader._transfers[0])
+""")
+    assert host.value("reader.take(), reader._in_flight") == (b"part", 0)
+
+
+def test_a_device_without_a_configuration_is_given_one(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run("""
+backend, configurations = usb_link.usb_backend(), []
+backend.get_configuration = lambda handle: 0
+backend.set_configuration = lambda handle, value: configurations.append(value)
+""")
+    host.run(f"open_link({LINK!r})")
+    host.run("link.close(); del backend.get_configuration")
+    host.run(f"open_link({LINK!r})")  # it has one now: setting it anew would disturb its other interfaces
+    assert host.value("configurations") == [1]
+
+
+def test_a_board_that_stalls_without_end_is_given_up(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    for _ in range(10):
+        board.link.stall()
+    assert loss(host, "link.read(20.0)") == "the board answers with stalls again and again"
+    assert loss(host, "link.write(b'x')") == "the board answers with stalls again and again"
+
+
+def test_unplugged_and_plugged_in_again(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r}); link.close(); before = held()")
+    for round_number in range(20):
+        host.run(f"open_link({LINK!r})")
+        assert board.begins == round_number + 2
+        data = bytes([round_number]) * 1000
+        board.send(data)
+        assert host.value("take(1000)") == data
+        host.begin("!", "link.read(20.0)")
+        board.link.hang_up()
+        with pytest.raises(HostError, match="LinkLostError: unplugged"):
+            host.end()
+        assert loss(host, "link.read(1.0)").startswith("unplugged")
+        assert loss(host, "link.write(b'x')").startswith("unplugged")
+        host.run("link.close()")
+        while host.value("links()"):  # udev's word comes when it comes
+            pass
+        assert refusal(host, LINK) == f"no board is {LINK}; no board is on any USB bus"
+        board.link.plug_in()
+        while not host.value("links()"):
+            pass
+    assert host.value("held() == before")
+
+
+def test_unplugged_while_it_writes(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    board.link.hang_up()
+    assert loss(host, "while True: link.write(b'x')").startswith("unplugged")
+
+
+def test_a_board_that_takes_no_bytes(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    board.answers.clear()
+    assert loss(host, "while True: link.write(bytes(60000))") == "the board took no bytes for 1 s"
+
+
+def test_a_board_that_does_not_begin(board: UsbBoardEnd, host: UsbHost) -> None:
+    board.answers.clear()
+    assert refusal(host, LINK) == f"{LINK} does not begin anew within 1000 ms; plug it in again"
+    board.answers.set()
+    host.run(f"open_link({LINK!r})")
+
+
+def test_a_board_of_another_protocol(host: UsbHost) -> None:
+    host.run("usb_link.PROTOCOL_MAJOR = 2")
+    assert refusal(host, LINK) == f"{LINK} refuses to begin with protocol 2; its firmware may speak another one"
+
+
+def test_another_board_is_named_with_what_is_there(host: UsbHost) -> None:
+    there = f"present: {LINK}"
+    for other in ("usb:1209:0001?serial=0043", "usb:1209:0002?serial=0042", "usb:1208:0001"):
+        assert refusal(host, other) == f"no board is {other}; {there}"
+    host.run("open_link('usb:1209:0001')")
+
+
+def test_only_one_host_holds_a_board(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    with usb_host(board) as other:
+        other.run(_IMPORTS)
+        assert refusal(other, LINK) == f"{LINK} is held by another program; close it there"
+        board.send(b"still there")
+        assert host.value("take(11)") == b"still there"
+        host.run("link.close()")
+        other.run(f"open_link({LINK!r})")
+
+
+def test_a_reset_only_where_it_is_allowed(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r}); link.reset()")
+    board.send(b"as before")
+    assert host.value("take(9)") == b"as before"
+    host.run(f"link.close(); open_link('{LINK}&reset=yes')")
+    assert loss(host, "link.reset()") == "the device was reset"
+    board.wait(lambda: board.link.resets == 1)
+    assert loss(host, "link.read(1.0)") == "the device was reset"
+    host.run(f"link.close(); open_link({LINK!r})")
+    board.send(b"anew")
+    assert host.value("take(4)") == b"anew"
+
+
+def test_closing_waits_for_no_driver_that_hangs(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r})")
+    board.link.hold_cancelled()
+    assert host.value("link.read(0.1)") == b""
+    host.run("link.close()")
+    assert host.value("len(usb_transfers._left_behind)") == 1
+    assert loss(host, "link.read(1.0)") == "closed here"
+
+
+def test_closing_leaves_nothing_behind(board: UsbBoardEnd, host: UsbHost) -> None:
+    host.run(f"open_link({LINK!r}); link.close(); before = held()")
+    for _ in range(30):
+        host.run(f"open_link({LINK!r})")
+        board.send(b"x")
+        host.run("link.close()")
+    assert host.value("held() == before")
+    assert host.value("len(usb_transfers._left_behind)") == 0
+    assert host.value("[link._handle, link._reader._in_flight, link._reader._transfers]") == [None, 0, []]
+
+
+def a_board(serial_number: str | None, node_number: int) -> UsbBoard:
+    return UsbBoard(0x1209, 0x0001, serial_number, 999, node_number, 0, 1, None)
+
+
+def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    boards = [a_board("0042", 2), a_board("0043", 3), a_board("0042", 4)]
+    monkeypatch.setattr(usb_link, "present_boards", lambda: boards)
+    with pytest.raises(LinkUnavailableError) as caught:
+        open_usb(UsbLink(0x1209, 0x0001))
+    links = "usb:1209:0001?serial=0042, usb:1209:0001?serial=0043, usb:1209:0001?serial=0042"
+    assert str(caught.value) == f"3 boards are usb:1209:0001; say which: {links}"
+    with pytest.raises(LinkUnavailableError, match=r"^2 boards are usb:1209:0001\?serial=0042; "):
+        open_usb(UsbLink(0x1209, 0x0001, "0042"))
+
+
+def refused(monkeypatch: pytest.MonkeyPatch, error: Exception, target: UsbLink, present: UsbBoard) -> str:
+    """Return the sentence where libusb does not open the only board that is present."""
+
+    class Backend:
+        def open_device(self, device: object) -> object:
+            raise error
+
+    monkeypatch.setattr(usb_link, "present_boards", lambda: [present])
+    monkeypatch.setattr(usb_link, "usb_backend", Backend)
+    with pytest.raises(LinkUnavailableError) as caught:
+        open_usb(target)
+    return str(caught.value)
+
+
+def test_who_holds_a_board_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Below an emulated /dev nobody's descriptors can be told.
+    holders = Holders((Holder(os.getpid(), "pytest", locks=False), Holder(1, "init", locks=False)), all_seen=True)
+    monkeypatch.setattr(usb_link, "port_holders", {"/dev/bus/usb/999/002": holders}.__getitem__)
+    said = refused(monkeypatch, USBError("Busy", -6, errno.EBUSY), UsbLink(0x1209, 1), a_board("0042", 2))
+    assert said == "usb:1209:0001?serial=0042 is held by init (pid 1); close it there"
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (USBError("No such device", -4, errno.ENODEV), "went away while it was opened"),
+        (USBError("no memory", -11, errno.ENOMEM), "cannot be opened: no memory"),
+        (NotImplementedError(UNSUPPORTED), f"cannot be opened: {UNSUPPORTED}"),
+    ],
+)
+def test_other_errors_of_opening(monkeypatch: pytest.MonkeyPatch, error: Exception, expected: str) -> None:
+    assert refused(monkeypatch, error, UsbLink(0x1209, 1), a_board(None, 2)) == f"usb:1209:0001 {expected}"
+
+
+@pytest.mark.parametrize("call", ["get_configuration", "claim_interface", "ctrl_transfer"])
+def test_what_a_system_does_not_support_is_no_link(host: UsbHost, call: str) -> None:
+    host.run("backend = usb_link.usb_backend()")
+    host.run(f"backend.{call} = unsupported")
+    # Without its serial number, which is asked for by a control transfer, it has no other name.
+    link = "usb:1209:0001" if call == "ctrl_transfer" else LINK
+    assert refusal(host, "usb:1209:0001") == f"{link} cannot be opened: {UNSUPPORTED}"
+    host.run(f"del backend.{call}")
+    host.run(f"open_link({LINK!r})")
+
+
+@pytest.mark.parametrize(
+    ("call", "source", "reason"),
+    [
+        ("bulk_write", "link.write(b'x')", f"unplugged ({UNSUPPORTED})"),
+        ("clear_halt", "link.read(20.0)", f"unplugged ({UNSUPPORTED})"),
+        ("reset_device", "link.reset()", f"the device cannot be reset here ({UNSUPPORTED})"),
+    ],
+)
+def test_what_a_system_does_not_support_ends_a_link(
+    board: UsbBoardEnd, host: UsbHost, call: str, source: str, reason: str
+) -> None:
+    host.run(f"open_link('{LINK}&reset=yes'); link._backend.{call} = unsupported")
+    board.link.stall()
+    assert loss(host, source) == reason
+    host.run("link._backend.release_interface = unsupported; link.close()")
+
+
+@pytest.mark.parametrize("serial_number", [None, "0042"])
+def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_number: str | None) -> None:
+    # Whom the kernel refuses cannot be tried by root: this is what libusb says then.
+    error = USBError("Access denied", -3, errno.EACCES)
+    assert refused(monkeypatch, error, UsbLink(0x1209, 1, serial_number), a_board(None, 2)) == (
+        "/dev/bus/usb/999/002 (1209:0001) may not be opened by this user; put "
+        'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", GROUP="resonatord", MODE="0660" '
+        "into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` does for boards of its ids), "
+        "join the group resonatord and plug it in again"
+    )
+
+
+def test_without_libusb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: None)
+    with pytest.raises(LinkUnavailableError, match=r"libusb 1\.0 cannot be loaded; .*apt-get install libusb-1\.0-0"):
+        open_usb(UsbLink(0x1209, 0x0001, SERIAL_NUMBER))

@@ -1,0 +1,123 @@
+"""Plates whose sites can be mistaken for each other: refused with the pair, unless the file insists."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from resonator_daemon.pipeline import code_check
+from resonator_daemon.plate import Plate, load_plate, shipped_plates
+
+QUARTZ = load_plate("quartz16")
+
+
+def plate_text(ppm_apart: float, *, thermal: str = "", counter: str = "") -> str:
+    """Three sites with ids 4, 9 and 12: 9 and 12 are so far apart, 4 is far from both."""
+    text = f"""
+format = 1
+name = "three"
+outline_mm = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
+transducers_mm = [[-10, -10], [10, -10], [10, 10], [-10, 10]]
+force_max_newton = 10
+[counter]
+kind = "single-tone"
+{counter}
+{thermal}
+"""
+    for number, (site, f0_hz) in enumerate(((4, 9.99e6), (12, 9.98e6), (9, 9.98e6 * (1 - 1e-6 * ppm_apart)))):
+        text += f"""
+[[sites]]
+id = {site}
+position_mm = [{5 * number}, 0]
+[[sites.tones]]
+signal = "force"
+f0_hz = [{f0_hz}, {f0_hz}, {f0_hz}, {f0_hz}]
+sensitivity = [-6e-6, -6e-6, -6e-6, -6e-6]
+"""
+    return text
+
+
+def check(folder: Path, plate: str, *arguments: str, verb: str = "check") -> subprocess.CompletedProcess[str]:
+    (folder / "plate.toml").write_text(plate)
+    config = folder / "board.toml"
+    config.write_text('name = "left"\nplate = "plate.toml"\nlink = "tcp://127.0.0.1:9"\n')
+    files = ["--config", str(config)] if verb == "run" else [str(config)]
+    command = [sys.executable, "-m", "resonator_daemon.cli", verb, *files, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+def test_no_shipped_plate_has_codes_that_overlap() -> None:
+    for name in shipped_plates():
+        assert code_check.findings(load_plate(name)) == ()
+
+
+@pytest.mark.parametrize("verb", ["check", "run"])
+def test_codes_that_overlap_are_refused_with_the_ids_and_what_is_needed(tmp_path: Path, verb: str) -> None:
+    # 10 N shift by 60 ppm.
+    refused = check(tmp_path, plate_text(50.0), verb=verb)
+    assert refused.returncode == 78
+    (line,) = refused.stderr.splitlines()
+    assert line.startswith(f"resonatord: {tmp_path / 'board.toml'}: plate: sites of plate 'three': ids 12 and 9 can be")
+    assert "mistaken for each other: on channel" in line
+    assert "50 ppm apart" in line
+    assert "forces up to 10 N from 288.15 to 308.15 K" in line
+    assert "codes_may_overlap" in line
+
+
+def test_who_insists_is_let_pass(tmp_path: Path) -> None:
+    passed = check(tmp_path, plate_text(50.0, counter="codes_may_overlap = true"))
+    assert (passed.returncode, "mistaken" in passed.stderr) == (0, False)
+
+
+def test_programs_get_the_sentence_as_json(tmp_path: Path) -> None:
+    refused = check(tmp_path, plate_text(50.0), "--json")
+    said: dict[str, Any] = json.loads(refused.stdout)
+    assert (refused.returncode, said["ok"]) == (78, False)
+    assert "ids 12 and 9" in said["errors"][0]
+
+
+def three(ppm_apart: float, tmp_path: Path, **parts: str) -> Plate:
+    path = tmp_path / "plate.toml"
+    path.write_text(plate_text(ppm_apart, **parts))
+    return load_plate(str(path))
+
+
+def test_the_step_that_is_needed_would_do(tmp_path: Path) -> None:
+    (found,) = code_check.overlaps(three(50.0, tmp_path))
+    assert 60.0 < found.needed_ppm < 100.0  # 10 N, then ageing, temperature and noise
+    assert found.spacing_ppm == pytest.approx(50.0, rel=1e-3)
+    assert code_check.overlaps(three(found.needed_ppm + 0.5, tmp_path)) == ()
+    assert code_check.overlaps(three(found.needed_ppm - 0.5, tmp_path)) != ()
+
+
+def test_a_wider_span_of_temperatures_needs_more(tmp_path: Path) -> None:
+    needed = [
+        code_check.overlaps(three(50.0, tmp_path, thermal=f"[thermal]\nrange_kelvin = [{low}, {high}]"))[0].needed_ppm
+        for low, high in ((298.0, 298.3), (278.15, 318.15), (298.15, 318.15))
+    ]
+    # Sites that differ by six standard deviations of 5e-8 per kelvin, 20 K away from 298.15 K at the most.
+    assert needed[1] - needed[0] == pytest.approx(6 * 5e-2 * 20.0, rel=0.02)
+    assert needed[2] == needed[1]
+
+
+def test_the_worst_pair_is_named_and_the_others_are_counted(tmp_path: Path) -> None:
+    content = QUARTZ.model_dump(mode="json", exclude_none=True)
+    content["force_max_newton"] = 200.0
+    plate = Plate.model_validate(content)
+    found = code_check.overlaps(plate)
+    (sentence,) = code_check.findings(plate)
+    assert f"and {len(found) - 1} more pairs" in sentence
+    missing = [overlap.needed_ppm - overlap.spacing_ppm for overlap in found]
+    assert missing[0] == max(missing)
+    worst = (int(plate.site_ids[found[0].site]), int(plate.site_ids[found[0].other]))
+    assert f"ids {worst[0]} and {worst[1]} " in sentence
+
+
+def test_a_channelised_counter_tells_tones_apart_by_their_number() -> None:
+    content = load_plate("comb16").model_dump(mode="json", exclude_none=True)
+    for site in content["sites"]:
+        site["tones"][0]["f0_hz"] = [1e7] * 4
+    assert code_check.overlaps(Plate.model_validate(content)) == ()

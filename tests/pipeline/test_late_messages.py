@@ -1,0 +1,55 @@
+"""Messages that would be late are skipped and counted; states and events come all the same."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from resonator_daemon.pipeline.board_pipeline import BoardCourse
+from resonator_daemon.recording.event_replay import Replay
+from resonator_daemon.recording.reader import Mark, open_recording
+from resonator_daemon.replay.source import open_playback
+from resonator_daemon.session.clock import Instant
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.link_state_machine import LinkCourse
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+
+
+def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, Any]]:
+    """Return topic and message of all that follows from a recording, but for decoding."""
+    path = CORPUS / case / "recording.mcap"
+    with open_playback(path) as playback:
+        config = playback.config
+    undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
+    config = config.model_copy(update={"decoding": undecoded})
+    messages: list[tuple[str, Any]] = []
+    course = BoardCourse(config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late)
+    ring = Ring(1 << 30, lambda: None, ())
+    with open_recording(str(path)) as recording:
+        replay = Replay(recording, LinkCourse(config.plate, ring, lambda _: None))
+        for entry in recording.entries():
+            if not isinstance(entry, Mark):
+                replay.apply(entry)
+            for arrival in ring.take():
+                course.take(arrival)
+    return messages
+
+
+@pytest.mark.parametrize(("case", "streams"), [("touches", {"forces", "contacts"}), ("skin", {"signals"})])
+def test_of_late_windows_nothing_but_states_and_events_comes(case: str, streams: set[str]) -> None:
+    answers = iter(range(10_000))
+    every = published(case, lambda _: False)
+    third = published(case, lambda _: next(answers) % 3 != 2)
+
+    def of(messages: list[tuple[str, Any]], topics: set[str]) -> list[dict[str, Any]]:
+        return [message.model_dump(exclude={"lost"}) for topic, message in messages if topic in topics]
+
+    assert [str(message) for message in of(every, {"contacts/event", "state/sensor", "state/link", "info"})] == [
+        str(message) for message in of(third, {"contacts/event", "state/sensor", "state/link", "info"})
+    ]
+    for topic in streams:
+        assert str(of(third, {topic})) == str(of(every, {topic})[2::3])
+    last = [message.lost.skipped_late for topic, message in third if topic in streams][-1]
+    assert last == 2 * len(of(third, streams))

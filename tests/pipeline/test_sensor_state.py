@@ -1,0 +1,243 @@
+"""The sensor's state: which word a reading earns, at once or only when it lasts, and since when."""
+
+import math
+from typing import get_args
+
+import pytest
+
+from resonator_daemon.forces.readings import SensorStatus
+from resonator_daemon.pipeline.sensor_state import SensorState
+from resonator_daemon.publishing.payloads import Condition
+
+T0_NS = 1_789_000_000_000_000_123
+MS = 1_000_000
+LEARNT, UNLEARNT = (0.0, 1e-6, -2e-6, 0.0), (math.nan,) * 4
+
+
+class Sensor:
+    """A sensor's state that is fed readings by milliseconds, and what it has announced."""
+
+    def __init__(self) -> None:
+        self.said: list[tuple[Condition, str, int]] = []
+        self.state = SensorState(lambda *said: self.said.append(said), "sites are read")
+
+    def read(
+        self, at_ms: float, status: str, reason: str = "", common_mode: tuple[float, ...] = LEARNT
+    ) -> list[Condition]:
+        """Feed one reading; return the conditions that were announced for it."""
+        before = len(self.said)
+        self.state.update(status, reason, common_mode, T0_NS + round(at_ms * MS))
+        return [condition for condition, _, _ in self.said[before:]]
+
+
+def online() -> Sensor:
+    """Return a sensor that was found well at 0 ms, and has said so."""
+    sensor = Sensor()
+    assert sensor.read(0, "ok") == [Condition.ONLINE]
+    return sensor
+
+
+def test_a_well_sensor_is_online_from_its_first_reading_and_says_so_once() -> None:
+    sensor = Sensor()
+    for at_ms in range(0, 1000, 5):
+        sensor.read(at_ms, "ok")
+    ((condition, reason, since_ns),) = sensor.said
+    assert (condition, since_ns) == (Condition.ONLINE, T0_NS)
+    assert reason
+
+
+def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> None:
+    sensor = online()
+    for _ in range(3):
+        sensor.state.calibration("c1 expired", T0_NS)
+    assert [(condition, reason) for condition, reason, _ in sensor.said[1:]] == [(Condition.UNCALIBRATED, "c1 expired")]
+    for at_ms in (5, 10, 300):
+        sensor.read(at_ms, "no_signal")
+    assert sensor.said[-1][0] is Condition.STALLED
+    sensor.read(400, "ok")
+    assert sensor.read(700, "ok") == [Condition.UNCALIBRATED]
+    sensor.state.calibration("", T0_NS)
+    assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
+
+
+@pytest.mark.parametrize("common_mode", [UNLEARNT, (math.nan,)])
+def test_a_sensor_that_learns_is_starting_with_the_readings_reason(common_mode: tuple[float, ...]) -> None:
+    sensor = Sensor()
+    sensor.read(3, "settling", "the common mode is being learnt", common_mode)
+    assert sensor.said == [(Condition.STARTING, "the common mode is being learnt", T0_NS + 3 * MS)]
+
+
+def test_a_starting_sensor_is_online_as_soon_as_it_has_learnt() -> None:
+    sensor = Sensor()
+    sensor.read(0, "settling", "learning", UNLEARNT)
+    assert sensor.read(100, "ok") == [Condition.ONLINE]
+    assert sensor.said[-1][2] == T0_NS + 100 * MS
+
+
+@pytest.mark.parametrize(
+    ("status", "condition"),
+    [
+        ("pressed_at_start", Condition.PRESSED_AT_START),
+        ("pilot_lost", Condition.STALLED),
+        ("no_signal", Condition.STALLED),
+    ],
+)
+def test_trouble_before_the_first_judgement_counts_at_once(status: str, condition: Condition) -> None:
+    sensor = Sensor()
+    sensor.read(7, status, "why", UNLEARNT)
+    assert sensor.said == [(condition, "why", T0_NS + 7 * MS)]
+
+
+@pytest.mark.parametrize(
+    "status", sorted(set(get_args(SensorStatus)) - {"pressed_at_start", "pilot_lost", "no_signal"})
+)
+def test_what_a_touch_can_do_to_a_reading_is_no_trouble_of_the_sensor(status: str) -> None:
+    sensor = online()
+    for at_ms in range(5, 2000, 5):
+        assert sensor.read(at_ms, status, "the touch's own reason") == []
+
+
+def test_trouble_that_passes_is_not_said() -> None:
+    sensor = online()
+    for at_ms in (100, 200, 300, 349.999999):  # 250 ms less 1 ns
+        assert sensor.read(at_ms, "no_signal", "a new tone is captured") == []
+    assert sensor.read(351, "ok") == []
+
+
+def test_trouble_that_lasts_is_said_with_its_newest_reason_since_its_first_reading() -> None:
+    sensor = online()
+    sensor.read(100, "no_signal", "channel 0: no signal")
+    sensor.read(349.999999, "no_signal", "channel 0: no signal")
+    sensor.read(350, "pilot_lost", "channel 1: no signal")  # another status, the same condition
+    assert sensor.said[1:] == [(Condition.STALLED, "channel 1: no signal", T0_NS + 100 * MS)]
+
+
+def test_trouble_that_lasts_is_said_once() -> None:
+    sensor = online()
+    for at_ms in range(100, 2000, 5):
+        sensor.read(at_ms, "no_signal", f"channel {at_ms % 4}: no signal")
+    assert len(sensor.said) == 2
+
+
+def test_a_good_reading_ends_the_wait() -> None:
+    sensor = online()
+    for at_ms in range(100, 2000, 100):
+        status = "ok" if at_ms % 300 == 0 else "no_signal"
+        assert sensor.read(at_ms, status) == []
+
+
+def test_each_trouble_must_last_by_itself() -> None:
+    sensor = online()
+    sensor.read(100, "no_signal")
+    sensor.read(300, "pressed_at_start", "touched", UNLEARNT)
+    assert sensor.read(400, "pressed_at_start", "touched", UNLEARNT) == []
+    assert sensor.read(550, "pressed_at_start", "touched", UNLEARNT) == [Condition.PRESSED_AT_START]
+    assert sensor.said[-1][2] == T0_NS + 300 * MS
+
+
+def test_recovery_must_last_too() -> None:
+    sensor = online()
+    sensor.read(100, "no_signal")
+    sensor.read(400, "no_signal")
+    assert sensor.read(500, "ok") == []
+    assert sensor.read(749, "ok") == []
+    assert sensor.read(750, "ok") == [Condition.ONLINE]
+    assert sensor.said[-1][2] == T0_NS + 500 * MS
+
+
+def test_without_frames_it_waits_at_once_and_dates_that_then() -> None:
+    sensor = online()
+    sensor.state.no_frames("link lost: unplugged", T0_NS + 7 * MS)
+    assert sensor.said[-1] == (Condition.WAITING, "link lost: unplugged", T0_NS + 7 * MS)
+
+
+def test_each_reason_to_wait_is_said_once() -> None:
+    sensor = Sensor()
+    for reason in ("the link is being opened", "the link is being opened", "no port", "no port"):
+        sensor.state.no_frames(reason, T0_NS)
+    assert [reason for _, reason, _ in sensor.said] == ["the link is being opened", "no port"]
+
+
+@pytest.mark.parametrize(
+    ("status", "condition"), [("ok", Condition.ONLINE), ("pressed_at_start", Condition.PRESSED_AT_START)]
+)
+def test_the_first_reading_after_an_outage_counts_at_once(status: str, condition: Condition) -> None:
+    sensor = online()
+    sensor.state.no_frames("link lost", T0_NS)
+    assert sensor.read(10_000, status, "why") == [condition]
+    assert sensor.said[-1][2] == T0_NS + 10_000 * MS
+
+
+def test_trouble_before_an_outage_does_not_count_after_it() -> None:
+    sensor = online()
+    sensor.read(100, "no_signal")
+    sensor.state.no_frames("link lost", T0_NS)
+    assert sensor.read(5000, "ok") == [Condition.ONLINE]
+    assert sensor.read(5005, "no_signal") == []
+    assert sensor.read(5255, "no_signal") == [Condition.STALLED]
+    assert sensor.said[-1][2] == T0_NS + 5005 * MS
+
+
+def test_an_explanation_is_added_to_the_reason_of_a_well_sensor_and_taken_back() -> None:
+    sensor = Sensor()
+    sensor.read(0, "ok")
+    for note in ("the decoder is built; step 1", "the decoder is built; step 2", ""):
+        sensor.state.explain(note)
+    plain = sensor.said[0][1]
+    assert [reason for _, reason, _ in sensor.said[1:]] == [
+        f"{plain}; the decoder is built; step 1",
+        f"{plain}; the decoder is built; step 2",
+        plain,
+    ]
+    assert {(condition, since) for condition, _, since in sensor.said} == {(Condition.ONLINE, T0_NS)}
+
+
+def test_the_same_explanation_is_announced_once() -> None:
+    sensor = Sensor()
+    sensor.read(0, "ok")
+    for note in ("", "busy", "busy", "", ""):
+        sensor.state.explain(note)
+    assert len(sensor.said) == 3
+
+
+def test_an_explanation_waits_until_the_sensor_is_well() -> None:
+    sensor = Sensor()
+    sensor.state.explain("before anything was judged")
+    sensor.read(0, "no_signal", "nothing is heard")
+    sensor.state.explain("decoding is off")
+    assert [condition for condition, _, _ in sensor.said] == [Condition.STALLED]
+    sensor.read(100, "ok")
+    sensor.state.explain("decoding is on")  # between the first good reading and the announcement
+    assert sensor.read(350, "ok") == [Condition.ONLINE]
+    assert sensor.said[-1][1].endswith("; decoding is on")
+    assert "off" not in sensor.said[-1][1]
+    assert "judged" not in sensor.said[-1][1]
+
+
+def drifting(sensor: Sensor, from_ms: int, until_ms: int) -> None:
+    for at_ms in range(from_ms, until_ms, 100):
+        sensor.read(at_ms, "ok", common_mode=(1e-10 * at_ms, 0.0, 0.0, 0.0))
+
+
+def test_a_baseline_that_runs_away_is_drifting_and_its_readings_go_on() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    (_, (condition, reason, since_ns)) = sensor.said
+    assert condition is Condition.DRIFTING
+    assert "ppm" in reason
+    assert 5000 * MS <= since_ns - T0_NS <= 6000 * MS
+
+
+def test_worse_than_drifting_is_said_instead() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    sensor.read(8000, "no_signal")
+    assert sensor.read(8300, "no_signal") == [Condition.STALLED]
+
+
+def test_a_sensor_at_rest_again_is_online() -> None:
+    sensor = online()
+    drifting(sensor, 100, 8000)
+    for at_ms in range(8000, 30_000, 100):
+        sensor.read(at_ms, "ok", common_mode=(8e-7 + 1e-16 * at_ms, 0.0, 0.0, 0.0))
+    assert [condition for condition, _, _ in sensor.said] == [Condition.ONLINE, Condition.DRIFTING, Condition.ONLINE]

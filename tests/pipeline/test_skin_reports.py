@@ -1,0 +1,351 @@
+"""Messages made from what is read and decoded under a skin, against hand-worked ones, in the words of the wire."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cbor2
+import numpy as np
+import pytest
+from report_makers import LOST, NAN, configured, gate_middle, literal, reporter_of
+
+from resonator_daemon.config import Config
+from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
+from resonator_daemon.decoding.patches import Patch as FoundPatch
+from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.forces.readings import SkinReading
+from resonator_daemon.pipeline.surface_reports import MeasuredFields, SurfaceReporter
+from resonator_daemon.publishing import payloads
+from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.session.clock import Instant
+
+SCATTERED_SKIN = """\
+format = 1
+name = "one-spot"
+outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
+force_max_newton = 5
+[counter]
+kind = "channelised"
+[skin]
+youngs_modulus_pascal = 2e5
+poisson_ratio = 0.5
+depth_mm = 1.5
+[[sites]]
+id = 5
+position_mm = [1, 0.5]
+""" + "".join(
+    f'[[sites.tones]]\nsignal = "{signal}"\nf0_hz = {[f0] * 4}\nsensitivity = {[k] * 4}\n'
+    for signal, f0, k in (("p_n", 1e6, -1e-11), ("eps_xz", 2e6, 2e-6), ("eps_yz", 3e6, 3e-6))
+)
+
+GATE_MIDDLE = gate_middle(10_000_000)
+
+
+class SkinReporter:
+    """The messages of a daemon and of its decoder, each under the header of its frame."""
+
+    def __init__(self, config: Config) -> None:
+        plate = config.plate
+        self.reporter = reporter_of(config)
+        self.signals = self.reporter.signals
+        pitch_m = plate.grid.pitch_m if plate.grid else None
+        self._surface = SurfaceReporter(plate.site_ids, plate.site_positions_m, pitch_m)
+
+    def decoded(self, reading: SkinReading, middle: Instant, frame: DecodedFrame) -> payloads.Decoded:
+        return self._surface.decoded(self._header(reading, middle), frame)
+
+    def summary(self, reading: SkinReading, middle: Instant, surface: SurfaceReading) -> payloads.DecodedSummary:
+        return self._surface.summary(self._header(reading, middle), surface)
+
+    def skin_contacts(self, reading: SkinReading, middle: Instant, surface: SurfaceReading) -> payloads.Contacts:
+        return self._surface.contacts(self._header(reading, middle), surface)
+
+    def skin_event(self, event: SkinEvent, reading: SkinReading, middle: Instant) -> payloads.ContactEvent:
+        return self._surface.event(self._header(reading, middle), event)
+
+    def _header(self, reading: SkinReading, middle: Instant) -> MeasuredFields:
+        return self.reporter.surface_frame(reading, middle).header
+
+
+@pytest.fixture
+def skin_reporter(tmp_path: Path) -> SkinReporter:
+    return SkinReporter(configured(tmp_path, "skin32"))
+
+
+def channelised(signals: np.ndarray[Any, Any], window_s: float = 0.01) -> SkinReading:
+    return SkinReading(7, 2**63 + 1, window_s, "ok", "", signals, np.ones_like(signals), 0.0)
+
+
+def decoded(shape: tuple[int, ...], *, displacement: bool, **change: Any) -> DecodedFrame:
+    values = np.arange(float(math.prod(shape))).reshape(shape)
+    fields: dict[str, Any] = {
+        "traction_pascal": values,
+        "traction_std_pascal": values + 0.5,
+        "displacement_m": -values if displacement else None,
+        "border_contact": np.bool_(True),
+        "log_evidence": -3.0,
+        "chi2": np.float64(1.02),
+        "status": "ok",
+        "reason": "",
+    }
+    return DecodedFrame(**(fields | change))
+
+
+def test_signals_are_packed_as_they_were_read(skin_reporter: SkinReporter) -> None:
+    signals = np.random.default_rng(5).normal(size=(3, 1024))
+    signals[1, 7] = NAN
+    payload = encode(skin_reporter.signals(channelised(signals), GATE_MIDDLE))
+    message = decode(payloads.Signals, payload)
+    np.testing.assert_array_equal(message.signals, signals.astype(np.float32))
+    raw = cbor2.loads(payload)
+    assert raw["t_ns"] == 1_788_999_999_995_000_123
+    assert raw["board_ticks"] == 2**63 + 1
+    assert raw["lost"] == LOST
+
+
+@pytest.mark.parametrize("displacement", [True, False])
+def test_decoded_keeps_each_array_in_its_place(skin_reporter: SkinReporter, displacement: bool) -> None:
+    frame = decoded((3, 32, 32), displacement=displacement)
+    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
+    message = decode(payloads.Decoded, encode(skin_reporter.decoded(measured, GATE_MIDDLE, frame)))
+    values = np.arange(3 * 32 * 32, dtype=np.float32).reshape(3, 32, 32)
+    np.testing.assert_array_equal(message.traction_pascal, values)
+    np.testing.assert_array_equal(message.traction_std_pascal, values + 0.5)
+    if displacement:
+        np.testing.assert_array_equal(message.displacement_m, -values)
+    else:
+        assert message.displacement_m is None
+    assert message.t_ns == 1_788_999_999_998_000_123
+    assert message.grid is not None
+    assert message.grid.origin_m == pytest.approx((-6.2e-3, -6.2e-3))  # 15.5 pitches from the middle
+    assert message.grid.pitch_m == pytest.approx(4e-4)
+
+
+def test_a_grid_too_small_to_be_decoded_as_one_has_a_list_of_places(skin_reporter: SkinReporter) -> None:
+    measured = channelised(np.zeros((3, 1024)), window_s=0.004)
+    message = skin_reporter.decoded(measured, GATE_MIDDLE, decoded((3, 1024), displacement=False))
+    assert message.grid is None
+
+
+def test_a_skin_without_a_grid_is_decoded_at_scattered_points(tmp_path: Path) -> None:
+    reporter = SkinReporter(configured(tmp_path, SCATTERED_SKIN))
+    message = reporter.decoded(channelised(np.zeros((3, 1))), GATE_MIDDLE, decoded((3, 1), displacement=False))
+    assert message.grid is None
+    assert message.traction_pascal.shape == (3, 1)
+
+
+def surface(frame: DecodedFrame, decoder: str = "open-plane+contact", **change: Any) -> SurfaceReading:
+    return SurfaceReading(decoder, frame, **change)
+
+
+def partial_slip(**change: Any) -> PartialSlip:
+    fields: dict[str, Any] = {
+        "centre_m": np.array([1.01e-3, -2.01e-3]),
+        "centre_std_m": np.array([1e-6, 2e-6]),
+        "radius_m": 2e-3,
+        "radius_std_m": 1e-5,
+        "force_newton": np.array([0.11, -0.21, 1.51]),
+        "force_std_newton": np.array([1e-3, 2e-3, 3e-3]),
+        "slip_margin": 0.125,
+        "slip_margin_std": 0.01,
+        "stick_ratio": 0.5,
+        "stick_ratio_std": 0.02,
+        "friction_coefficient": 0.6,
+        "friction_coefficient_std": 0.03,
+        "covariance": np.eye(7),
+        "chi2": 1.0,
+        "log_evidence": 0.0,
+        "status": "ok",
+        "reason": "",
+    }
+    return PartialSlip(**(fields | change))
+
+
+def skin_contact(**change: Any) -> SkinContact:
+    patch = FoundPatch(
+        centroid_m=np.array([1e-3, -2.1e-3]),
+        centroid_std_m=np.array([1e-5, 2e-5]),
+        area_m2=1.9e-5,
+        force_newton=np.array([0.1, -0.2, 1.5]),
+        force_std_newton=np.array([3e-3, 4e-3, 5e-3]),
+        moment_newton_m=np.array([1e-3, 2e-3, 3e-5]),
+        moment_std_newton_m=np.array([1e-6, 2e-6, 3e-6]),
+        at_border=True,
+        places=np.arange(3),
+    )
+    fields: dict[str, Any] = {
+        "id": 3,
+        "patch": patch,
+        "slip": partial_slip(),
+        "radius_of_curvature_m": 0.0056,
+        "peak_newton": 1.75,
+    }
+    return SkinContact(**(fields | change))
+
+
+PATCH_LITERAL = {
+    "id": 3,
+    "centroid_m": [1e-3, -2.1e-3],
+    "centroid_std_m": [1e-5, 2e-5],
+    "area_m2": 1.9e-5,
+    "force_newton": [0.1, -0.2, 1.5],
+    "force_std_newton": [3e-3, 4e-3, 5e-3],
+    "moment_newton_m": [1e-3, 2e-3, 3e-5],
+    "moment_std_newton_m": [1e-6, 2e-6, 3e-6],
+    "at_border": True,
+    "radius_of_curvature_m": 0.0056,
+    "stick_ratio": 0.5,
+    "slip_margin": 0.125,
+    "slip_margin_std": 0.01,
+    "friction_coefficient": 0.6,
+    "friction_coefficient_std": 0.03,
+    "slip_reason": "",
+}
+CONTACT_LITERAL = {
+    "id": 3,
+    "site": 339,  # row 10 at -2.2 mm, column 18 at 1.0 mm; ids begin at 1
+    "position_m": [1e-3, -2.1e-3],
+    "position_std_m": [1e-5, 2e-5],
+    "position_correlation": None,
+    "force_newton": 1.5,
+    "noise_newton": 5e-3,
+    "systematic_newton": None,
+    "hidden_newton": 0.0,
+    "peak_newton": 1.75,
+    "since_t_ns": "1788999999995000123",
+    "duration_s": 0.0,
+    "status": "ok",
+    "reason": "",
+    "at_least_newton": None,
+}
+MEASURED_OF_SKIN = channelised(np.zeros((3, 1024)))
+OF_SLIP = ("slip_margin", "slip_margin_std", "stick_ratio", "friction_coefficient", "friction_coefficient_std")
+UNDECODED = {"chi2": NAN, "border_contact": False}
+
+
+def test_a_summary_is_the_contracts_literal(skin_reporter: SkinReporter) -> None:
+    frame = decoded((3, 32, 32), displacement=False, reason="2 signals lost")
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(skin_contact(),))))
+    assert said == {
+        "seq": 0,
+        "daemon_boot_id": "9f3c",
+        "board_boot_id": "51aa",
+        "t_ns": "1788999999995000123",
+        "t_unc_ns": 42000,
+        "lost": LOST,
+        "board_ticks": str(2**63 + 1),
+        "decoder": "open-plane+contact",
+        "chi2": 1.02,
+        "border_contact": True,
+        "status": "ok",
+        "reason": "2 signals lost",
+        "patches": [PATCH_LITERAL],
+        "decoder_id": None,
+    }
+
+
+@pytest.mark.parametrize(
+    ("slip", "why"),
+    [
+        (None, "nothing was fitted"),
+        (partial_slip(**dict.fromkeys(OF_SLIP, NAN), status="unknown", reason="hardly slips"), "hardly slips"),
+    ],
+    ids=["no fit", "unknown"],
+)
+def test_what_is_not_known_of_a_patch_is_null(skin_reporter: SkinReporter, slip: PartialSlip | None, why: str) -> None:
+    frame = decoded((3, 32, 32), displacement=False)
+    contact = skin_contact(slip=slip, radius_of_curvature_m=NAN)
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, contacts=(contact,))))
+    unknown = dict.fromkeys((*OF_SLIP, "radius_of_curvature_m"))
+    assert said["patches"] == [PATCH_LITERAL | unknown | {"slip_reason": why}]
+
+
+@pytest.mark.parametrize("status", ["rejected", "no_signal"])
+def test_a_frame_that_was_not_decoded_says_so(skin_reporter: SkinReporter, status: str) -> None:
+    frame = decoded((3, 32, 32), displacement=True, status=status, reason="why", **UNDECODED)
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame, "fourier")))
+    expected = {"decoder": "fourier", "status": status, "reason": "why", "chi2": None, "border_contact": False}
+    assert said | expected == said
+    assert said["patches"] == []
+    contacts = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
+    assert (contacts["status"], contacts["contacts"]) == (status, [])
+
+
+def test_the_word_for_physics_that_was_given_up_is_of_the_wire(skin_reporter: SkinReporter) -> None:
+    frame = decoded((3, 32, 32), displacement=False, status=np.str_("constraint_dropped"), reason=np.str_("why"))
+    said = literal(skin_reporter.summary(MEASURED_OF_SKIN, GATE_MIDDLE, surface(frame)))
+    assert (said["status"], said["reason"]) == ("constraint_dropped", "why")
+
+
+def test_contacts_of_a_skin_are_the_contracts_literal(skin_reporter: SkinReporter) -> None:
+    frame = decoded((3, 32, 32), displacement=False)
+    reading_of_skin = surface(frame, contacts=(skin_contact(), skin_contact(id=4)))
+    said = literal(skin_reporter.skin_contacts(MEASURED_OF_SKIN, GATE_MIDDLE, reading_of_skin))
+    assert said["t_ns"] == "1788999999995000123"
+    assert said["status"] == "ok"
+    assert said["contacts"] == [CONTACT_LITERAL, CONTACT_LITERAL | {"id": 4}]
+
+
+@pytest.mark.parametrize("word", ["onset", "incipient_slip", "gross_slip", "release"])
+def test_an_event_of_a_skin_tells_of_its_contact_with_its_peak(skin_reporter: SkinReporter, word: Any) -> None:
+    said = literal(skin_reporter.skin_event(SkinEvent(word, skin_contact()), MEASURED_OF_SKIN, GATE_MIDDLE))
+    assert said["event"] == word
+    of_slip = {"slip_margin": 0.125, "slip_margin_std": 0.01, "friction_coefficient": 0.6}
+    assert said["contact"] == CONTACT_LITERAL | of_slip
+
+
+def test_friction_that_is_hardly_known_is_null(skin_reporter: SkinReporter) -> None:
+    contact = skin_contact(slip=partial_slip(friction_coefficient_std=0.2))
+    said = literal(
+        skin_reporter.summary(
+            MEASURED_OF_SKIN, GATE_MIDDLE, surface(decoded((3, 32, 32), displacement=False), contacts=(contact,))
+        )
+    )
+    unknown = {"friction_coefficient": None, "friction_coefficient_std": None}
+    assert said["patches"] == [PATCH_LITERAL | unknown]
+
+
+def test_a_contact_of_a_skin_keeps_its_date_until_it_is_released(skin_reporter: SkinReporter) -> None:
+    frame = surface(decoded((3, 32, 32), displacement=False), contacts=(skin_contact(),))
+    later = [gate_middle(10_000_000, later_ns=number * 10_000_000) for number in range(4)]
+    onset = skin_reporter.skin_event(SkinEvent("onset", skin_contact()), MEASURED_OF_SKIN, later[0])
+    held = skin_reporter.skin_contacts(MEASURED_OF_SKIN, later[1], frame)
+    release = skin_reporter.skin_event(SkinEvent("release", skin_contact()), MEASURED_OF_SKIN, later[2])
+    dates = {onset.contact.since_t_ns, held.contacts[0].since_t_ns, release.contact.since_t_ns}
+    assert len(dates) == 1
+    again = skin_reporter.skin_event(SkinEvent("onset", skin_contact()), MEASURED_OF_SKIN, later[3])
+    assert again.contact.since_t_ns == onset.contact.since_t_ns + 30_000_000
+
+
+def test_signals_come_with_the_noise_of_each_and_the_status_of_the_reading(skin_reporter: SkinReporter) -> None:
+    noise = np.random.default_rng(6).uniform(1e-3, 2e-3, (3, 1024))
+    noise[0, 7], noise[1, 8] = NAN, np.inf
+    measured = replace(channelised(np.zeros((3, 1024))), noise_std=noise, status="settling")
+    message = decode(payloads.Signals, encode(skin_reporter.signals(measured, GATE_MIDDLE)))
+    np.testing.assert_array_equal(message.noise_std, noise.astype(np.float32))
+    assert message.status == "settling"
+
+
+def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: SkinReporter) -> None:
+    event = SkinEvent("release", skin_contact(), "unplugged")
+    said = literal(skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE))
+    assert (said["event"], said["reason"]) == ("release", "unplugged")
+
+
+def test_a_frame_that_is_skipped_leaves_a_gap_in_the_numbers_of_its_messages(skin_reporter: SkinReporter) -> None:
+    reporter, measured = skin_reporter.reporter, channelised(np.zeros((3, 1024)))
+    frames = [reporter.surface_frame(measured, GATE_MIDDLE) for _ in range(2)]
+    assert reporter.signals(measured, GATE_MIDDLE).seq == 0
+    assert reporter.contacts_header(measured, GATE_MIDDLE)["seq"] == 2
+    frames.append(reporter.surface_frame(measured, GATE_MIDDLE))
+    assert [(frame.header["seq"], frame.contacts_seq) for frame in frames] == [(0, 0), (1, 1), (2, 3)]
+
+
+def test_events_are_numbered_without_gaps(skin_reporter: SkinReporter) -> None:
+    events = [SkinEvent("onset", skin_contact(id=number)) for number in range(3)]
+    made = [skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE) for event in events]
+    assert [skin_reporter.reporter.numbered(event).seq for event in made[1:]] == [0, 1]

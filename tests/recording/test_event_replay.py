@@ -1,0 +1,277 @@
+"""Replays of what happened on emulated boards' links: the same arrivals, times and accounts, to the bit."""
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from emulation import emulated
+from recording_bench import PLATE, at, record, replayed, same
+
+from firmware_protocol.host import HostSession
+from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, parse_link
+from resonator_daemon.config.text import load_plate_text
+from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.recording.event_replay import Pace
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import (
+    Arrival,
+    BoardRefused,
+    ChannelisedFrame,
+    Gap,
+    LinkChange,
+    Outage,
+    SingleToneFrame,
+)
+from resonator_daemon.session.link_events import (
+    Closed,
+    Goodbye,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Skipped,
+    Tended,
+    WireEvent,
+)
+from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
+
+SKIN = load_plate("skin32")
+CORPUS = Path(__file__).parents[1] / "corpus"
+DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
+
+
+class Sitting:
+    """A reader that is recorded, and all that it handed on."""
+
+    def __init__(self, link: LinkTarget, plate: Plate, path: Path) -> None:
+        self._woken = threading.Event()
+        self.recorder = Recorder(path, Origin(plate, str(link)))
+        self.reader = BoardReader(link, plate, self._woken.set, tap=self.recorder.put)
+        self.arrivals: list[Arrival] = []
+        self.account = LinkAccount()
+
+    def __enter__(self) -> "Sitting":
+        self.reader.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.stop()
+        self.recorder.close()
+        self.arrivals += self.reader.take()
+        self.account = self.reader.account()
+
+    def wait_for(self, kind: type[Arrival], count: int) -> None:
+        deadline = time.monotonic() + DEADLINE_S
+        while sum(isinstance(arrival, kind) for arrival in self.arrivals) < count:
+            assert time.monotonic() < deadline, self.arrivals[-5:]
+            self._woken.wait(1.0)
+            self._woken.clear()
+            self.arrivals += self.reader.take()
+
+
+def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
+    arrivals, account, differences = replayed(path, plate)
+    assert differences == 0
+    end = arrivals[-1]
+    assert isinstance(end, LinkChange)
+    assert (end.state, end.reason) == ("lost", f"the recording {path.name} is over")
+    assert len(arrivals) == len(sitting.arrivals) + 1
+    for live, again in zip(sitting.arrivals, arrivals, strict=False):
+        assert same(live, again), (live, again)
+    assert account == sitting.account
+    return arrivals
+
+
+def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
+    port, path = tmp_path / "board", tmp_path / "run.mcap"
+    faults = parse_faults("bit_error_rate=1e-4,unplug_at_s=0.8,unplug_for_s=0.2,reboot_at_s=1.6")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Sitting(SerialLink(str(port), 4000000), PLATE, path) as sitting,
+    ):
+        sitting.wait_for(Outage, 2)
+        sitting.wait_for(SingleToneFrame, sum(isinstance(a, SingleToneFrame) for a in sitting.arrivals) + 200)
+    arrivals = check_same(sitting, path, PLATE)
+    assert {SingleToneFrame, Gap, LinkChange, Outage} <= {type(arrival) for arrival in arrivals}
+    assert sitting.account.connections > 1
+    assert len(sitting.account.boots) == 2
+    assert sitting.account.bytes_discarded > 0
+
+
+def test_channelised_frames_are_replayed_to_the_bit(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
+        link = parse_link(emulator.link.address)
+        with Sitting(link, SKIN, path) as sitting:
+            sitting.wait_for(ChannelisedFrame, 10)
+    check_same(sitting, path, SKIN)
+
+
+def test_a_refused_board_is_refused_again(tmp_path: Path) -> None:
+    port, path = tmp_path / "board", tmp_path / "run.mcap"
+    with emulated(EmulatorOptions("skin32", pty=port)), Sitting(SerialLink(str(port), 4000000), PLATE, path) as sitting:
+        sitting.wait_for(BoardRefused, 1)
+    check_same(sitting, path, PLATE)
+
+
+def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [Said(at(0), "starting", "first"), Said(at(300), "waiting", "second")])
+    woken = threading.Event()
+    reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
+    reader.start()
+    arrivals: list[Arrival] = []
+    while len(arrivals) < 3:
+        assert woken.wait(DEADLINE_S)
+        woken.clear()
+        arrivals += reader.take()
+    reader.stop()
+    assert arrivals == [
+        LinkChange("starting", "first", at(0).utc_ns, at(0).utc_ns),
+        LinkChange("waiting", "second", at(300).utc_ns, at(300).utc_ns),
+        LinkChange("lost", f"the recording {path.name} is over", at(300).utc_ns, at(300).utc_ns),
+    ]
+
+
+def test_recorded_time_passes_as_fast_as_it_did() -> None:
+    asked_s: list[float] = []
+    pace = Pace(asked_s.append, lambda: len(asked_s) == 3)
+    assert pace(at(0))
+    assert pace(at(-5))
+    assert asked_s == []
+    assert not pace(at(3_600_000))  # each wait ends early, the third in a stop
+    assert all(3500 < wait_s <= 3600 for wait_s in asked_s)
+    assert len(asked_s) == 3
+
+
+def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [Opened(at(0)), Said(at(0), "stalled", "first"), Tended(at(3_600_000), idle=True)])
+    woken = threading.Event()
+    reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
+    reader.start()
+    assert woken.wait(DEADLINE_S)
+    reader.stop()
+    assert reader.take() == [LinkChange("stalled", "first", at(0).utc_ns, at(0).utc_ns)]
+
+
+def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
+    woken = threading.Event()
+    reader = BoardReader(ReplayLink(str(tmp_path / "none.mcap")), PLATE, woken.set)
+    reader.start()
+    assert woken.wait(DEADLINE_S)
+    reader.stop()
+    sentence = f"recording {tmp_path / 'none.mcap'}: No such file or directory"
+    change, refused = reader.take()
+    assert isinstance(change, LinkChange)
+    assert (change.state, change.reason) == ("refused", sentence)
+    assert refused == BoardRefused((sentence,))
+
+
+def last_reason(arrivals: list[Arrival]) -> str:
+    assert isinstance(arrivals[-1], LinkChange)
+    return arrivals[-1].reason
+
+
+def identify() -> bytes:
+    """What goes out as soon as a link is open."""
+    return HostSession().data_to_send()
+
+
+BEGUN = [Opened(at(0)), Sent(at(0), identify())]
+NO_ANSWER = Tended(at(4000), idle=False)  # after which the connection gives up
+
+
+@pytest.mark.parametrize(
+    ("events", "said"),
+    [
+        ([BEGUN[0], Sent(at(1), b"\x07"), Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
+        ([BEGUN[0], Received(at(2), b"\0"), Closed(at(3))], "0.002 s after its beginning: nothing was sent, now "),
+        ([BEGUN[0], Tended(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
+        ([*BEGUN, Skipped(at(5), 3, 400), Closed(at(6))], "0.005 s after its beginning: 3 events with 400 bytes are"),
+        ([*BEGUN, Refused(at(5), ("old",), other_protocol=False), Closed(at(6))], "closed, old; now: nothing is wrong"),
+        ([*BEGUN, Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
+        ([Received(at(0), b"abc")], "0.000 s after its beginning: the link is not open"),
+        ([*BEGUN, NO_ANSWER, Lost(at(4001), "unplugged"), Closed(at(4001))], "unplugged; now: no board answers"),
+        ([*BEGUN, NO_ANSWER, Received(at(4001), b"")], "the link would have been closed: no board answers"),
+    ],
+)
+def test_a_difference_is_counted_and_said(tmp_path: Path, events: list[WireEvent], said: str) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, events)
+    arrivals, _, differences = replayed(path)
+    assert differences == 1
+    assert f"the recording {path.name} is over; replay differs from it in 1 places, first " in last_reason(arrivals)
+    assert said in last_reason(arrivals)
+
+
+def test_an_order_of_events_that_no_daemon_has_is_a_difference(tmp_path: Path) -> None:
+    with open_recording(str(CORPUS / "touches" / "recording.mcap")) as recording:
+        plate = load_plate_text(recording.plate_text or "", Path("plate.toml"))
+        events = list(recording.events())
+    place = next(i for i, event in enumerate(events) if isinstance(event, Received) and len(event.data) > 100)
+    bent = [*events[:place], Goodbye(events[place].now), *events[place:]]
+    path = tmp_path / "run.mcap"
+    record(path, bent, plate)
+    arrivals, _, differences = replayed(path, plate)
+    assert differences > 0
+    assert f"replay differs from it in {differences} places, first " in last_reason(arrivals)
+
+
+def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(
+        path,
+        [
+            Said(at(0), "starting", "the link is being opened"),
+            Opened(at(0)),
+            Sent(at(0), identify()),
+            Tended(at(1), idle=True),
+            Overrun(at(1)),
+            Lost(at(2), "unplugged"),
+            Closed(at(2)),
+            Opened(at(10)),
+            Sent(at(10), identify()),
+            Tended(at(4000), idle=False),
+            Lost(at(4000), "no board answers"),
+            Closed(at(4000)),
+        ],
+    )
+    arrivals, account, differences = replayed(path)
+    assert differences == 0
+    assert (account.connections, account.host_overruns) == (2, 1)
+    assert LinkChange("waiting", "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
+    assert last_reason(arrivals) == f"the recording {path.name} is over"
+
+
+def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [])
+    arrivals, _, differences = replayed(path)
+    assert (len(arrivals), differences) == (1, 0)
+
+
+def test_a_replay_that_is_stopped_leaves_the_link_closed(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [Opened(at(0)), Sent(at(0), identify()), Tended(at(1), idle=True), Tended(at(2), idle=True)])
+    arrivals, account, _ = replayed(path, pace=lambda now: now.monotonic_ns < at(2).monotonic_ns)
+    assert arrivals == []
+    assert account.connections == 1
+
+
+def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [Said(at(0), "starting", "first"), Opened(at(1))])
+    path.write_bytes(path.read_bytes()[:-8])  # its last magic
+    arrivals, _, differences = replayed(path)
+    assert differences == 0
+    reasons = [arrival.reason for arrival in arrivals if isinstance(arrival, LinkChange)]
+    assert reasons == ["first", f"the recording {path.name} is over; its file is cut off; all before that was replayed"]

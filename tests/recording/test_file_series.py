@@ -1,0 +1,135 @@
+"""Which files count for the budget of a daemon's recordings, and which give way."""
+
+import fcntl
+import logging
+import os
+from pathlib import Path
+from random import Random
+from types import SimpleNamespace
+
+import pytest
+from recording_bench import PLATE, at, made
+
+from resonator_daemon.recording import file_series as recording_budget
+from resonator_daemon.recording.file_series import NoRoomError, Room, Series
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.session.link_events import Received
+
+LEFT = Origin(PLATE, "tcp://board:1", name="left")
+
+
+def test_the_file_before_counts_once_the_next_has_begun(tmp_path: Path) -> None:
+    series = Series(tmp_path, "left", budget_bytes=75_000)
+    room = Room(series, lambda *_: None)
+    files = []
+    for number in range(2):
+        room.begin()
+        file = series.make(LEFT, (1_800_000_000 + number) * 10**9)
+        file.write(Received(at(0), Random(number).randbytes(50_000)))
+        file.flush()
+        room.keep_budget(file)
+        file.finish()
+        file.sync()
+        files.append(file.path)
+    assert [path.exists() for path in files] == [False, True]
+    assert room.files_removed == 1
+
+
+def test_a_recording_of_another_daemon_with_this_name_before_its_time_stays(tmp_path: Path) -> None:
+    theirs = made(tmp_path, 0, says="right")
+    room = Room(Series(tmp_path, "left", budget_bytes=1), lambda *_: None)
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    room.keep_budget(own)
+    assert theirs.exists()
+    assert room.files_removed == 0
+    own.abandon()
+
+
+def test_recordings_that_somebody_else_removes_meanwhile_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = [made(tmp_path, minute) for minute in range(2)]
+    room = Room(Series(tmp_path, "left", budget_bytes=75_000), lambda *_: None)
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    listed = Series.files
+
+    def files(series: Series) -> list[Path]:
+        paths = listed(series)
+        old[0].unlink(missing_ok=True)
+        return paths
+
+    monkeypatch.setattr(Series, "files", files)
+    room.keep_budget(own)
+    assert old[1].exists()
+    assert room.files_removed == 0
+    own.abandon()
+
+
+def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
+    said: list[tuple[int, str]] = []
+    old = [made(tmp_path, minute) for minute in range(4)]
+    other = made(tmp_path, 0, "left-index")
+    foreign = Series(tmp_path, "left").path(0)
+    foreign.write_bytes(bytes(20_000))  # of this name, and no recording
+    notes = tmp_path / "left-notes.mcap"
+    notes.write_bytes(bytes(20_000))
+    (tmp_path / "left-20200101T000000.000Z.mcap").symlink_to(other)
+    room = Room(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    room.keep_budget(own)
+    assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
+    assert other.exists()
+    assert foreign.exists()
+    assert notes.exists()
+    assert own.path.exists()
+    assert room.files_removed == 2
+    assert said == [(logging.INFO, f"{path} was removed: recordings exceeded 0.055 MB") for path in old[:2]]
+    own.abandon()
+
+
+def test_a_recording_that_another_program_writes_is_not_removed(tmp_path: Path) -> None:
+    old = [made(tmp_path, minute) for minute in range(2)]
+    room = Room(Series(tmp_path, "left", budget_bytes=25_000), lambda *_: None)
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    with old[0].open("rb") as written:
+        fcntl.flock(written, fcntl.LOCK_EX)
+        room.keep_budget(own)
+    assert [path.exists() for path in old] == [True, False]
+    own.abandon()
+
+
+def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[tuple[int, str]] = []
+    old = made(tmp_path, 0)
+
+    def refuse(path: Path) -> None:
+        raise PermissionError(1, "Operation not permitted", str(path))
+
+    monkeypatch.setattr(os, "unlink", refuse)
+    room = Room(Series(tmp_path, "left", budget_bytes=1), lambda *line: said.append(line))
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    for _ in range(3):
+        room.begin()
+        room.keep_budget(own)
+    assert said == [(logging.WARNING, f"{old} cannot be removed: Operation not permitted")]
+    assert room.files_removed == 0
+    own.abandon()
+
+
+def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=480_000_000))
+    room = Room(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
+    room.check(again=False)
+    with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(keep_free_mb in \[recording\]"):
+        room.check(again=True)
+
+
+def test_the_file_that_is_written_counts_once(tmp_path: Path) -> None:
+    old = made(tmp_path, 0)
+    room = Room(Series(tmp_path, "left", budget_bytes=80_000), lambda *_: None)
+    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
+    own.write(Received(at(0), Random(1).randbytes(50_000)))
+    own.flush()
+    room.keep_budget(own)
+    assert old.exists()
+    own.abandon()

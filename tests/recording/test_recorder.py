@@ -1,0 +1,426 @@
+"""Recordings: every event comes back exactly, from whole, cut and damaged files, and no disk holds up who records."""
+
+import errno
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from random import Random
+
+import pytest
+import recording_bench
+from connection_bench import DESCRIPTION, IDENTITY
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from recording_bench import PLATE, at, read, record
+
+from firmware_protocol.messages import Configuration
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.plate import load_plate
+from resonator_daemon.recording import recorder as recording
+from resonator_daemon.recording import writer as recording_writer
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import (
+    Closed,
+    Goodbye,
+    Lost,
+    Opened,
+    Overrun,
+    Received,
+    Refused,
+    Said,
+    Sent,
+    Skipped,
+    Tended,
+    WireEvent,
+    decode,
+    encode,
+)
+
+EVENTS: list[WireEvent] = [
+    Said(at(0), "starting", "the link is being opened"),
+    Said(at(1), "waiting", "/dev/ttyÿ: no such file — yet"),
+    Opened(at(2)),
+    Sent(at(3), b"\x01\0"),
+    Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),
+    Received(at(5), b""),
+    Tended(at(5), idle=False),
+    Tended(at(6), idle=True),
+    Overrun(at(7)),
+    Goodbye(at(8)),
+    Lost(at(9), "unplugged (hung up)"),
+    Refused(at(10), ("one", "two"), other_protocol=True),
+    Refused(at(10), (), other_protocol=False),
+    Closed(at(11)),
+    Skipped(at(12), 3, 400),
+]
+DEADLINE_S = 30.0
+
+host_times = st.builds(
+    HostTime,
+    st.integers(0, 2**62),
+    st.integers(0, 2**62),
+    st.integers(-(2**63), 2**63 - 1),
+)
+
+
+def kinds(events: list[WireEvent]) -> list[type[WireEvent]]:
+    return [type(event) for event in events]
+
+
+def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    recorder = record(path, EVENTS)
+    events, damage = read(path)
+    assert events == EVENTS
+    assert kinds(events) == kinds(EVENTS)  # named tuples of two kinds can be equal
+    assert damage is None
+    assert (recorder.skipped_events, recorder.failure) == (0, None)
+
+
+@given(host_times, st.binary(max_size=300), st.booleans())
+def test_every_time_and_byte_comes_back(now: HostTime, data: bytes, flag: bool) -> None:
+    for event in (Received(now, data), Sent(now, data), Tended(now, flag), Opened(now)):
+        again = decode(encode(event), now.monotonic_ns, now.utc_ns)
+        assert (type(again), again) == (type(event), event)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"",
+        b"\0" * 8,
+        b"\xff" + bytes(8),
+        b"\0" + bytes(8) + b"{",
+        b"\0" + bytes(8) + b'["a"]',
+        b"\7" + bytes(8) + b"[1]",
+    ],
+)
+def test_what_is_no_event_is_refused(data: bytes) -> None:
+    with pytest.raises(ValueError, match=r"event|cannot be read|Expecting"):
+        decode(data, 0, 0)
+
+
+@given(st.binary(max_size=40))
+def test_no_bytes_do_more_than_raise_value_error(data: bytes) -> None:
+    with suppress(ValueError):
+        decode(data, 0, 0)
+
+
+def test_the_file_says_what_it_is_of_and_which_board_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+        recorder.put(Opened(at(0)))
+        recorder.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
+    with open_recording(str(path), PLATE) as recording:
+        assert (recording.header["plate"], recording.header["link"]) == ("quartz16", "tcp://board:1")
+    with path.open("rb") as file:  # as any reader of such files
+        reader = make_reader(file)
+        assert reader.get_header().profile == "resonatord"
+        named = {metadata.name: metadata.metadata for metadata in reader.iter_metadata()}
+        ((_, channel, message),) = list(reader.iter_messages())
+    assert named["board"] == {
+        "product": "test board",
+        "serial_number": "T-1",
+        "firmware": "1.0",
+        "boot_id": "00000abc",
+    }
+    assert (channel.topic, channel.message_encoding) == ("wire", "application/octet-stream")
+    assert (message.log_time, message.publish_time) == (at(0).utc_ns, at(0).monotonic_ns)
+
+
+def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    path.write_bytes(b"precious")
+    with pytest.raises(OperatorError, match=r"run\.mcap is there already, and nothing is overwritten"):
+        Recorder(path, Origin(PLATE, "tcp://board:1"))
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(OperatorError, match="cannot be written: No such file or directory"):
+        Recorder(tmp_path / "no" / "run.mcap", Origin(PLATE, "tcp://board:1"))
+
+
+def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    large = Received(at(2), bytes(10_000))
+    events = [Opened(at(1)), large, large, Closed(at(3)), large]
+    recorder = record(path, events, queue_bytes=5_000)
+    kept, _ = read(path)
+    assert kept[:3] == [Opened(at(1)), Skipped(at(3), 2, 20_000), Closed(at(3))]
+    assert isinstance(kept[3], Skipped)
+    assert kept[3][1:] == (1, 10_000)
+    assert len(kept) == 4
+    assert recorder.skipped_events == 3
+
+
+def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # nothing is written before the end
+    path = tmp_path / "run.mcap"
+    events: list[WireEvent] = [Received(at(0), bytes(10_000)), *(Opened(at(number)) for number in range(1, 20))]
+    recorder = record(path, events, queue_bytes=10 * 300)
+    kept, _ = read(path)
+    assert kept[:-1] == [Skipped(at(1), 1, 10_000), *(Opened(at(number)) for number in range(1, 10))]
+    assert isinstance(kept[-1], Skipped)
+    assert kept[-1][1:] == (10, 0)
+    assert recorder.skipped_events == 11
+    assert recorder._waiting_bytes == 0  # or the bound would wander
+    path = tmp_path / "small.mcap"
+    record(path, events[:2], queue_bytes=500)  # room for one of the two
+    kept, _ = read(path)
+    assert [event[1:] for event in kept] == [(2, 10_000)]
+
+
+def test_room_comes_back_once_events_are_written(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    deadline = time.monotonic() + DEADLINE_S
+    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=5_000) as recorder:
+        recorder.put(Received(at(0), bytes(4_000)))
+        skipped = -1
+        while recorder.skipped_events != skipped:
+            assert time.monotonic() < deadline
+            skipped = recorder.skipped_events
+            recorder.put(Received(at(1), bytes(4_000)))
+            threading.Event().wait(0.01)
+    events, _ = read(path)
+    assert sum(isinstance(event, Received) for event in events) == 2
+
+
+def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    random = Random(1)
+    deadline = time.monotonic() + DEADLINE_S
+    put = 0
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2_000_000, hard))
+    try:
+        with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+            while recorder.failure is None:
+                assert time.monotonic() < deadline
+                recorder.put(Received(at(put), random.randbytes(100_000)))
+                put += 1
+                threading.Event().wait(0.005)
+            recorder.put(Closed(at(put)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert recorder.failure == f"{path}: File too large: nothing more is recorded; what was written stays"
+    events, damage = read(path)
+    assert damage == "cut off"
+    assert [event.now for event in events] == [at(number) for number in range(len(events))]
+    assert 10 < len(events) < 20
+    assert recorder.skipped_events >= 1
+
+
+def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(event: WireEvent) -> bytes:
+        if isinstance(event, Sent):
+            raise RuntimeError("LZ4 has no memory")
+        return encode(event)
+
+    monkeypatch.setattr(recording_writer, "encode", broken)
+    path = tmp_path / "run.mcap"
+    recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
+    said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
+    assert recorder.failure == f"{path}: {said}"
+    assert (recorder.events, recorder.skipped_events) == (0, 2)  # the other waited for its chunk to be full
+    recorder.put(Closed(at(2)))
+    assert recorder.skipped_events == 3
+
+
+def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(recording_writer.Writer, "finish", full)
+    path = tmp_path / "run.mcap"
+    written: list[WireEvent] = [Opened(at(0)), Received(at(1), b"x"), Closed(at(2))]
+    monkeypatch.setattr(recording, "FLUSH_S", 3600.0)
+    deadline = time.monotonic() + DEADLINE_S
+    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+        recorder.put(written[0])
+        while not recorder.events:  # flushed once
+            assert time.monotonic() < deadline
+            threading.Event().wait(0.01)
+        for event in written[1:]:
+            recorder.put(event)
+    assert recorder.failure == f"{path}: No space left on device: nothing more is recorded; what was written stays"
+    assert read(path)[0] == written
+    assert (recorder.events, recorder.skipped_events) == (3, 0)
+    assert recorder.all_bytes == path.stat().st_size
+
+
+def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stuck, go_on = threading.Event(), threading.Event()
+
+    def fail(event: WireEvent) -> bytes:
+        stuck.set()
+        go_on.wait(DEADLINE_S)
+        raise OSError("no number, no text")
+
+    monkeypatch.setattr(recording_writer, "encode", fail)
+    path = tmp_path / "run.mcap"
+    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=2_000) as recorder:
+        recorder.put(Opened(at(0)))
+        assert stuck.wait(DEADLINE_S)
+        recorder.put(Received(at(1), bytes(10_000)))
+        recorder.put(Closed(at(2)))
+        go_on.set()
+    assert recorder.failure is not None
+    assert "no number, no text" in recorder.failure
+    assert recorder.skipped_events == 3  # the one that failed, the large one, and the one that waited behind it
+
+
+KILLED = """
+import sys
+from recording_bench import PLATE, at
+from pathlib import Path
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.session.link_events import Received
+recorder = Recorder(Path(sys.argv[1]), Origin(PLATE, "tcp://board:1"))
+for number in range(5):
+    recorder.put(Received(at(number), bytes([number])))
+print("put", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_recording_that_is_killed_is_readable(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    here = str(Path(recording_bench.__file__).parent)
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(path)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": here},
+    )
+    assert process.stdout is not None
+    assert process.stdin is not None
+    assert process.stdout.readline() == b"put\n"
+    deadline = time.monotonic() + DEADLINE_S
+    events: list[WireEvent] = []
+    while len(events) < 5:  # flushed after a second
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.05)
+        if path.exists() and path.stat().st_size:
+            try:
+                events, _ = read(path)
+            except LinkUnavailableError:
+                continue
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    events, damage = read(path)
+    assert events == [Received(at(number), bytes([number])) for number in range(5)]
+    assert damage == "cut off"
+
+
+def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    random = Random(2)
+    written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
+    record(path, written)
+    whole = path.read_bytes()
+    lengths = set()
+    for cut in sorted(random.sample(range(len(whole)), 60)):
+        path.write_bytes(whole[:cut])
+        try:
+            events, damage = read(path)
+        except LinkUnavailableError:
+            assert cut < 1000
+            continue
+        assert events == written[: len(events)]
+        assert damage == "cut off"
+        assert cut - 5 * 70_000 < len(events) * 60_000  # a chunk is lost at most
+        lengths.add(len(events))
+    assert len(lengths) > 3
+
+
+def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # so that the same is in each chunk
+    path = tmp_path / "run.mcap"
+    random = Random(3)
+    written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
+    record(path, written)
+    whole = bytearray(path.read_bytes())
+    whole[len(whole) // 2] ^= 4
+    path.write_bytes(whole)
+    events, damage = read(path)
+    assert 0 < len(events) < 30
+    assert events == written[: len(events)]
+    assert damage is not None
+    assert damage.startswith("damaged before byte ")
+    assert damage.endswith(f"of {len(whole)} ({damage[damage.index('(') + 1 : -1]})")
+
+
+def test_no_bit_that_flips_is_taken_for_an_event(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, EVENTS)
+    whole = path.read_bytes()
+    random = Random(4)
+    for _ in range(300):
+        bent = bytearray(whole)
+        bent[random.randrange(len(bent))] ^= 1 << random.randrange(8)
+        path.write_bytes(bent)
+        try:
+            events, _ = read(path)
+        except LinkUnavailableError:
+            continue
+        assert events == EVENTS[: len(events)]
+
+
+def test_what_is_no_recording_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "file"
+    path.write_bytes(b"")
+    with pytest.raises(
+        LinkUnavailableError,
+        match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
+    ):
+        open_recording(str(path), PLATE)
+    path.write_bytes(Random(5).randbytes(5000))
+    with pytest.raises(LinkUnavailableError, match="is no recording"):
+        open_recording(str(path), PLATE)
+    with pytest.raises(LinkUnavailableError, match="is no regular file"):
+        open_recording(str(tmp_path), PLATE)
+    for profile, name, metadata, said in (
+        ("ros2", "recording", {"format": "1"}, "is an MCAP file, but not of this program"),
+        ("resonatord", "other", {"format": "1"}, "does not say what it is a recording of"),
+        ("resonatord", "recording", {"format": "9"}, "has format 9, this version reads format 2"),
+        ("resonatord", "recording", {"format": "1"}, "has format 1, this version reads format 2"),
+    ):
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start(profile)
+            writer.add_metadata(name, metadata)
+            writer.finish()
+        with pytest.raises(LinkUnavailableError, match=said):
+            open_recording(str(path), PLATE)
+
+
+def test_a_recording_of_another_plate_is_refused(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, EVENTS)
+    with pytest.raises(LinkUnavailableError, match="of plate 'quartz16', the configuration names plate 'skin32'"):
+        open_recording(str(path), load_plate("skin32"))
+    slower = PLATE.model_copy(update={"counter": PLATE.counter.model_copy(update={"frame_rate_hz": 500.0})})
+    with pytest.raises(LinkUnavailableError, match=r"another \[counter\] or other tones than plate 'quartz16' has now"):
+        open_recording(str(path), slower)
+    assert caplog.messages == []
+    heavier = PLATE.model_copy(update={"force_max_newton": 7.0})
+    events, _ = read(path, heavier)
+    assert events == EVENTS
+    assert caplog.messages == [
+        f"{path}: plate file 'quartz16' has changed since; frames are as recorded, forces may differ"
+    ]

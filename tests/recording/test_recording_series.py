@@ -1,0 +1,385 @@
+"""A recording that goes from file to file: where each begins, what is removed for room, and a disk without any."""
+
+import fcntl
+import logging
+import os
+import shutil
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from random import Random
+from types import SimpleNamespace
+
+import pytest
+from recording_bench import PLATE, at, made, read, record, standing
+
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.recording import file_series as recording_budget
+from resonator_daemon.recording import recorder as recording
+from resonator_daemon.recording import writer as recording_writer
+from resonator_daemon.recording.file_series import NoRoomError, Series
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import Opened, Received, Skipped, Standing, Tended, WireEvent
+
+DEADLINE_S = 30.0
+MINUTE_NS = 60 * 10**9
+LEFT = Origin(PLATE, "tcp://board:1", name="left")
+SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
+
+
+@pytest.fixture(autouse=True)
+def _begins_before_its_events(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not done():
+        assert time.monotonic() < deadline
+        threading.Event().wait(0.01)
+
+
+def contents(directory: Path) -> list[list[WireEvent]]:
+    files = Series(directory, "left").files()
+    assert all(read(path)[1] is None for path in files)
+    return [read(path)[0] for path in files]
+
+
+def disk(monkeypatch: pytest.MonkeyPatch, free_bytes: list[int]) -> None:
+    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes[-1]))
+
+
+def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # what is put is written at once, in one go
+    series = Series(tmp_path, "left", file_max_ns=1_000_000_000)
+    with Recorder(series, LEFT) as recorder:
+        for ms in range(0, 3000, 100):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), bytes([ms // 100])))
+            recorder.put(Tended(at(ms + 1), idle=False))
+    assert [[event.now for event in events if isinstance(event, Standing)] for events in contents(tmp_path)] == [
+        [at(0)],
+        [at(1000)],
+        [at(2000)],
+    ]
+    assert all(isinstance(events[0], Standing) for events in contents(tmp_path))
+    received = [event.data for events in contents(tmp_path) for event in events if isinstance(event, Received)]
+    assert received == [bytes([number]) for number in range(30)]
+    assert (recorder.events, recorder.counts.files, recorder.skipped_events) == (63, 3, 0)
+
+
+def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
+    series = Series(tmp_path, "left", file_max_bytes=400_000)
+    random = Random(1)
+    with Recorder(series, LEFT) as recorder:
+        for ms in range(0, 1000, 10):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), random.randbytes(20_000)))
+    sizes = [path.stat().st_size for path in series.files()]
+    assert len(sizes) >= 3
+    assert all(400_000 <= size < 400_000 + 300_000 + 50_000 for size in sizes[:-1])
+    received = [event for events in contents(tmp_path) for event in events if isinstance(event, Received)]
+    assert [event.now for event in received] == [at(ms) for ms in range(0, 1000, 10)]
+    assert recorder.events == sum(map(len, contents(tmp_path)))
+    assert recorder.all_bytes == sum(sizes)
+    assert recorder.counts.file_bytes == sizes[-1]
+
+
+def test_a_file_does_not_end_between_standings(tmp_path: Path) -> None:
+    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
+        for ms in range(100):
+            recorder.put(Received(at(ms), b"x"))
+    assert len(contents(tmp_path)) == 1
+
+
+def test_each_file_says_the_same_of_its_origin(tmp_path: Path) -> None:
+    origin = Origin(PLATE, "tcp://board:1", "left", "b00t", "5ha", "name = 'quartz16'\n", "[measurement]\n")
+    with Recorder(Series(tmp_path, "left", "press", file_max_ns=1), origin) as recorder:
+        for ms in range(2):
+            recorder.put(standing(at(ms)))
+    files = Series(tmp_path, "left").files()
+    assert len(files) == 2
+    for path in files:
+        assert path.name.endswith("Z-press.mcap")
+        with open_recording(str(path)) as it:
+            assert (it.plate_text, it.settings_text) == ("name = 'quartz16'\n", "[measurement]\n")
+            told = {key: it.header.get(key) for key in ("name", "daemon_boot_id", "config_sha256", "calibration_id")}
+            assert told == {
+                "name": "left",
+                "daemon_boot_id": "b00t",
+                "config_sha256": "5ha",
+                "calibration_id": PLATE.calibration.id,
+            }
+
+
+def test_a_file_that_was_cut_still_gives_the_texts_of_its_beginning(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    plate_text = Random(7).randbytes(30_000).hex()
+    with Recorder(
+        path, Origin(PLATE, "tcp://board:1", plate_text=plate_text, settings_text="[decoding]\n")
+    ) as recorder:
+        recorder.put(Received(at(0), bytes(1000)))
+    whole = path.read_bytes()
+    begun = whole.index(b"[decoding]") + 20
+    path.write_bytes(whole[:begun])
+    with open_recording(str(path), PLATE) as it:
+        assert (it.plate_text, it.settings_text) == (plate_text, "[decoding]\n")
+        assert list(it.events()) == []
+        assert it.damage == "cut off"
+
+
+def test_what_a_file_says_of_itself_is_on_its_way_to_the_disk_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    recorder = Recorder(path, Origin(PLATE, "tcp://board:1", plate_text="x = 1\n"))
+    with open_recording(str(path), PLATE) as it:
+        assert it.plate_text == "x = 1\n"
+    recorder.close()
+
+
+def test_messages_give_way_to_the_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)
+    with Recorder(tmp_path / "run.mcap", LEFT, queue_bytes=10_000) as recorder:
+        for number in range(20):
+            recorder.put_message("forces", number, b'{"count":0}', SCHEMA)
+        recorder.put(Received(at(0), bytes(4_000)))
+    assert recorder.skipped_events == 0
+    assert (recorder.counts.messages, recorder.counts.messages_missing) == (16, 4)
+
+
+def test_names_sort_by_time_and_are_never_used_twice(tmp_path: Path) -> None:
+    series = Series(tmp_path, "left")
+    utc_ns = 1_789_000_000_123_000_000
+    files = [series.make(LEFT, utc_ns) for _ in range(3)]
+    for file in files:
+        file.abandon()
+    names = [file.path.name for file in files]
+    assert names == [f"left-20260910T002640.{ms}Z.mcap" for ms in (123, 124, 125)]
+    assert [path.name for path in series.files()] == names
+
+
+def test_a_recording_that_is_written_is_locked(tmp_path: Path) -> None:
+    own = Series(tmp_path, "left").make(LEFT, 0)
+    with own.path.open("rb") as file, pytest.raises(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    own.finish()
+    own.sync()
+    with own.path.open("rb") as file:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+
+def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "FLUSH_S", 0.0)
+    old = made(tmp_path, 0, size_bytes=50_000)
+    with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT) as recorder:
+        recorder.put(Received(at(0), b"x"))
+        wait_until(lambda: recorder.events == 1)
+        assert old.exists()
+        recorder.put(Received(at(1), Random(1).randbytes(50_000)))
+        wait_until(lambda: recorder.counts.files_removed == 1)
+    assert not old.exists()
+
+
+def test_without_room_a_recording_is_not_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    disk(monkeypatch, [1])
+    with pytest.raises(NoRoomError):
+        Recorder(Series(tmp_path, "left", keep_free_bytes=2), LEFT)
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").touch()
+    with pytest.raises(OperatorError, match="cannot be used: Not a directory"):
+        Recorder(Series(tmp_path / "file" / "deep", "left"), LEFT)
+
+
+@pytest.mark.parametrize("resumes", [True, False])
+def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumes: bool
+) -> None:
+    monkeypatch.setattr(recording, "FLUSH_S", 0.0)
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    free_bytes = [200]
+    disk(monkeypatch, free_bytes)
+    said: list[tuple[int, str]] = []
+    series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
+    with Recorder(series, LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(Opened(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        free_bytes.append(99)
+        wait_until(lambda: recorder.failure is not None)
+        assert recorder.failure is not None
+        assert "MB are kept free" in recorder.failure
+        assert contents(tmp_path) == [[Opened(at(0))]]  # and it has its end
+        free_bytes.append(109)  # not enough to begin anew
+        for ms in (1, 2):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), b"x"))
+        wait_until(lambda: recorder.skipped_events == 2)
+        assert recorder.failure is not None
+        free_bytes.append(200)
+        recorder.put(Received(at(3), b"x"))
+        recorder.put(standing(at(4)))
+        recorder.put(Received(at(4), b"y"))
+        wait_until(lambda: recorder.events + recorder.skipped_events == (6 if resumes else 5))
+    if resumes:
+        assert recorder.failure is None
+        assert contents(tmp_path)[1:] == [[standing(at(4)), Received(at(4), b"y")]]
+        assert recorder.skipped_events == 3
+        assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
+        assert said[0][1].endswith(": it is tried again every 0 s; what was written stays")
+        assert said[1][1] == f"recording goes on in {recorder.path}"
+    else:
+        assert len(contents(tmp_path)) == 1
+        assert recorder.skipped_events == 4
+        assert [level for level, _ in said] == [logging.WARNING]
+
+
+def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    blocked = tmp_path / "disk"
+    blocked.touch()
+    said: list[tuple[int, str]] = []
+    with Recorder(Series(blocked, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+        assert recorder.failure is not None
+        for ms in range(3):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), b"x"))
+        wait_until(lambda: recorder.skipped_events == 3)
+        blocked.unlink()
+        recorder.put(standing(at(9)))
+        wait_until(lambda: recorder.failure is None)
+    assert contents(blocked) == [[standing(at(9))]]
+    assert len(said) == 2  # however often it was tried
+
+
+def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    with Recorder(Series(tmp_path, "left", resumes=True), LEFT) as recorder:
+        recorder.put(Opened(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        assert recorder._file is not None
+        os.close(recorder._file._file.fileno())  # as a disk that was pulled out
+        shutil.rmtree(tmp_path)
+        recorder.put(Received(at(1), Random(1).randbytes(600_000)))
+        wait_until(lambda: recorder.failure is not None)
+        recorder.put(standing(at(2)))
+        wait_until(lambda: recorder.failure is None)
+    assert contents(tmp_path) == [[standing(at(2))]]
+
+
+def test_events_that_did_not_fit_are_told_before_a_standing_that_begins(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    record(path, [Received(at(0), bytes(50_000)), standing(at(1)), Tended(at(2), idle=True)], queue_bytes=40_000)
+    events, _ = read(path)
+    assert events == [Skipped(at(1), 1, 50_000), standing(at(1)), Tended(at(2), idle=True)]
+
+
+def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synchronised: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda number: synchronised.append(os.readlink(f"/proc/self/fd/{number}")))
+    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
+        for ms in range(3):
+            recorder.put(standing(at(ms)))
+    assert sorted(synchronised) == [str(path) for path in Series(tmp_path, "left").files()]
+    assert len(synchronised) == 3
+
+
+def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(event: WireEvent) -> bytes:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # all of it in one go
+    monkeypatch.setattr(recording_writer, "encode", broken)
+    with Recorder(Series(tmp_path, "left"), LEFT) as recorder:
+        recorder.put(Opened(at(0)))
+        recorder.put(standing(at(1)))
+    assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
+    assert len(Series(tmp_path, "left").files()) == 1
+
+
+@pytest.mark.parametrize("how", ["removed", "moved", "replaced"])
+def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_path: Path, how: str) -> None:
+    said: list[tuple[int, str]] = []
+    directory = tmp_path / "recordings"
+    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        first = recorder.path
+        if how == "removed":
+            shutil.rmtree(directory)
+        else:
+            directory.rename(tmp_path / "elsewhere")
+        if how == "replaced":
+            directory.mkdir()
+            first.write_bytes(b"theirs")
+        wait_until(lambda: recorder.failure is not None)
+        recorder.put(standing(at(1)))
+        wait_until(lambda: recorder.failure is None)
+        second = recorder.path
+        recorder.put(Opened(at(2)))
+    assert read(second) == ([standing(at(1)), Opened(at(2))], None)
+    if how == "moved":
+        assert read(tmp_path / "elsewhere" / first.name) == ([standing(at(0))], None)
+    if how == "replaced":
+        assert first.read_bytes() == b"theirs"
+    gone = f"{first} was removed, moved or replaced: a new file is begun as soon as that can be"
+    assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
+
+
+def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+    said: list[tuple[int, str]] = []
+    directory = tmp_path / "recordings"
+    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        directory.rename(tmp_path / "elsewhere")
+        directory.touch()
+        wait_until(lambda: recorder.failure is not None)
+        for ms in (1, 2):
+            recorder.put(standing(at(ms)))
+            recorder.put(Received(at(ms), b"x"))
+        wait_until(lambda: recorder.skipped_events == 2)
+        directory.unlink()
+        recorder.put(standing(at(3)))
+        wait_until(lambda: recorder.failure is None)
+    assert [level for level, _ in said] == [logging.WARNING, logging.WARNING, logging.INFO]
+    assert said[1][1].startswith(f"{directory} cannot be used: ")
+
+
+def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:
+    said: list[tuple[int, str]] = []
+    with Recorder(Series(tmp_path, "left"), LEFT, say=lambda *line: said.append(line)) as recorder:
+        recorder.put(standing(at(0)))
+        wait_until(lambda: recorder.events == 1)
+        path = recorder.path
+        path.unlink()
+        wait_until(lambda: recorder.failure is not None)
+    assert said == [(logging.WARNING, f"{path} was removed, moved or replaced: nothing more is recorded")]
+
+
+def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None:
+    back_ns = at(0).utc_less_monotonic_ns - 10**15
+    begun = [at(0), HostTime(2 * 10**9, back_ns, 0), HostTime(3 * 10**9, back_ns, 0)]
+    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
+        for now in begun:
+            recorder.put(standing(now))
+    assert [events[0].now for events in contents(tmp_path)] == begun
+
+
+def test_between_tries_there_is_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(recording, "_RETRY_S", 3600.0)
+    blocked = tmp_path / "disk"
+    blocked.touch()
+    with Recorder(Series(blocked, "left", resumes=True), LEFT) as recorder:
+        blocked.unlink()
+        recorder.put(standing(at(1)))
+        recorder.put(Received(at(1), b"x"))
+        wait_until(lambda: recorder.skipped_events == 1)
+        assert recorder.failure is not None
+    assert not blocked.exists()

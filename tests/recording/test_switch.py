@@ -1,0 +1,451 @@
+"""Recordings switched on and off while a board is read: what a replay of each gives, and what is said of it."""
+
+import json
+import resource
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from random import Random
+
+import pytest
+from connection_bench import DESCRIPTION, IDENTITY
+from emulation import emulated
+from listener import DEADLINE_S, Listener, frames, gaps
+from mcap.reader import make_reader
+from recording_bench import PLATE, at, marks, read, replayed, same, standing
+
+from firmware_protocol.messages import Configuration
+from resonator_daemon.config import LinkTarget, SerialLink, parse_link
+from resonator_daemon.errors import OperatorError
+from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.recording import recorder as recording
+from resonator_daemon.recording import switch as recording_switch
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.recording.switch import (
+    NothingRecordedError,
+    RecordingRunningError,
+    RecordingSwitch,
+)
+from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
+from resonator_daemon.session.link_events import Closed, Opened, Received, Said, Skipped, Standing, Tended
+from simulators.emulator import Emulator, EmulatorOptions
+from simulators.faults import parse_faults
+from simulators.faults.script import Script
+
+SKIN = load_plate("skin32")
+SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
+ORIGIN = Origin(PLATE, "tcp://board:1")
+
+
+@contextmanager
+def listening(link: LinkTarget, plate: Plate = PLATE) -> Iterator[tuple[Listener, RecordingSwitch]]:
+    switch = RecordingSwitch()
+    with Listener(link, plate, tap=switch.tap) as it:
+        yield it, switch
+    it.take_the_rest()
+    switch.close()
+
+
+def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, SerialLink]:
+    options = EmulatorOptions("quartz16", pty=port, faults=parse_faults(faults))
+    return options, SerialLink(str(port), 4000000)
+
+
+def wait_for_frames(it: Listener, more: int) -> None:
+    it.wait_for_frames(len(frames(it.arrivals)) + more)
+
+
+def last_standing(folder: Path) -> Standing:
+    """How the link to a board stood while it was open."""
+    standings: list[Standing] = []
+    options, link = pseudo_terminal(folder / "board")
+
+    def collect(event: object) -> None:
+        if isinstance(event, Standing) and event.course.running is not None:
+            standings.append(event)
+
+    with emulated(options), Listener(link, PLATE, tap=collect) as it:
+        it.wait_for_frames(100)
+    return standings[-1]
+
+
+def board_of(path: Path) -> str | None:
+    """The serial number of the board that a file says it is of; None where it says nothing."""
+    with path.open("rb") as file:
+        named = [metadata.metadata for metadata in make_reader(file).iter_metadata() if metadata.name == "board"]
+    return named[0]["serial_number"] if named else None
+
+
+def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[Arrival]:
+    """Check that a replay gives the frames and gaps of the live run to the bit, from its first frame to its last."""
+    arrivals, account, differences = replayed(path, plate)
+    assert differences == 0, arrivals[-1].reason  # type: ignore[union-attr]
+    again = frames(arrivals)
+    by_index = {frame.index: frame for frame in frames(live)}
+    first, last = again[0].index, again[-1].index
+    assert [frame.index for frame in again] == [index for index in by_index if first <= index <= last]
+    assert all(same(frame, by_index[frame.index]) for frame in again)
+    assert gaps(arrivals) == [gap for gap in gaps(live) if first < gap.first_index < last]
+    assert account.frames == len(again)
+    assert account.lost.total == sum(gap.loss.total for gap in gaps(arrivals))
+    return arrivals
+
+
+def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_path: Path) -> None:
+    options, link = pseudo_terminal(tmp_path / "board")
+    path = tmp_path / "run.mcap"
+    with emulated(options), listening(link) as (it, switch):
+        it.wait_for_frames(700)
+        switch.start(path, Origin(PLATE, str(link)))
+        began_with = frames(it.arrivals)[-1].index
+        wait_for_frames(it, 1500)
+        summary = switch.stop()
+        it.take_the_rest()
+    arrivals = check_replay(it.arrivals, path)
+    again = frames(arrivals)
+    assert 300 < again[0].index <= began_with + 200  # what was kept begins about 100 ms before
+    assert len(again) > 1200
+    assert gaps(arrivals) == []
+    change, online = arrivals[:2]
+    assert isinstance(change, LinkChange)
+    assert (change.state, change.reason) == ("online", "board EMU-0001 sends 1000 frames/s")
+    assert isinstance(online, BoardOnline)
+    assert online == next(arrival for arrival in it.arrivals if isinstance(arrival, BoardOnline))
+    assert all(frame.gate_middle.uncertainty_ns < 10_000_000 for frame in again)
+    events, damage = read(path)
+    assert damage is None
+    assert isinstance(events[0], Standing)
+    assert isinstance(events[0], Standing)
+    assert summary is not None
+    assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
+    assert 1.0 < summary.seconds < DEADLINE_S
+
+
+def test_a_channelised_frame_under_way_is_not_recorded_in_half(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
+        link = parse_link(emulator.link.address)
+        with listening(link, SKIN) as (it, switch):
+            it.wait_for_frames(20)
+            switch.start(path, Origin(SKIN, str(link)))
+            wait_for_frames(it, 50)
+            switch.stop()
+            it.take_the_rest()
+    arrivals = check_replay(it.arrivals, path, SKIN)
+    again = frames(arrivals)
+    assert again[0].index > 0
+    assert all(frame.known.all() for frame in again[:-1] if isinstance(frame, ChannelisedFrame))
+
+
+def test_recordings_follow_each_other_and_each_stands_by_itself(tmp_path: Path) -> None:
+    options, link = pseudo_terminal(tmp_path / "board")
+    paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
+    with emulated(options), listening(link) as (it, switch):
+        switch.start(paths[0], Origin(PLATE, str(link)))
+        it.wait_for_frames(300)
+        switch.stop()
+        wait_for_frames(it, 500)
+        switch.start(paths[1], Origin(PLATE, str(link)))
+        wait_for_frames(it, 300)
+        switch.stop()
+        it.take_the_rest()
+        assert switch.stop() is None
+        assert switch.current is None
+    one, two = (frames(check_replay(it.arrivals, path)) for path in paths)
+    assert one[0].index == 0
+    assert one[-1].index < two[0].index
+
+
+def have_happen(emulator: Emulator, fault: str) -> None:
+    """Have something happen to the board now, whatever time it is on a busy computer."""
+    now_s = emulator._elapsed_s(emulator._now_ticks())
+    emulator._script = Script(parse_faults(f"{fault}_at_s={now_s:.3f}"), seed=1)
+
+
+@pytest.mark.parametrize("fault", ["unplug_for_s=0.3,unplug", "reboot"])
+def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> None:
+    options, link = pseudo_terminal(tmp_path / "board")
+    path = tmp_path / "run.mcap"
+    with emulated(options) as emulator, listening(link) as (it, switch):
+        it.wait_for_frames(500)
+        switch.start(path, Origin(PLATE, str(link)))
+        began_with = frames(it.arrivals)[-1].index
+        have_happen(emulator, fault)
+        it.wait_for(lambda arrivals: any(gap.first_index > began_with for gap in gaps(arrivals)))
+        wait_for_frames(it, 300)
+        switch.stop()
+        it.take_the_rest()
+    arrivals = check_replay(it.arrivals, path)
+    assert gaps(arrivals)
+    states = [arrival.state for arrival in arrivals if isinstance(arrival, LinkChange)]
+    live = [arrival.state for arrival in it.arrivals if isinstance(arrival, LinkChange)]
+    assert states[0] == "online"
+    assert "lost" in states[1:-1]
+    assert states[:-1] == live[1 - len(states) :]
+
+
+def test_a_recording_begun_during_an_outage_goes_on_with_the_numbers(tmp_path: Path) -> None:
+    options, link = pseudo_terminal(tmp_path / "board", "unplug_at_s=0.8,unplug_for_s=1")
+    path = tmp_path / "run.mcap"
+    with emulated(options), listening(link) as (it, switch):
+        it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "lost" for a in arrivals))
+        switch.start(path, Origin(PLATE, str(link)))
+        it.wait_for(lambda arrivals: bool(gaps(arrivals)))
+        wait_for_frames(it, 200)
+        switch.stop()
+        it.take_the_rest()
+    arrivals, account, differences = replayed(path)
+    assert differences == 0
+    assert account.connections >= 1
+    again = frames(arrivals)
+    (gap,) = gaps(arrivals)
+    assert gaps(it.arrivals) == [gap]
+    assert again[0].index == gap.first_index + gap.loss.total
+    live = {frame.index: frame for frame in frames(it.arrivals)}
+    assert all(same(frame, live[frame.index]) for frame in again)
+
+
+def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path) -> None:
+    switch = RecordingSwitch()
+    with pytest.raises(NothingRecordedError, match="nothing is being recorded; start a recording first"):
+        switch.mark("before")
+    assert switch.current is None
+    before_ns = time.time_ns()
+    switch.start(tmp_path / "one.mcap", ORIGIN)
+    with pytest.raises(RecordingRunningError, match=r"one\.mcap is being recorded; stop that first"):
+        switch.start(tmp_path / "two.mcap", ORIGIN)
+    assert not (tmp_path / "two.mcap").exists()
+    now = switch.current
+    assert now is not None
+    assert (now.path, now.failure) == (tmp_path / "one.mcap", None)
+    assert before_ns <= now.since_utc_ns <= time.time_ns()
+    switch.close()
+    assert switch.current is None
+    with pytest.raises(OperatorError, match=r"one\.mcap is there already, and nothing is overwritten"):
+        switch.start(tmp_path / "one.mcap", ORIGIN)
+    assert switch.current is None
+
+
+def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+    path = tmp_path / "run.mcap"
+    switch = RecordingSwitch()
+    switch.tap(Said(at(0), "starting", "first"))
+    switch.start(path, ORIGIN)
+    times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
+    switch.tap(Said(at(1), "waiting", "second"))
+    summary = switch.stop()
+    assert summary is not None
+    assert (summary.events, summary.events_missing) == (2, 0)
+    assert marks(path) == list(zip(times_ns, ["the finger slips", "¼ N"], strict=True))
+    assert times_ns[0] <= times_ns[1] <= time.time_ns()
+    arrivals, _, differences = replayed(path)
+    assert differences == 0
+    assert [arrival.reason for arrival in arrivals[:2]] == ["first", "second"]  # type: ignore[union-attr]
+    assert f"{path}: mark: the finger slips" in caplog.messages
+
+
+def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    switch = RecordingSwitch()
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    random = Random(1)
+    deadline = time.monotonic() + DEADLINE_S
+    put = 0
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
+    try:
+        switch.start(path, ORIGIN)
+        while (now := switch.current) is not None and now.failure is None:
+            assert time.monotonic() < deadline
+            switch.tap(Received(at(put), random.randbytes(100_000)))
+            put += 1
+            threading.Event().wait(0.005)
+        switch.tap(Closed(at(put)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    said = f"{path}: File too large: nothing more is recorded; what was written stays"
+    assert now is not None
+    assert now.failure == said
+    with pytest.raises(NothingRecordedError, match="File too large"):
+        switch.mark("too late")
+    summary = switch.stop()
+    assert summary is not None
+    assert summary.failure == said
+    assert summary.events + summary.events_missing == put + 1
+    assert summary.events_missing >= 1
+    assert summary.events == len(read(path)[0]) >= 1
+    assert summary.all_bytes == path.stat().st_size > 0
+    switch.start(tmp_path / "next.mcap", ORIGIN)
+    assert switch.current is not None
+    assert switch.current.failure is None
+    switch.close()
+
+
+def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    making, made = threading.Event(), threading.Event()
+
+    def slowly(path: Path, origin: Origin, *, say: object) -> Recorder:
+        making.set()
+        assert made.wait(DEADLINE_S)
+        return Recorder(path, origin)
+
+    monkeypatch.setattr(recording_switch, "Recorder", slowly)
+    switch = RecordingSwitch()
+    starter = threading.Thread(target=switch.start, args=(tmp_path / "run.mcap", ORIGIN))
+    starter.start()
+    try:
+        assert making.wait(DEADLINE_S)
+        switch.tap(Opened(at(0)))
+        assert switch.current is None
+    finally:
+        made.set()
+        starter.join()
+    switch.close()
+    events, _ = read(tmp_path / "run.mcap")
+    assert events == [Opened(at(0))]
+
+
+def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    standing = last_standing(tmp_path)
+    switch = RecordingSwitch(kept_bytes=5_500)
+    for number in range(4):
+        switch.tap(Received(at(number), bytes(1_000)))
+    assert switch._kept is not None
+    switch.tap(Received(at(4), bytes(1_000)))
+    assert switch._kept is None
+    switch.start(path, ORIGIN)
+    switch.tap(Received(at(5), bytes(7)))
+    switch.tap(standing)
+    switch.tap(Tended(at(6), idle=True))
+    summary = switch.stop()
+    assert summary is not None
+    assert (summary.events, summary.events_missing) == (2, 1)
+    events, _ = read(path)
+    assert events == [Skipped(standing.now, 1, 7), standing, Tended(at(6), idle=True)]
+
+
+def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
+    standing = last_standing(tmp_path)
+    switch = RecordingSwitch(kept_bytes=5_500)
+    received = [Received(at(number), bytes(1_000)) for number in range(3)]
+    for _ in range(4):
+        switch.tap(standing)
+        for event in received:
+            switch.tap(event)
+    path = tmp_path / "run.mcap"
+    switch.start(path, ORIGIN)
+    summary = switch.stop()
+    assert summary is not None
+    assert (summary.events, summary.events_missing) == (4, 0)
+    assert read(path) == ([standing, *received], None)
+
+
+def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
+    standing = last_standing(tmp_path)
+    away = standing._replace(course=standing.course._replace(running=None))
+    switch = RecordingSwitch()
+    board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
+    switch.name_board(board)
+    for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", standing)):
+        switch.tap(before)
+        switch.start(tmp_path / name, ORIGIN)
+        switch.stop()
+    assert {name: board_of(tmp_path / name) for name in ("nothing", "away", "there")} == {
+        "nothing": None,
+        "away": None,
+        "there": "T-1",
+    }
+
+
+def test_a_board_that_comes_while_it_is_recorded_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    switch = RecordingSwitch()
+    switch.start(path, ORIGIN)
+    switch.tap(Opened(at(0)))
+    switch.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
+    switch.stop()
+    assert board_of(path) == "T-1"
+
+
+def test_each_file_names_the_board_that_sends_and_has_the_last_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
+    board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
+    there = last_standing(tmp_path)
+    switch = RecordingSwitch()
+    switch.put_state("state/link", 5, b'{"count":1}', SCHEMA)
+    switch.put_state("state/link", 6, b'{"count":2}', SCHEMA)
+    switch.put_message("forces", 6, b'{"count":0}', SCHEMA)  # nothing is recorded yet
+    switch.start(Series(tmp_path, "left", file_max_ns=1), ORIGIN)
+    switch.put_message("forces", 7, b'{"count":3}', SCHEMA)
+    switch.name_board(board)
+    for ms in range(2):
+        switch.tap(there._replace(now=at(ms)))
+    switch.tap(standing(at(2)))
+    switch.stop()
+    seen = []
+    for path in Series(tmp_path, "left").files():
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            named = [item.metadata["serial_number"] for item in reader.iter_metadata() if item.name == "board"]
+            told = [
+                (channel.topic, schema.name, json.loads(schema.data), channel.message_encoding, message.log_time,
+                 json.loads(message.data)["count"])
+                for schema, channel, message in reader.iter_messages(topics=["state/link", "forces"])
+                if schema is not None
+            ]  # fmt: skip
+        seen.append((named, sorted(told, key=str)))
+    state = ("state/link", "Count", SCHEMA, "json", 6, 2)
+    forces = ("forces", "Count", SCHEMA, "json", 7, 3)
+    assert seen == [(["T-1"], [forces, state]), (["T-1"], [state]), ([], [state])]
+
+
+def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp_path: Path) -> None:
+    options, link = pseudo_terminal(tmp_path / "board", "unplug_at_s=1.2,unplug_for_s=0.3")
+    series = Series(tmp_path / "recordings", "left", file_max_ns=400_000_000)
+    with emulated(options), listening(link) as (it, switch):
+        it.wait_for_frames(100)
+        switch.start(series, Origin(PLATE, str(link)))
+        it.wait_for(lambda arrivals: bool(gaps(arrivals)))
+        wait_for_frames(it, 700)
+        switch.stop()
+        it.take_the_rest()
+    by_index = {frame.index: frame for frame in frames(it.arrivals)}
+    seen = []
+    for path in series.files():
+        arrivals, _, differences = replayed(path)
+        assert differences == 0
+        assert isinstance(read(path)[0][0], Standing)
+        seen += frames(arrivals)
+    assert len(series.files()) >= 4
+    assert all(same(frame, by_index[frame.index]) for frame in seen)
+    assert [frame.index for frame in seen] == [index for index in by_index if seen[0].index <= index <= seen[-1].index]
+    assert len(seen) > 1200
+
+
+def test_counts_of_all_recordings_never_fall_while_one_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    switch = RecordingSwitch()
+    seen: list[tuple[int, int]] = []
+    close = Recorder.close
+
+    def look(recorder: Recorder) -> None:
+        seen.append((switch.totals.files, switch.totals.file_bytes))
+        close(recorder)
+
+    monkeypatch.setattr(Recorder, "close", look)
+    for number in (1, 2):
+        switch.start(tmp_path / f"{number}.mcap", ORIGIN)
+        assert switch.totals.files == number
+        switch.stop()
+        assert switch.totals.files == number
+    assert seen == [(1, 0), (2, 0)]

@@ -1,0 +1,241 @@
+"""The golden corpus: every scenario and fault replays as it did, and a check sees what is wrong."""
+
+import gzip
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from resonator_daemon.cli import main
+from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.host.new_file import NoNewFileError
+from resonator_daemon.publishing.payloads import ContactEvent, Forces, Message, Status
+from resonator_daemon.replay.case import EXPECTED_FILE, play_whole, read_expected, save_case
+from resonator_daemon.replay.checking import Verdict, check_case, check_cases
+from resonator_daemon.replay.recorded_pipeline import Playback
+from resonator_daemon.replay.source import open_playback
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+CASES = sorted(path.parent for path in CORPUS.glob(f"*/{EXPECTED_FILE}"))
+
+Change = Callable[[Any], Message | None]
+
+
+def check(case: Path) -> Verdict:
+    return check_case(case, read_expected(case))
+
+
+def test_the_corpus_is_there_and_small() -> None:
+    assert len(CASES) >= 30
+    assert sum(path.stat().st_size for path in CORPUS.rglob("*") if path.is_file()) < 4e6
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_a_case_becomes_what_it_did(case: Path) -> None:
+    verdict = check(case)
+    assert not verdict.differences, [str(finding) for finding in verdict.first]
+    assert verdict.messages >= 6
+
+
+def test_the_corpus_has_what_may_befall_a_board() -> None:
+    seen: set[tuple[str, object]] = set()
+    for case in CASES:
+        expected = read_expected(case)
+        seen |= {("lost", cause) for cause, count in expected.summary["frames_lost"].items() if count}
+        seen |= {("damaged", expected.summary["damaged"])}
+        for message in expected.messages:
+            payload = message.payload
+            seen |= {(key, payload[key]) for key in ("state", "status", "event") if key in payload}
+    assert seen >= {("lost", cause) for cause in ("link_gap", "damaged", "board_overflow")}
+    assert seen >= {("state", state) for state in ("waiting", "stalled", "lost", "refused", "pressed_at_start")}
+    assert seen >= {("event", event) for event in ("onset", "release", "incipient_slip")}
+    assert seen >= {("status", s) for s in ("ok", "overload", "no_signal", "possibly_more", "rejected", "settling")}
+    assert ("damaged", True) in seen
+
+
+def stronger(message: Any) -> Message | None:
+    if isinstance(message, Forces):
+        sites = (site.model_copy(update={"force_newton": site.force_newton * (1 + 1e-4)}) for site in message.sites)
+        return message.model_copy(update={"sites": tuple(sites)})
+    return message
+
+
+def without_a_release(message: Any) -> Message | None:
+    return None if isinstance(message, ContactEvent) and message.event == "release" else message
+
+
+def with_another_status(message: Any) -> Message | None:
+    if isinstance(message, Forces) and message.status == Status.SETTLING:
+        return message.model_copy(update={"status": Status.OK})
+    return message
+
+
+def later(message: Any) -> Message | None:
+    return message.model_copy(update={"t_ns": message.t_ns + 1}) if isinstance(message, Forces) else message
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (stronger, "sites[0].force_newton: expected "),
+        (without_a_release, "messages.contacts/event: expected 6, got 3"),
+        (with_another_status, 'status: expected "settling", got "ok"'),
+        (later, "t_ns: expected "),
+    ],
+)
+def test_what_is_wrong_is_found(change: Change, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    publish = Playback._publish
+
+    def changed(self: Playback, topic: Any, message: Any) -> None:
+        if (other := change(message)) is not None:
+            publish(self, topic, other)
+
+    monkeypatch.setattr(Playback, "_publish", changed)
+    monkeypatch.setattr("resonator_daemon.replay.checking._TOLD", 1000)
+    verdict = check(CORPUS / "touches")
+    assert verdict.differences
+    assert not verdict.to_the_bit
+    assert any(said in str(finding) for finding in verdict.first)
+
+
+def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = tmp_path / "refused"
+    shutil.copytree(CORPUS / "refused", case)
+    with gzip.open(case / EXPECTED_FILE, "rt") as file:
+        text = file.read().replace('"state":"refused"', '"state":"online"')
+    with gzip.open(case / EXPECTED_FILE, "wt") as file:
+        file.write(text)
+    assert check_cases([case, CORPUS / "overload"], as_json=False) is ExitCode.FAILED
+    said = capsys.readouterr()
+    assert said.out.startswith("DIFFERS refused: 1 differences\n        state/link at ")
+    assert 's: state: expected "online", got "refused"\n' in said.out
+    assert "ok      overload: " in said.out
+    assert said.err.endswith("2 cases, 1 differ\n")
+    assert check_cases([case], as_json=True) is ExitCode.FAILED
+    told = json.loads(capsys.readouterr().out)
+    assert (told["ok"], told["cases"][0]["differences"]) == (False, 1)
+
+
+def retold(folder: Path, change: Callable[[list[dict[str, Any]]], object]) -> Path:
+    """A case with other lines in what it expects."""
+    case = folder / "refused"
+    shutil.copytree(CORPUS / "refused", case)
+    with gzip.open(case / EXPECTED_FILE, "rt") as file:
+        lines = [json.loads(line) for line in file]
+    change(lines)
+    with gzip.open(case / EXPECTED_FILE, "wt") as file:
+        file.writelines(json.dumps(line) + "\n" for line in lines)
+    return case
+
+
+def test_a_message_that_is_made_at_another_time_is_found(tmp_path: Path) -> None:
+    def later(lines: list[dict[str, Any]]) -> None:
+        lines[2]["now_ns"] = str(int(lines[2]["now_ns"]) + 1)
+
+    (finding,) = check(retold(tmp_path, later)).first
+    assert (finding.topic, finding.difference.key) == ("state/sensor", "(made)")
+
+
+def test_messages_that_are_missing_in_a_case_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    case = retold(tmp_path, lambda lines: lines.__delitem__(slice(1, None)))
+    assert check_cases([case], as_json=False) is ExitCode.FAILED
+    said = capsys.readouterr().out
+    assert said.startswith("DIFFERS refused: 6 differences\n        state/link at ")
+    assert ' s: message 0: expected "nothing", got "one"\n' in said
+    assert check(case).messages == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda lines: lines[1].pop("number"), "number: Field required"),
+        (lambda lines: lines[1].pop("payload"), "payload: Field required"),
+        (lambda lines: lines[1].update(payload=[]), "payload: Input should be a valid dictionary"),
+        (lambda lines: lines[1].update(topic=["x"]), "topic: "),
+        (lambda lines: lines[1].update(now_ns="soon"), "now_ns: "),
+        (lambda lines: lines.insert(1, []), "line: "),
+        (lambda lines: lines[0]["every"].update({"state/link": 0}), "every.state/link: "),
+        (lambda lines: lines[0].update(every=5), "every: "),
+        (lambda lines: lines[0].pop("messages"), "messages: Field required"),
+        (lambda lines: lines[0].update(format=2), "has format 2, this version reads 1"),
+    ],
+)
+def test_a_case_that_was_edited_badly_is_said_in_one_line(
+    tmp_path: Path,
+    change: Callable[[list[dict[str, Any]]], object],
+    said: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["replay", "--check", str(retold(tmp_path, change))]) == 78
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert line.endswith("; save the case anew")
+
+
+def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> None:
+    case = tmp_path / "refused"
+    shutil.copytree(CORPUS / "refused", case)
+    (case / "recording.mcap").write_bytes(b"nothing")
+    verdict = check(case)
+    assert verdict.differences == 1
+    assert "is no recording" in str(verdict.first[0].difference.got)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"nothing", gzip.compress(b""), gzip.compress(b"[]\n"), None],
+    ids=["empty", "no gzip", "no line", "no header", "no file"],  # the bytes of gzip tell the time
+)
+def test_what_is_no_case_is_said(tmp_path: Path, content: bytes | None) -> None:
+    if content is not None:
+        (tmp_path / EXPECTED_FILE).write_bytes(content)
+    with pytest.raises(ConfigError, match=EXPECTED_FILE):
+        read_expected(tmp_path)
+
+
+def test_a_case_of_a_case_is_the_same(tmp_path: Path) -> None:
+    save_case(CORPUS / "refused" / "recording.mcap", tmp_path / "again")
+    assert read_expected(tmp_path / "again") == read_expected(CORPUS / "refused")
+    with pytest.raises(NoNewFileError, match="nothing is overwritten"):
+        save_case(CORPUS / "refused" / "recording.mcap", tmp_path / "again")
+
+
+def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
+    """In this one, and in one that orders sets and dicts otherwise."""
+    here, there = tmp_path / "here.jsonl", tmp_path / "there.jsonl"
+    arguments = ["replay", str(CORPUS / "rebooted" / "recording.mcap"), "--to"]
+    assert main([*arguments, str(here)]) == 0
+    command = [sys.executable, "-m", "resonator_daemon.cli", *arguments, there]
+    environment = os.environ | {"PYTHONHASHSEED": "20261121"}
+    subprocess.run(command, check=True, env=environment, capture_output=True, timeout=60)
+    assert here.read_bytes() == there.read_bytes()
+    assert here.read_bytes().count(b"\n") > 300
+
+
+@pytest.mark.parametrize("case", ["unplugged", "tare-and-window"])
+def test_replays_are_equal_to_the_bit(case: str) -> None:
+    digests = set()
+    for _ in range(2):
+        with open_playback(CORPUS / case / "recording.mcap") as playback:
+            digests.add(play_whole(playback).sha256)
+    assert len(digests) == 1
+
+
+def test_a_case_that_is_interrupted_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object) -> None:
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr("resonator_daemon.replay.case.write_expected", interrupted)
+    recording = CORPUS / "refused" / "recording.mcap"
+    assert main(["replay", str(recording), "--save-case", str(tmp_path / "case")]) == 1
+    assert capsys.readouterr().err == "resonatord: interrupted: no case is made\n"
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,184 @@
+"""A recording whose plate file or settings are not what was written gives no numbers with them, and says so."""
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from mcap.writer import Writer
+
+from resonator_daemon import cli
+from resonator_daemon.config import load_config, parse_link
+from resonator_daemon.config.text import load_plate_text, plate_text
+from resonator_daemon.plate import Plate
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import SingleToneFrame
+
+RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
+WHOLE = RECORDING.read_bytes()
+ATTACHMENT = 9  # its opcode
+FORCE_MAX = b"force_max_newton = "
+
+
+def run(*arguments: object) -> int:
+    return cli.main([str(argument) for argument in arguments])
+
+
+def flipped(path: Path, place: int, bit: int = 2) -> Path:
+    """Write the recording with one bit the other way."""
+    bent = bytearray(WHOLE)
+    bent[place] ^= bit
+    path.write_bytes(bent)
+    return path
+
+
+def content_of(name: bytes) -> range:
+    """Where the content of an attachment's record is."""
+    begin = WHOLE.index(name) - 4 - 16  # the length of its name, two times
+    assert WHOLE[begin - 9] == ATTACHMENT
+    return range(begin, begin + int.from_bytes(WHOLE[begin - 8 : begin], "little"))
+
+
+def in_plate() -> int:
+    place = WHOLE.index(FORCE_MAX) + len(FORCE_MAX)
+    assert WHOLE[place : place + 4] == b"10.0"
+    return place  # 10.0 becomes 30.0
+
+
+def in_settings() -> int:
+    return WHOLE.index(b"window_ms = ") + len(b"window_ms = ")
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A configuration of the recording's plate and settings."""
+    with open_recording(str(RECORDING)) as recording:
+        plate, settings = recording.plate_text, recording.settings_text
+        name = recording.header["name"]
+    (tmp_path / "own.toml").write_text(plate or "")
+    path = tmp_path / "board.toml"
+    link = "serial:/dev/null?baud=4000000"
+    path.write_text(f'name = "{name}"\nplate = "own.toml"\nlink = "{link}"\n{settings}')
+    return path
+
+
+@pytest.mark.parametrize(("name", "place"), [("plate.toml", in_plate()), ("settings.toml", in_settings())])
+def test_no_numbers_follow_from_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, place: int) -> None:
+    path = flipped(tmp_path / "bent.mcap", place)
+    for verb in (("replay", path, "--to"), ("export", path, "--output")):
+        output = tmp_path / "out.csv"
+        assert run(*verb, output, "--json") == 78
+        said = capsys.readouterr()
+        line = f"{path}: its attachment {name} is damaged; give plate and settings with --config FILE"
+        assert said.err == f"resonatord: {line}\n"
+        assert json.loads(said.out)["error"]["message"] == line
+        assert not output.exists()
+
+
+def test_with_a_configuration_it_is_said_once(
+    tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
+) -> None:
+    right, path = tmp_path / "right.jsonl", flipped(tmp_path / "bent.mcap", in_plate())
+    assert run("replay", RECORDING, "--config", config, "--to", right) == 0
+    assert caplog.messages == []
+    output = tmp_path / "out.jsonl"
+    assert run("replay", path, "--config", config, "--to", output, "--json") == 0
+    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
+    told = json.loads(capsys.readouterr().out)
+    assert (told["damage"], told["differences"]) == (None, 0)
+    assert without_reasons(output) == without_reasons(right)
+    caplog.clear()
+    assert run("export", path, "--config", config, "--output", tmp_path / "out.npz") == 0
+    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
+
+
+def without_reasons(path: Path) -> list[object]:
+    """All messages but states, which name the file."""
+    messages = [json.loads(line) for line in path.read_text().splitlines()]
+    return [message for message in messages if not message["topic"].startswith("state/")]
+
+
+def test_a_link_of_it_has_the_plate_of_the_configuration(
+    tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = flipped(tmp_path / "bent.mcap", in_plate())
+    woken = threading.Event()
+    reader = BoardReader(parse_link(f"replay:{path}"), load_config(config).plate, woken.set)
+    reader.start()
+    try:
+        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.take()):
+            assert woken.wait(30.0)
+            woken.clear()
+    finally:
+        reader.stop()
+    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
+
+
+@pytest.mark.parametrize("name", [b"plate.toml", b"settings.toml"])
+def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
+    content = content_of(name)
+    for place in [*content[:60], *content[60:-40:97], *content[-40:]]:
+        path = flipped(tmp_path / "bent.mcap", place, 1 << place % 8)
+        with open_recording(str(path)) as recording:
+            assert len(recording.damaged_attachments) == 1
+            assert (recording.plate_text is None) == (name == b"plate.toml")
+            assert (recording.settings_text is None) == (name == b"settings.toml")
+            next(recording.events())
+            assert recording.damage is None
+
+
+def test_without_a_check_sum_it_is_taken_as_it_is(tmp_path: Path) -> None:
+    content = content_of(b"plate.toml")
+    bent = bytearray(WHOLE)
+    bent[content[-4] : content[-1] + 1] = bytes(4)
+    (tmp_path / "bent.mcap").write_bytes(bent)
+    with open_recording(str(tmp_path / "bent.mcap")) as recording:
+        assert recording.damaged_attachments == ()
+        assert recording.plate_text is not None
+
+
+def carrying(path: Path, plate: Plate, text: bytes) -> Path:
+    """A recording whose plate file has a right check sum, whatever is in it."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("resonatord")
+        writer.add_metadata("recording", Origin(plate, "tcp://board:1").metadata)
+        writer.add_attachment(0, 0, "plate.toml", "application/toml", text)
+        writer.add_attachment(0, 0, "settings.toml", "application/toml", b"[measurement]\n[decoding]\n")
+        writer.finish()
+    return path
+
+
+def test_advice_is_not_about_a_file_that_lies_in_the_recording(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with open_recording(str(RECORDING)) as recording:
+        plate = load_plate_text(recording.plate_text or "", RECORDING)
+    good = plate_text(plate).encode()
+    for text in (good.replace(b" = ", b" 9 ", 1), b"\xff" + good):
+        path = carrying(tmp_path / "run.mcap", plate, text)
+        assert run("replay", path, "--to", "-") == 78
+        line = f"{path}: its attachment plate.toml is damaged; give plate and settings with --config FILE"
+        assert capsys.readouterr().err == f"resonatord: {line}\n"
+    path = carrying(tmp_path / "run.mcap", plate, good.replace(FORCE_MAX, b"force_mix_newton = "))
+    assert run("replay", path, "--to", "-") == 78
+    said = capsys.readouterr().err
+    assert "force_mix_newton" in said
+    assert said.endswith(f"\nresonatord: {path}: its plate.toml cannot be used; give --config FILE\n")
+
+
+def test_a_repair_leaves_it_out_and_says_so(tmp_path: Path, config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = flipped(tmp_path / "bent.mcap", in_plate())
+    copy = tmp_path / "copy.mcap"
+    assert run("repair", path, "--output", copy, "--json") == 0
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert (told["damaged_attachments"], told["carries_config"], told["unreadable"]) == (["plate.toml"], False, 0)
+    assert (told["ended"], told["cut_bytes"]) == (True, 0)
+    assert said.err.startswith(f"{path}: its attachment plate.toml is damaged and left out; {copy} has ")
+    assert said.err.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
+    with open_recording(str(copy)) as recording:
+        assert (recording.plate_text, recording.damaged_attachments) == (None, ())
+        assert recording.settings_text is not None
+    assert run("replay", copy, "--config", config, "--to", tmp_path / "out.jsonl") == 0

@@ -1,0 +1,286 @@
+"""`resonatord replay` as a user meets it: to a broker, to a file, a part of a recording, and what cannot be played."""
+
+import asyncio
+import io
+import json
+import os
+import pty
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from brokers import Amqtt, Mosquitto
+from commanded import commanded, state
+from mcap.reader import make_reader
+from observer import Observer, observe
+
+from resonator_daemon import cli
+from resonator_daemon.publishing.topics import STATE_DAEMON
+from resonator_daemon.recording.reader import FORMAT, PLATE_FILE
+from resonator_daemon.replay.case import read_expected
+
+CORPUS = Path(__file__).parents[1] / "corpus"
+TOUCHES = CORPUS / "touches" / "recording.mcap"
+COUNTS = read_expected(TOUCHES.parent).summary["messages"]
+
+
+def replay(*arguments: object) -> int:
+    return cli.main(["replay", *map(str, arguments)])
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def counted(messages: list[dict[str, Any]]) -> dict[str, int]:
+    topics = [message["topic"] for message in messages]
+    return {topic: topics.count(topic) for topic in dict.fromkeys(topics)}
+
+
+async def replay_to(capsys: pytest.CaptureFixture[str], url: str, *arguments: object) -> dict[str, Any]:
+    """Run the verb in a thread, as its event loop is its own; return what it told."""
+    code = await asyncio.to_thread(replay, TOUCHES, "--url", url, "--json", *arguments)
+    said = capsys.readouterr()
+    told: dict[str, Any] = json.loads(said.out)
+    return told | {"code": code, "stderr": said.err}
+
+
+def heard_of(heard: Observer, name: str, path: str) -> list[Any]:
+    return heard.payloads(f"resonator/{name}/{path}")
+
+
+def test_all_messages_go_to_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    output = tmp_path / "run.jsonl"
+    assert replay(TOUCHES, "--to", output, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["verb"], told["ok"], told["messages"]) == ("replay", True, COUNTS)
+    assert (told["differences"], told["damage"]) == (0, None)
+    assert counted(lines(output)) == COUNTS
+    assert lines(output)[-1]["payload"]["daemon_boot_id"] == "0123456789abcdef"
+    assert replay(TOUCHES, "--to", output) == 78
+    assert capsys.readouterr().err == (
+        f"resonatord: {output} is there already, and nothing is overwritten; name another file\n"
+    )
+
+
+def test_arrays_are_rows_of_numbers(capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(CORPUS / "skin" / "recording.mcap", "--to", "-", "--until", 3) == 0
+    messages = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    (first, *_) = [message["payload"] for message in messages if message["topic"] == "decoded"]
+    rows = first["traction_pascal"]
+    assert (len(rows), len(rows[0]), len(rows[0][0])) == (3, 7, 7)
+    assert all(isinstance(value, float) for value in rows[2][0])
+
+
+def test_a_part_begins_with_the_states_that_held(tmp_path: Path) -> None:
+    whole, part = tmp_path / "whole.jsonl", tmp_path / "part.jsonl"
+    assert replay(TOUCHES, "--to", whole) == 0
+    assert replay(TOUCHES, "--to", part, "--from", "half time", "--until", 3) == 0
+    before, within = lines(whole), lines(part)
+    held = [message for message in within if message["topic"] in ("state/link", "state/sensor", "info")]
+    assert [message["topic"] for message in within[:3]] == [message["topic"] for message in held]
+    assert {message["payload"].get("state") for message in held} == {"online", None}
+    streamed = within[3:]
+    start = before.index(streamed[0])
+    assert before[start : start + len(streamed)] == streamed
+    assert 0.3 < counted(streamed)["forces"] / COUNTS["forces"] * 4.2 < 1.2
+
+
+def test_a_mark_that_is_not_there_is_said_with_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(TOUCHES, "--to", "-", "--from", "lunch") == 2
+    assert f"{TOUCHES} has no mark 'lunch'; its marks: 'half time'. A number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("part", "words"), [(("--from", "1e6"), "from 1000000 s"), (("--until", "0"), "until 0 s")])
+def test_a_part_in_which_nothing_is_is_said(
+    part: tuple[object, ...], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 1
+    assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages {words}\n")
+    assert list(tmp_path.iterdir()) == []
+    arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
+    assert cli.main([*arguments, *map(str, part)]) == 1
+    assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages of forces {words}\n")
+
+
+@pytest.mark.parametrize("part", [("--from", 5, "--until", 2), ("--from", "half time", "--until", "half time")])
+def test_a_part_that_ends_before_it_begins_is_a_matter_of_usage(
+    part: tuple[object, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert replay(TOUCHES, "--to", tmp_path / "part.jsonl", *part) == 2
+    said = capsys.readouterr().err
+    assert re.fullmatch(
+        r"resonatord: --from is at \S+ s, --until at \S+ s of \S+: nothing lies between them; give a later --until, "
+        r"or an earlier --from\n",
+        said,
+    )
+    arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
+    assert cli.main([*arguments, *map(str, part)]) == 2
+    assert capsys.readouterr().err == said
+    assert list(tmp_path.iterdir()) == []
+
+
+async def test_a_replay_at_a_broker_is_like_its_daemon_but_says_that_it_is_none(
+    broker: Mosquitto | Amqtt, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with observe(broker.url) as heard:
+        told = await replay_to(capsys, broker.url, "--speed", "max")
+        last = await heard.until_last("resonator/left-index/state/daemon", state="offline")
+        assert (told["code"], told["name"], told["messages"]) == (0, "left-index", COUNTS), told
+        assert told["dropped"] == {}
+        for path, count in COUNTS.items():
+            await heard.until_count(f"resonator/left-index/{path}", count)
+            assert [payload["seq"] for payload in heard_of(heard, "left-index", path)] == list(range(count))
+    assert last["reason"] == "replaying recording.mcap: over"
+    states = heard_of(heard, "left-index", "state/daemon")
+    assert any((said["state"], said["reason"]) == ("online", "replaying recording.mcap") for said in states)
+    ids = {payload["daemon_boot_id"] for path in COUNTS for payload in heard_of(heard, "left-index", path)}
+    assert ids == {last["daemon_boot_id"]} != {"0123456789abcdef"}
+
+
+async def test_beside_a_live_daemon_a_replay_needs_another_name(
+    mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
+) -> None:
+    async with (
+        commanded(mosquitto.url, {}, name="left-index") as live,
+        observe(mosquitto.url) as heard,
+    ):
+        live.publisher.publish(live.base, STATE_DAEMON, state("online", "measuring"))
+        await heard.until_last("resonator/left-index/state/daemon", state="online")
+        refused = await replay_to(capsys, mosquitto.url)
+        assert (refused["code"], refused["error"]["code"]) == (69, "name_taken")
+        assert refused["stderr"] == (
+            "resonatord: a daemon publishes as resonator/left-index (online: measuring); stop it, or give --name\n"
+        )
+        assert len(heard_of(heard, "left-index", "state/daemon")) == 1
+        told = await replay_to(capsys, mosquitto.url, "--name", "again", "--speed", "max")
+        assert told["code"] == 0
+        await heard.until_last("resonator/again/state/daemon", state="offline")
+
+
+async def test_without_a_broker_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    told = await replay_to(capsys, "mqtt://127.0.0.1:1")
+    assert told["code"] == 69
+    assert told["stderr"].startswith("resonatord: no broker at 127.0.0.1:1 (")
+
+
+def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
+    output = tmp_path / "steps.jsonl"
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "resonator_daemon.cli", "replay", TOUCHES, "--step", "--to", output]
+    with subprocess.Popen(map(str, command), stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
+        os.close(theirs)
+        os.write(ours, b"\n\n")
+        os.write(ours, b"\x04")  # the end of the input
+        said = process.communicate(timeout=60)[1]
+    os.close(ours)
+    assert process.returncode == 0
+    assert said.startswith("0.000 s  state/link, state/sensor  [Enter] ")
+    assert said.count("[Enter]") == 3
+    assert 2 <= len(lines(output)) <= 6
+
+
+def test_steps_need_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(SystemExit) as ended:
+        replay(TOUCHES, "--step", "--to", tmp_path / "steps.jsonl")
+    assert ended.value.code == 2
+    assert "no terminal" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("case", ["cut-off", "bit-flipped"])
+def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(CORPUS / case / "recording.mcap", "--to", "-") == 1
+    said = capsys.readouterr()
+    assert said.out.count('"topic":"forces"') >= 30
+    assert said.err.splitlines()[-1].endswith("; all before that was replayed")
+
+
+@pytest.mark.parametrize(
+    ("make", "code", "said"),
+    [
+        (lambda path: None, 69, "No such file or directory"),
+        (
+            lambda path: path.write_bytes(b""),
+            69,
+            "nothing of it was written; name a file that `resonatord record` has written",
+        ),
+        (lambda path: path.write_bytes(b"col1,col2\n" * 100), 69, "is no recording"),
+        (lambda path: path.write_bytes(TOUCHES.read_bytes()[:40]), 69, "is no recording"),
+        (lambda path: path.write_bytes(newer()), 69, "has format 9, this version reads format"),
+        (lambda path: path.mkdir(), 69, "is no regular file"),
+        (lambda path: os.mkfifo(path), 69, "is no regular file"),
+    ],
+)
+def test_what_cannot_be_replayed_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Any, code: int, said: str
+) -> None:
+    path = tmp_path / "run.mcap"
+    make(path)
+    assert replay(path, "--to", "-") == code
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("resonatord: ")
+    assert said in line
+
+
+def newer() -> bytes:
+    content = TOUCHES.read_bytes()
+    place = content.index(b"format") + len(b"format")  # then its length, 4 bytes, and the number
+    assert content[place + 4 : place + 5] == FORMAT.encode()
+    return content[: place + 4] + b"9" + content[place + 5 :]
+
+
+def test_another_plate_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "board.toml"
+    for plate, said in (("comb16", "is a recording of plate 'quartz16'"), ("quartz16", "with another [counter]")):
+        config.write_text(f'plate = "{plate}"\nlink = "serial:/dev/null?baud=4000000"\n')
+        assert replay(TOUCHES, "--config", config, "--to", "-") == 69
+        assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (),
+        ("one.mcap", "two.mcap"),
+        ("one.mcap", "--check", "case"),
+        ("--check", "case", "--name", "left"),
+        ("one.mcap", "--to", "-", "--json"),
+        ("one.mcap", "--to", "out", "--url", "mqtt://127.0.0.1"),
+        ("one.mcap", "--speed", "0"),
+        ("one.mcap", "--speed", "2", "--step"),
+        ("one.mcap", "--save-case", "case", "--from", "1"),
+    ],
+)
+def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        replay(*arguments)
+    assert ended.value.code == 2
+
+
+def test_a_broker_that_the_command_line_names_is_looked_for_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(TOUCHES, "--url", "mqtt://127.0.0.1:1", "--json") == 69
+    said = capsys.readouterr()
+    assert said.err.startswith("resonatord: no broker at 127.0.0.1:1 (")
+    assert said.err.endswith("; see --url\n")
+    assert json.loads(said.out)["error"]["code"] == "no_broker"
+
+
+def test_a_configuration_that_names_the_broker_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "hand.toml"
+    with TOUCHES.open("rb") as file:
+        texts = {attachment.name: attachment.data for attachment in make_reader(file).iter_attachments()}
+    (tmp_path / PLATE_FILE).write_bytes(texts[PLATE_FILE])
+    path.write_text(
+        f'plate = "{PLATE_FILE}"\nlink = "tcp://127.0.0.1:9"\n[mqtt]\nurl = "mqtt://127.0.0.1:1"\n'
+        "[measurement]\nwindow_ms = 100\nstep_ms = 10\n"
+    )
+    assert replay(TOUCHES, "--config", str(path)) == 69
+    assert capsys.readouterr().err.endswith("; see mqtt.url\n")
+    assert replay(TOUCHES, "--config", str(path), "--url", "mqtt://127.0.0.1:1") == 69
+    assert capsys.readouterr().err.endswith("; see --url\n")

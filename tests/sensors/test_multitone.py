@@ -1,0 +1,371 @@
+import math
+
+import numpy as np
+import pytest
+from small_comb import GATE_S, GATE_TICKS, NOTHING, POSITION_M, SITES, SLOPE, K, SmallComb, spread
+
+from resonator_daemon.forces.site_response import SiteResponse
+from resonator_daemon.sensors.multitone import CombChain
+
+PLACE_M = (1.2e-3, -0.9e-3)  # between sites
+FAR_M = (-6.5e-3, 5.8e-3)
+# On sites 5 mm apart: every touch that loads one by 2 N under a cover of 2.5 mm loads its neighbours by more than this.
+UNLIKE_TOUCHES_NEWTON = np.where(np.indices((4, 4)).sum(axis=0).ravel() % 2, 2.0, 0.05)
+
+
+def events(readings):
+    return [event.event for reading in readings for event in reading.events]
+
+
+def distance_m(contact, place_m):
+    return math.dist(contact.touch.position_m, place_m)
+
+
+def test_an_untouched_plate_is_followed_and_gives_no_force():
+    comb = SmallComb()
+    readings = comb.hold(frames=400)
+    assert {reading.status for reading in readings} == {"ok"}
+    assert all(reading.sites == () and reading.contacts == () for reading in readings)
+    assert readings[-1].compensation.baseline == "followed"
+    assert readings[-1].compensation.response == "off"
+    assert readings[-1].window_s == pytest.approx(2 * GATE_S)
+    assert [reading.sequence for reading in readings] == list(range(400))
+
+
+def test_a_reading_comes_at_every_step_with_the_windows_end():
+    comb = SmallComb(window_frames=8, step_frames=4)
+    given = [comb.push() is not None for _ in range(12)]
+    assert given == [False, False, False, True] * 3
+    reading = comb.hold(frames=4)[0]
+    assert (reading.sequence, reading.board_ticks, reading.at_step) == (15, comb.board_ticks, True)
+    assert reading.window_s == pytest.approx(8 * GATE_S)
+
+
+def test_a_touch_between_sites_is_one_contact_with_its_place_and_force():
+    comb = SmallComb().untouched()
+    pressed = comb.hold(spread(2.0, *PLACE_M), 40)
+    assert events(pressed) == ["onset"]
+    assert pressed[-1].status == "ok"
+    nearest = int(np.hypot(*(POSITION_M - PLACE_M).T).argmin())
+    errors = []
+    for reading in pressed[2:]:
+        (contact,) = reading.contacts
+        touch = contact.touch
+        assert (touch.site, touch.status) == (nearest, "ok")
+        error = np.array([*np.subtract(touch.position_m, PLACE_M), touch.force_newton - 2.0])
+        std = [*np.sqrt(np.diag(touch.position_covariance_m2)), math.hypot(touch.noise_newton, touch.systematic_newton)]
+        errors.append(error / std)
+        assert np.abs(error[:2]).max() < 20e-6
+        assert abs(error[2]) < 0.01
+    assert np.abs(errors).max() < 4
+    released = comb.hold(frames=40)
+    assert events(released) == ["release"]
+    assert released[-1].contacts == ()
+
+
+def test_an_onset_is_told_within_two_gates():
+    comb = SmallComb().untouched()
+    told = [event for reading in comb.hold(spread(0.5, *PLACE_M), 10) for event in reading.events]
+    assert told[0].board_ticks - (comb.board_ticks - 10 * GATE_TICKS) <= 2 * GATE_TICKS
+
+
+def test_what_sites_feel_is_told_site_by_site_and_the_far_ones_are_not_in_contact():
+    comb = SmallComb().untouched()
+    load = spread(2.0, *PLACE_M)
+    last = comb.hold(load, 40)[-1]
+    told = {force.site: force for force in last.sites}
+    assert set(np.flatnonzero(load > 0.1)) <= set(told)
+    assert set(told) <= set(np.flatnonzero(load > 0.015))
+    for site, force in told.items():
+        assert force.force_newton == pytest.approx(load[site], abs=0.01 + 4 * force.noise_newton)
+
+
+@pytest.mark.parametrize("second_newton", [2.0, 0.3])
+def test_two_touches_are_two_contacts(second_newton):
+    comb = SmallComb().untouched()
+    both = spread(1.5, *PLACE_M) + spread(second_newton, *FAR_M)
+    last = comb.hold(both, 40)[-1]
+    assert (last.status, len(last.contacts)) == ("ok", 2)
+    first, second = sorted(last.contacts, key=lambda contact: distance_m(contact, PLACE_M))
+    assert distance_m(first, PLACE_M) < 30e-6
+    assert distance_m(second, FAR_M) < 100e-6
+    assert first.touch.force_newton == pytest.approx(1.5, abs=0.02)
+    assert second.touch.force_newton == pytest.approx(second_newton, abs=0.02)
+    one = comb.hold(spread(1.5, *PLACE_M), 40)
+    assert [event.contact.id for reading in one for event in reading.events] == [second.id]
+    assert one[-1].contacts[0].id == first.id
+
+
+def test_a_touch_that_slides_is_one_contact():
+    comb = SmallComb().untouched()
+    path = np.linspace((-6e-3, -5e-3), (6e-3, 4e-3), 400)
+    readings = [comb.push(spread(1.0, *place)) for place in path]
+    assert events(readings) == ["onset"]
+    assert all(distance_m(r.contacts[0], place) < 0.1e-3 for r, place in zip(readings[4:], path[4:], strict=True))
+
+
+def test_a_press_of_the_whole_plate_is_felt_by_every_site_and_no_touch_is_made_up():
+    load = UNLIKE_TOUCHES_NEWTON
+    comb = SmallComb().untouched()
+    pressed = comb.hold(load, 20)
+    last = pressed[-1]
+    assert (last.status, last.contacts, events(pressed)) == ("rejected", (), [])
+    assert "chi2" in last.reason
+    assert [force.site for force in last.sites] == list(range(SITES))
+    for force in last.sites:
+        assert abs(force.force_newton - load[force.site]) < 3 * math.hypot(force.noise_newton, force.systematic_newton)
+        assert force.force_newton == pytest.approx(load[force.site], abs=0.05)
+    assert last.compensation.baseline == "held"
+    released = comb.hold(frames=30)[-1]
+    assert (released.status, released.sites) == ("ok", ())
+
+
+def test_a_plate_without_a_cover_has_a_contact_for_each_site():
+    load = np.random.default_rng(5).uniform(0.5, 2.0, SITES)
+    comb = SmallComb(width_m=None).untouched()
+    last = comb.hold(load, 60)[-1]
+    assert last.status == "ok"
+    assert [contact.touch.site for contact in last.contacts] == list(range(SITES))
+    for contact in last.contacts:
+        assert contact.touch.force_newton == pytest.approx(load[contact.touch.site], abs=0.05)
+        assert contact.touch.position_m == pytest.approx(tuple(POSITION_M[contact.touch.site]))
+    released = comb.hold(frames=60)
+    assert events(released) == ["release"] * SITES
+
+
+def test_contacts_of_before_have_no_force_while_no_touch_can_be_named():
+    comb = SmallComb().untouched()
+    (before,) = comb.hold(spread(1.0, *PLACE_M), 40)[-1].contacts
+    load = UNLIKE_TOUCHES_NEWTON
+    (meanwhile,) = comb.hold(load, 20)[-1].contacts
+    assert meanwhile.id == before.id
+    assert meanwhile.touch.status == "rejected"
+    assert math.isnan(meanwhile.touch.force_newton)
+    ended = comb.hold(load, 105)
+    assert events(ended) == ["release"]
+    assert ended[-1].contacts == ()
+
+
+def test_a_touch_beside_what_is_no_touch_is_named_as_possibly_more():
+    comb = SmallComb().untouched()
+    load = spread(3.0, *PLACE_M)
+    load[0] += 0.4  # something sharp on one far site: its neighbours feel nothing of it
+    last = comb.hold(load, 40)[-1]
+    assert last.status == "possibly_more"
+    assert "chi2" in last.reason
+    (contact,) = last.contacts
+    assert contact.touch.status == "possibly_more"
+    assert distance_m(contact, PLACE_M) < 0.1e-3
+    assert contact.touch.force_newton == pytest.approx(3.0, rel=0.03)
+    assert comb.chain.tare() == "sites are touched"
+
+
+@pytest.mark.parametrize("newton", [0.3, 1.0, 3.0])
+def test_an_even_press_of_the_whole_plate_names_no_contact(newton):
+    # Four touches in the middle of four sites each would explain most of it.
+    comb = SmallComb().untouched()
+    pressed = comb.hold(np.full(SITES, newton), 20)
+    assert (pressed[-1].status, pressed[-1].contacts, events(pressed)) == ("rejected", (), [])
+    assert [round(force.force_newton, 1) for force in pressed[-1].sites] == [newton] * SITES
+    released = comb.hold(frames=40)[-1]
+    assert (released.status, released.sites) == ("ok", ())
+
+
+@pytest.mark.parametrize("offset", [1e-7, 5e-8, -5e-8])
+def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(offset):
+    comb = SmallComb().untouched()
+    off = np.where(np.arange(SITES) == 5, offset, 0.0)
+    readings = comb.hold(offset=off, frames=200)
+    assert {reading.status for reading in readings} == {"ok"}
+    assert all(reading.contacts == () for reading in readings)
+    assert readings[-1].compensation.baseline == "followed"
+    assert comb.chain.tare() == ""
+    (contact,) = comb.hold(spread(2.0, *FAR_M), 20, offset=off)[-1].contacts
+    assert distance_m(contact, FAR_M) < 0.1e-3
+    assert contact.touch.force_newton == pytest.approx(2.0, abs=0.02)
+
+
+def test_far_sites_tell_the_plates_drift_while_it_is_touched():
+    comb = SmallComb().untouched()
+    load = spread(2.0, *PLACE_M)
+    readings = [comb.push(load, kelvin=0.08 * GATE_S * number) for number in range(1000)]  # 0.4 K in 5 s
+    last = readings[-1]
+    (contact,) = last.contacts
+    # Not followed, 0.4 K would pass for some 20 mN on each site.
+    assert contact.touch.force_newton == pytest.approx(2.0, abs=5e-3)
+    assert distance_m(contact, PLACE_M) < 20e-6
+    assert last.compensation.baseline == "followed"
+    told = [force.site for force in last.sites]
+    assert max(told, key=lambda site: load[site]) == load.argmax()
+    assert len(told) < SITES
+
+
+def test_drift_of_an_untouched_plate_is_no_touch():
+    comb = SmallComb().untouched()
+    readings = [comb.push(kelvin=0.5 * GATE_S * number) for number in range(1000)]  # 2.5 K in 5 s
+    assert all(reading.contacts == () and reading.sites == () for reading in readings)
+    assert readings[-1].compensation.plate_kelvin - readings[0].compensation.plate_kelvin == pytest.approx(
+        2.5, rel=0.05
+    )
+
+
+PLAY_NEWTON = 0.1
+RESPONSE = SiteResponse(PLAY_NEWTON, 0.0, 20.0, 0.1 * PLAY_NEWTON, 0.0, 0.0)
+
+
+def pressed_and_let_go(comb, newton=6.0):
+    """Press a place whose sites have a play of 0.1 N, and let go; returns the readings after the end."""
+    z = np.zeros(SITES)
+    for part in [*np.linspace(0, 1, 100), *np.linspace(1, 0, 100)]:
+        load = spread(newton * part, *PLACE_M)
+        z = np.clip(z, load - PLAY_NEWTON, load + PLAY_NEWTON)
+        comb.push((load + z) / 2)
+    return comb.hold(z / 2, 60)
+
+
+def test_what_hysteresis_leaves_in_sites_is_no_touch_where_it_was_calibrated():
+    after = pressed_and_let_go(SmallComb(response=RESPONSE).untouched())
+    assert after[-1].compensation.response == "on"
+    assert all(reading.contacts == () for reading in after[20:])
+    left = pressed_and_let_go(SmallComb().untouched())
+    assert left[-1].compensation.response == "off"
+    assert left[-1].contacts or left[-1].sites or left[-1].status != "ok"  # 50 mN on each of some sites
+
+
+def test_a_touch_that_may_be_warm_is_less_certain_the_longer_it_lasts():
+    warm, cold = (SmallComb(contact_std_kelvin=kelvin).untouched(400) for kelvin in (3.0, 0.0))
+    load = spread(2.0, *POSITION_M[5])
+    grown = []
+    for frames in (10, 390):
+        both = [next(f for f in comb.hold(load, frames)[-1].sites if f.site == 5) for comb in (warm, cold)]
+        grown.append(math.sqrt(both[0].systematic_newton ** 2 - both[1].systematic_newton ** 2))
+    # 3 K (1 - exp(-t / 5 s)) times the slope, to a few frames; its standard deviation is a hundredth of that.
+    expected = [3.0 * abs(SLOPE[5] / K[5]) * (1 - math.exp(-t / 5.0)) for t in (0.05, 2.0)]
+    assert grown == pytest.approx(expected, rel=0.05, abs=3e-3)
+
+
+def test_a_plate_is_tared_only_while_it_is_untouched():
+    comb = SmallComb()
+    assert comb.chain.tare() == "no reading yet"
+    comb.untouched()
+    assert comb.chain.tare() == ""
+    comb.hold(spread(1.0, *PLACE_M), 20)
+    assert comb.chain.tare() == "sites are touched"
+    last = comb.hold(spread(1.0, *PLACE_M), 20)[-1]
+    assert last.contacts[0].touch.force_newton == pytest.approx(1.0, abs=0.01)
+    comb.hold(frames=40)
+    assert comb.chain.tare() == ""
+
+
+def test_taring_takes_what_is_felt_for_none():
+    tared, untared = (SmallComb(width_m=None).untouched() for _ in range(2))
+    crept = np.where(np.arange(SITES) == 5, 5e-8, 0.0)  # some mN on one site: below an onset
+    for comb in (tared, untared):
+        assert comb.hold(offset=crept, frames=5)[-1].contacts == ()
+    assert tared.chain.tare() == ""
+    force = [
+        comb.hold(2.0 * (np.arange(SITES) == 5), 40, offset=crept)[-1].contacts[0].touch.force_newton
+        for comb in (tared, untared)
+    ]
+    assert force[0] == pytest.approx(2.0, abs=2e-3)
+    assert force[1] - 2.0 == pytest.approx(5e-8 / K[5], rel=0.1)
+
+
+def test_a_restart_releases_contacts_and_learns_anew():
+    comb = SmallComb().untouched()
+    comb.hold(spread(1.0, *PLACE_M), 20)
+    (event,) = comb.chain.restart()
+    assert (event.event, event.reason) == ("release", "the board started anew")
+    assert comb.chain.compensation.baseline == "unknown"
+    assert comb.chain.tare() == "no reading yet"
+    assert comb.hold(frames=100)[-1].contacts == ()
+    assert comb.hold(spread(1.0, *PLACE_M), 20)[-1].contacts[0].touch.force_newton == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_restart_before_the_first_frame_has_nothing_to_release():
+    assert SmallComb().chain.restart() == ()
+
+
+def test_missing_frames_restart_the_window_and_keep_the_contact():
+    comb = SmallComb(window_frames=4).untouched()
+    load = spread(1.0, *PLACE_M)
+    (before,) = comb.hold(load, 20)[-1].contacts
+    comb.lose(20)
+    after = comb.hold(load, 6)
+    assert [round(reading.window_s / GATE_S) for reading in after] == [1, 2, 3, 4, 4, 4]
+    assert events(after) == []
+    assert after[-1].contacts[0].id == before.id
+    comb.lose(200)
+    assert events(comb.hold(load, 6)) == ["release", "onset"]
+
+
+def test_a_tone_that_is_not_heard_leaves_the_others_to_tell():
+    comb = SmallComb().untouched()
+    comb.known[:, int(spread(1.0, *PLACE_M).argmax())] = False
+    last = comb.hold(spread(2.0, *PLACE_M), 40)[-1]
+    assert (last.status, last.reason) == ("ok", "1 of 16 sites are not heard")
+    (contact,) = last.contacts
+    assert distance_m(contact, PLACE_M) < 0.2e-3
+    assert contact.touch.force_newton == pytest.approx(2.0, rel=0.05)
+    comb.known[:] = True
+    comb.known[:3] = False  # one corner hears all sites
+    last = comb.hold(spread(2.0, *PLACE_M), 40)[-1]
+    assert (last.status, last.reason) == ("ok", "")
+
+
+def test_where_nothing_is_heard_nothing_is_told():
+    comb = SmallComb().untouched()
+    comb.hold(spread(2.0, *PLACE_M), 40)
+    comb.known[:] = False
+    silent = comb.hold(spread(2.0, *PLACE_M), 40)
+    assert {(reading.status, reading.reason) for reading in silent[2:]} == {("no_signal", "no tone is known")}
+    (contact,) = silent[-1].contacts
+    assert (contact.touch.status, math.isnan(contact.touch.force_newton)) == ("no_signal", True)
+    assert events(comb.hold(frames=100)) == ["release"]
+    comb.known[:] = True
+    assert comb.hold(frames=40)[-1].status == "ok"
+
+
+def test_a_force_beyond_the_range_has_a_bound_and_no_number():
+    comb = SmallComb().untouched()
+    (contact,) = comb.hold(spread(12.0, *PLACE_M), 40)[-1].contacts
+    touch = contact.touch
+    assert (touch.status, touch.at_least_newton) == ("overload", 10.0)
+    assert math.isnan(touch.force_newton)
+    assert distance_m(contact, PLACE_M) < 0.1e-3
+
+
+@pytest.mark.parametrize(("newton", "status"), [(2.0, "ok"), (7.0, "uncalibrated")])
+def test_a_force_beyond_those_of_calibration_says_so(newton, status):
+    comb = SmallComb(valid_newton=(-0.1, 4.0)).untouched()
+    (contact,) = comb.hold(spread(newton, *POSITION_M[5]), 40)[-1].contacts
+    assert contact.touch.status == status
+
+
+def test_the_shared_error_of_sensitivity_is_in_every_contact():
+    plain, shared = (
+        SmallComb(sensitivity_std=std).untouched().hold(spread(4.0, *PLACE_M), 40)[-1].contacts[0].touch
+        for std in (0.0, 0.05)
+    )
+    assert math.sqrt(shared.systematic_newton**2 - plain.systematic_newton**2) == pytest.approx(0.2, rel=0.1)
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_wrong_shapes_are_refused(which):
+    comb = SmallComb()
+    arrays = list(comb.arrays(NOTHING))
+    arrays[which] = arrays[which][:, :15]
+    with pytest.raises(ValueError, match=r"must be \(4, 16\)"):
+        comb.chain.push(0, 0, *arrays)
+
+
+@pytest.mark.parametrize("wrong", [{"window_frames": 0}, {"step_frames": 0}])
+def test_windows_and_steps_of_no_frames_are_refused(wrong):
+    with pytest.raises(ValueError, match="each at least 1"):
+        SmallComb(**wrong)
+
+
+def test_before_the_first_reading_nothing_is_known_of_what_is_taken_out():
+    chain: CombChain = SmallComb().chain
+    assert chain.compensation.baseline == "unknown"
+    assert math.isnan(chain.compensation.plate_kelvin)

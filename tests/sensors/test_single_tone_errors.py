@@ -1,0 +1,228 @@
+"""What a chain says its forces are worth: other tones, beats, drift, warm touches, response, calibration, tare."""
+
+import math
+
+import numpy as np
+import pytest
+from brute_force_board import REFERENCE_HZ, Ladder
+from single_tone_bench import CLOCK_ERROR, NO_SIGNAL, PLATE, UNTOUCHED, Bench
+from two_tone_board import PILOT_DB, TONE_DB, TwoToneBoard
+
+from firmware_protocol.layouts import RecordFlag
+from resonator_daemon.forces.site_response import SiteResponse
+
+
+def heard(*, level_db=TONE_DB, **state):
+    """A bench at a board that was untouched until now and hears these second tones from now on."""
+    bench = Bench(board=TwoToneBoard())
+    bench.board.hear(attenuation_db=PILOT_DB)
+    bench.untouched()
+    bench.board.hear(attenuation_db=level_db, **state)
+    return bench
+
+
+@pytest.mark.parametrize("ratio", [[0.6, 0.0, 0.0, 0.0], [0.3, 0.4, 0.3, 0.5]])
+def test_a_second_touch_that_is_weaker_at_every_corner_is_possibly_more(ratio):
+    readings = heard(ratio=ratio).hold(PLATE.loaded_hz(3, 2.0), 60)[4:]
+    assert {(reading.status, reading.reason) for reading in readings} == {
+        ("possibly_more", "more than the counted tone is heard")
+    }
+    for reading in readings:
+        (force,) = reading.sites
+        assert (force.site, force.status) == (3, "possibly_more")
+        assert force.force_newton == pytest.approx(2.0, abs=6 * force.noise_newton)
+    assert readings[-1].contacts[0].touch.status == "possibly_more"
+
+
+def test_a_touch_alone_is_not_possibly_more_though_the_pilot_goes_on():
+    pilot = 10 ** ((TONE_DB - PILOT_DB) / 20)
+    assert {reading.status for reading in heard(ratio=pilot).hold(PLATE.loaded_hz(3, 2.0), 200)[4:]} == {"ok"}
+    # Where the touched tone is hardly stronger, the pilot moves it as a second touch would, and is known to.
+    faint = heard(ratio=0.5, level_db=PILOT_DB - 6.0)
+    assert {reading.status for reading in faint.hold(PLATE.loaded_hz(3, 0.1), 200)[4:]} == {"ok"}
+
+
+def test_the_beat_of_a_second_tone_counts_as_noise():
+    beating, alone = (
+        heard(ratio=ratio, distance_hz=2370.0).hold(PLATE.loaded_hz(3, 2.0), 200)[10:] for ratio in (0.6, 0.0)
+    )
+    error = [reading.sites[0].force_newton - 2.0 for reading in beating]
+    noise = [reading.sites[0].noise_newton for reading in beating]
+    assert np.std(error) < 3 * np.mean(noise)
+    assert np.mean(noise) > 1.2 * np.mean([reading.sites[0].noise_newton for reading in alone])
+
+
+CAPTURE_SWITCH = int(RecordFlag.CAPTURE_SWITCH)
+
+
+def test_a_channel_that_hears_two_tones_alike_is_named_and_the_touch_possibly_more():
+    bench = Bench().untouched()
+    site_hz = PLATE.loaded_hz(3, 2.0)
+    bench.hold(site_hz, 43)  # so that the second of two such frames is at a step
+    once = bench.hold(site_hz, 2, (0, CAPTURE_SWITCH, 0, 0)) + bench.hold(site_hz, 20)
+    assert {reading.status for reading in once} == {"ok"}
+    crowded = bench.hold(site_hz, 20, (0, CAPTURE_SWITCH, 0, 0))
+    assert (crowded[-1].status, crowded[-1].reason) == (
+        "possibly_more",
+        "two tones are alike: channel 1: capture_switch",
+    )
+    (force,) = crowded[-1].sites
+    assert (force.site, force.status, force.channels) == (3, "possibly_more", (0, 2, 3))
+    assert force.force_newton == pytest.approx(2.0, abs=0.02)
+    assert bench.hold(site_hz, 40)[-1].status == "ok"
+
+
+def test_where_no_channel_has_a_strongest_tone_no_site_is_named():
+    bench = Bench().untouched()
+    crowded = bench.hold(PLATE.loaded_hz(3, 2.0), 40, (CAPTURE_SWITCH,) * 4)
+    assert (crowded[-1].status, crowded[-1].sites, crowded[-1].contacts) == ("rejected", (), ())
+    assert "no tone is the strongest for long: channel 0: capture_switch" in crowded[-1].reason
+
+
+@pytest.mark.parametrize("odd", range(4))
+def test_one_channel_that_another_tone_has_captured_is_left_out(odd):
+    bench = Bench().untouched()
+    frequency = PLATE.loaded_hz(3, 2.0)
+    frequency[odd] = 9.9935e6  # between two codes
+    last = bench.hold(frequency, 40)[-1]
+    (force,) = last.sites
+    assert force.site == 3
+    assert force.channels == tuple(channel for channel in range(4) if channel != odd)
+    assert force.force_newton == pytest.approx(2.0, abs=0.02)
+    assert (last.status, last.reason) == ("ok", f"channel {odd} hears another tone")
+
+
+def beating(jitter_ticks, interval_ticks):
+    """The reading of a site whose every hundredth edge is so many ticks after the one before."""
+    plate = Ladder(pull=0.0)
+    site = int(np.flatnonzero(plate.code == 10)[0])
+    loaded_hz = plate.loaded_hz(site, 2.0)
+    bench = Bench(plate, board=TwoToneBoard(), error=100.0 * REFERENCE_HZ / interval_ticks / loaded_hz[0] - 1.0)
+    bench.board.hear(attenuation_db=PILOT_DB)
+    bench.untouched()
+    bench.board.hear(attenuation_db=TONE_DB, jitter_ticks=jitter_ticks)
+    reading = bench.hold(loaded_hz, 40)[-1]
+    assert (reading.status, reading.sites[0].site) == ("ok", site)
+    return reading
+
+
+def test_a_tone_in_step_with_the_reference_is_named_and_its_noise_counts_for_more():
+    # Without jitter all stamps are off by the same part of a tick, which the next gates' are not.
+    in_step, apart, noisy = beating(0.0, 10_040.0), beating(0.0, 10_040.0618), beating(0.6, 10_040.0)
+    assert in_step.beats == (0, 1, 2, 3)
+    assert apart.beats == ()
+    assert noisy.beats == ()
+    assert in_step.sites[0].noise_newton > 3 * noisy.sites[0].noise_newton
+
+
+def test_a_held_baseline_grows_less_certain():
+    bench = Bench(board=TwoToneBoard()).untouched()
+    site_hz = PLATE.loaded_hz(5, 1.0)
+    first = bench.hold(site_hz, 40)[-1]
+    bench.board.skip(900_000)
+    last = bench.hold(site_hz, 40)[-1]
+    assert (first.compensation.baseline, last.compensation.baseline) == ("held", "held")
+    # A random walk of 1e-8 after a second is 3e-7 after a quarter of an hour.
+    k = abs(PLATE.sensitivity[5, 0])
+    grown = math.sqrt(last.sites[0].systematic_newton ** 2 - first.sites[0].systematic_newton ** 2)
+    assert grown == pytest.approx(3e-7 / k, rel=0.02)
+    assert last.compensation.common_mode_std > first.compensation.common_mode_std
+    assert bench.hold(UNTOUCHED, 200)[-1].compensation.baseline == "followed"
+    again = bench.hold(site_hz, 40)[-1]
+    assert again.sites[0].systematic_newton == pytest.approx(first.sites[0].systematic_newton, rel=0.01)
+
+
+def test_a_touch_that_may_be_warm_is_less_certain_the_longer_it_lasts():
+    k = abs(PLATE.sensitivity[5, 0])
+    grown = []
+    for held_frames in (0, 5000, 30_000):
+        warm, cold = (
+            Bench(board=TwoToneBoard(), slope=-3e-7, contact_std_kelvin=kelvin).untouched() for kelvin in (3.0, 0.0)
+        )
+        for bench in (warm, cold):
+            bench.hold(PLATE.loaded_hz(5, 1.0), 40)
+            bench.board.skip(held_frames)
+            bench.hold(PLATE.loaded_hz(5, 1.0), 40)
+        both = [bench.readings[-1].sites[0].systematic_newton for bench in (warm, cold)]
+        grown.append(math.sqrt(both[0] ** 2 - both[1] ** 2) * k)
+    # 3 K (1 - exp(-t / 5 s)) times the slope, less the transient's 2e-7 s times the rate.
+    static = [3.0 * 3e-7 * (1 - math.exp(-t / 5.0)) for t in (0.08, 5.08, 30.08)]
+    transient = [3.0 * 2e-7 / 5.0 * math.exp(-t / 5.0) for t in (0.08, 5.08, 30.08)]
+    assert grown == pytest.approx(np.add(static, transient), rel=0.03, abs=2e-9)
+
+
+PLAY_NEWTON = 0.1
+
+
+def pressed_and_let_go(bench):
+    """Load a site that has a play to 6 N and back to 2 N; returns what is said of it while it goes back."""
+    z, frequencies = 0.0, []
+    for newton in np.concatenate([np.linspace(0.05, 6.0, 100), np.linspace(6.0, 2.0, 100), np.full(20, 2.0)]):
+        z = min(max(z, newton - PLAY_NEWTON), newton + PLAY_NEWTON)
+        frequencies.append(PLATE.loaded_hz(5, (newton + z) / 2))
+    return bench.play(frequencies)[-2].sites[0]
+
+
+def test_hysteresis_that_was_calibrated_is_taken_out_and_said_so():
+    response = SiteResponse(PLAY_NEWTON, 0.0, 20.0, 0.1 * PLAY_NEWTON, 0.0, 0.0)
+    off, on = Bench(step_frames=2).untouched(), Bench(step_frames=2, response=response).untouched()
+    assert pressed_and_let_go(off).force_newton == pytest.approx(2.0 + PLAY_NEWTON / 2, abs=2e-3)
+    assert pressed_and_let_go(on).force_newton == pytest.approx(2.0, abs=2e-3)
+    assert off.readings[-1].compensation.response == "off"
+    assert on.readings[-1].compensation.response == "on"
+    systematic = [bench.readings[-1].sites[0].systematic_newton for bench in (off, on)]
+    assert systematic[1] < PLAY_NEWTON / 2 < systematic[0]
+
+
+@pytest.mark.parametrize(("newton", "status"), [(0.2, "uncalibrated"), (2.0, "ok"), (7.0, "uncalibrated")])
+def test_a_force_beyond_those_of_calibration_says_so(newton, status):
+    last = Bench(valid_newton=(0.5, 5.0)).untouched().hold(PLATE.loaded_hz(5, newton), 40)[-1]
+    assert last.sites[0].status == status
+    assert last.sites[0].force_newton == pytest.approx(newton, abs=0.02)
+    assert last.contacts[0].touch.status == status
+
+
+def test_the_shared_error_of_sensitivity_is_in_every_force():
+    plain, shared = (
+        Bench(sensitivity_std=std).untouched().hold(PLATE.loaded_hz(5, 4.0), 40)[-1].sites[0] for std in (0.0, 0.05)
+    )
+    assert math.sqrt(shared.systematic_newton**2 - plain.systematic_newton**2) == pytest.approx(0.2, rel=0.01)
+
+
+def test_a_plate_is_tared_only_while_it_is_untouched():
+    bench = Bench(error=CLOCK_ERROR)
+    assert "not heard" in bench.chain.tare()
+    bench.hold(UNTOUCHED, 15)
+    assert bench.readings[-1].status == "settling"
+    assert bench.chain.tare() == ""
+    assert bench.hold(UNTOUCHED, 5)[-1].status == "ok"  # at once, not after twenty readings
+    assert bench.chain.compensation.common_mode == pytest.approx([CLOCK_ERROR] * 4, abs=3e-8)
+    before = bench.hold(PLATE.loaded_hz(3, 2.0), 40)[-1].compensation.common_mode
+    assert "touched" in bench.chain.tare()
+    last = bench.hold(PLATE.loaded_hz(3, 2.0), 40)[-1]
+    assert last.compensation.common_mode == before
+    assert last.sites[0].force_newton == pytest.approx(2.0, abs=0.02)
+
+
+def test_windows_that_are_still_short_do_not_teach_the_common_mode():
+    bench = Bench().untouched()
+    before = bench.chain.compensation.common_mode
+    for _ in range(20):
+        bench.lose(UNTOUCHED, 1)
+        bench.hold(UNTOUCHED, 5)
+    assert bench.chain.compensation.common_mode == before
+    bench.hold(UNTOUCHED, 20)
+    assert bench.chain.compensation.common_mode != before
+
+
+def test_a_silent_channel_keeps_a_plate_from_being_tared():
+    bench = Bench().untouched()
+    bench.hold(UNTOUCHED, 40, (0, 0, NO_SIGNAL, 0))
+    assert "channels are silent" in bench.chain.tare()
+
+
+def test_nothing_of_before_a_restart_is_tared():
+    bench = Bench().untouched()
+    bench.chain.restart()
+    assert "not heard" in bench.chain.tare()
+    assert bench.chain.compensation.baseline == "unknown"

@@ -1,0 +1,161 @@
+"""A board that counts is asked to make itself seen: it goes on counting, and there is always an answer."""
+
+import threading
+from pathlib import Path
+
+import pytest
+from connection_bench import Bench, SimulatedBoard, board, online
+from emulation import emulated
+from listener import Listener, check_indices, frames, gaps
+from recording_bench import PLATE, replayed
+
+from firmware_protocol.layouts import Capability
+from resonator_daemon.config import ReplayLink, SerialLink
+from resonator_daemon.recording.reader import Origin
+from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.session.frames import Arrival, BoardLocated
+from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
+
+
+def located(arrivals: list[Arrival]) -> list[str | None]:
+    return [arrival.refused for arrival in arrivals if isinstance(arrival, BoardLocated)]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return online(capabilities=int(Capability.LOCATE))
+
+
+def answers_of(it: Listener, count: int) -> list[str | None]:
+    """Have the board asked so often from another thread, and return what is answered in this one."""
+    answers: list[str | None] = []
+    threads: list[int] = []
+
+    def done(refused: str | None) -> None:
+        answers.append(refused)
+        threads.append(threading.get_ident())
+
+    for _ in range(count):
+        asking = threading.Thread(target=it.reader.locate, args=(done,))
+        asking.start()
+        asking.join()
+    it.wait_for(lambda _: len(answers) >= count)
+    assert set(threads) == {threading.get_ident()}
+    return answers
+
+
+def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(100)
+        assert answers_of(it, 3) == [None] * 3
+        it.wait_for_frames(len(frames(it.arrivals)) + 200)
+        account = it.reader.account()
+    assert emulator._board.times_located >= 1
+    check_indices(it.arrivals)
+    assert gaps(it.arrivals) == []
+    assert (account.connections, account.messages_stale, account.messages_unknown) == (1, 0, 0)
+    assert {state for state, _ in it.states} == {"starting", "online"}
+
+
+def test_nobody_there_is_an_answer(tmp_path: Path) -> None:
+    with Listener(SerialLink(str(tmp_path / "none"), 4000000)) as it:
+        assert answers_of(it, 1) == ["no board is connected"]
+    with Listener(ReplayLink(str(tmp_path / "none.mcap"))) as it:
+        assert answers_of(it, 1) == ["a recording has no board"]
+
+
+def test_a_board_that_cannot_says_so() -> None:
+    bench = online(capabilities=0)
+    bench.connection.locate(bench.host_time())
+    bench.run(10)
+    (refused,) = located(bench.arrivals)
+    assert refused is not None
+    assert "unknown message 0x07" in refused
+
+
+def test_a_request_that_is_lost_is_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    deafen(bench.board, monkeypatch)
+    bench.connection.locate(bench.host_time())
+    bench.run(200)
+    assert located(bench.arrivals) == []
+    monkeypatch.undo()
+    bench.run(200)
+    assert located(bench.arrivals) == [None]
+    assert bench.board.session.located == 1
+    bench.run(3000)
+    assert located(bench.arrivals) == [None]
+    assert bench.board.session.located == 1
+
+
+def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deafen(bench.board, monkeypatch)
+    bench.connection.locate(bench.host_time())
+    bench.run(2990)
+    assert located(bench.arrivals) == []
+    bench.run(20)
+    assert located(bench.arrivals) == ["the board did not answer within 3 s"]
+    bench.check_indices()
+    assert bench.gaps == []
+    bench.run(1000)
+    assert len(located(bench.arrivals)) == 1
+
+
+def test_a_link_that_is_closed_before_the_answer_is_an_answer(bench: Bench) -> None:
+    bench.board.frozen = True
+    bench.connection.locate(bench.host_time())
+    bench.close()
+    assert located(bench.arrivals) == ["the link was closed before the board had answered"]
+
+
+def test_a_link_that_is_closed_with_nothing_asked_answers_nothing() -> None:
+    bench = Bench(board())
+    bench.run(50)
+    bench.close()
+    assert located(bench.arrivals) == []
+
+
+def test_an_unplugged_board_is_an_answer(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("freeze_at_s=0.4,freeze_for_s=0.6,unplug_at_s=0.8,unplug_for_s=0.2")
+    options = EmulatorOptions("quartz16", pty=port, faults=faults)
+    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda _: ("stalled", "the port is open and no frame comes") in it.states)
+        (answer,) = answers_of(it, 1)
+    assert answer in (
+        "the link was closed before the board had answered",
+        "the link was closed before the board was asked",
+        "no board is connected",
+    )
+
+
+@pytest.mark.parametrize("midway", [False, True])
+def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway: bool) -> None:
+    port, path = tmp_path / "board", tmp_path / "run.mcap"
+    switch = RecordingSwitch()
+    link = SerialLink(str(port), 4000000)
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, tap=switch.tap) as it:
+        if midway:
+            it.wait_for_frames(300)
+        switch.start(path, Origin(PLATE, str(link)))
+        it.wait_for_frames(400)
+        assert answers_of(it, 1) == [None]
+        it.wait_for_frames(len(frames(it.arrivals)) + 100)
+    it.take_the_rest()
+    switch.close()
+    arrivals, _, differences = replayed(path)
+    assert differences == 0
+    assert located(arrivals) == [None]
+    assert len(frames(arrivals)) > 150
+    after = [type(arrival) for arrival in arrivals]
+    live = [type(arrival) for arrival in it.arrivals]
+    # Among the same frames as it was.
+    assert len(after) - after.index(BoardLocated) == len(live) - live.index(BoardLocated) + 1
+
+
+def deafen(board: SimulatedBoard, monkeypatch: pytest.MonkeyPatch) -> None:
+    hearing = board.step
+    monkeypatch.setattr(board, "step", lambda _data, now_ns: hearing(b"", now_ns))

@@ -1,0 +1,344 @@
+"""One opening of a link in simulated time: handshake, clock, silence, reboots."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from itertools import pairwise, repeat
+
+import pytest
+from connection_bench import GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, online
+from listener import check_indices
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.session.counters import FrameLoss, LinkAccount
+from resonator_daemon.session.frames import Arrival, BoardOnline, BoardSays, Gap, Outage
+
+
+def test_a_board_is_identified_configured_started_and_read() -> None:
+    bench = online()
+    assert [state for state, _ in bench.states] == ["starting", "online"]
+    assert bench.states[0][1] == "board T-1 with firmware 1.0 is being configured"
+    (news,) = (arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline))
+    assert news.configuration == Configuration(GATE_TICKS)
+    assert not news.continues
+    assert len(bench.frames) > 150
+    bench.check_indices()
+    assert bench.account.lost == FrameLoss()
+
+
+def test_frames_carry_the_middle_of_their_gate() -> None:
+    bench = Bench(SimulatedBoard(), step_ns=MS // 20)
+    bench.board.boot(7, bench.now_ns)
+    booted_ns = bench.now_ns
+    bench.run(150)
+    assert len(bench.frames) > 100
+    for frame in bench.frames:
+        middle_ns = booted_ns + frame.board_ticks - GATE_TICKS // 2  # 1 GHz: a tick is a nanosecond
+        bound_ns = frame.gate_middle.uncertainty_ns
+        assert abs(frame.gate_middle.monotonic_ns - middle_ns) <= bound_ns < GATE_TICKS // 5
+        assert frame.gate_middle.utc_ns == frame.gate_middle.monotonic_ns + 10**18
+
+
+def cut_up(bench: Bench, cuts: Iterable[int]) -> list[Arrival]:
+    """Receive a second of frames, some of them lost or damaged, in pieces of these sizes; return what arrived."""
+    first = bench.frames[-1]
+    stream = b""
+    for number in range(1000):
+        frame = bench.board.session.frame(
+            first.index + 1 + number, first.board_ticks + (1 + number) * GATE_TICKS, bytes(176)
+        )
+        if number in (300, 301, 650):
+            frame = frame[:150] + b"?" + frame[151:]
+        if number not in (100, 651):
+            stream += frame
+    bench.now_ns += 1000 * MS
+    sizes, at = iter(cuts), 0
+    while at < len(stream):
+        size = next(sizes)
+        bench.connection.receive(stream[at : at + size], bench.host_time())
+        at += size
+    return bench.ring.take()
+
+
+@pytest.mark.parametrize("size", [1, 203, 204, 1020, 7000])
+def test_pieces_of_any_size_make_the_same_frames_and_gaps(size: int) -> None:
+    whole, pieces = online(), online()
+    arrivals = cut_up(whole, repeat(10**6))
+    gaps = [arrival for arrival in arrivals if isinstance(arrival, Gap)]
+    assert [(gap.loss.link_gap, gap.loss.damaged) for gap in gaps] == [(1, 0), (0, 2), (1, 1)]
+    check_indices([*whole.arrivals, *arrivals])
+    assert cut_up(pieces, repeat(size)) == arrivals
+    assert pieces.account == whole.account
+
+
+def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
+    bench = online()
+    bench.board.silent = True
+    bench.run(51)  # the last frame came within the millisecond before
+    assert bench.states[-1][0] == "online"
+    bench.run(3)
+    assert bench.states[-1] == ("stalled", "the port is open and no frame comes")
+    with pytest.raises(LinkLostError, match=r"silent for 1\.1 s"):
+        bench.run(2000)
+
+
+def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> None:
+    bench = online()
+    last = bench.frames[-1]
+    bench.board.silent = True
+    bench.run(200)
+    bench.board.silent = False
+    bench.run(50)
+    assert [state for state, _ in bench.states[-2:]] == ["stalled", "online"]
+    (outage,) = (arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.frames_lost == 200
+    assert outage.reason == "the port is open and no frame comes"
+    assert outage.start_utc_ns == last.gate_middle.utc_ns
+    assert outage.end_utc_ns - outage.start_utc_ns == pytest.approx(201 * MS, abs=MS)
+    bench.check_indices()
+    assert bench.account.connections == 0  # the reader counts these
+
+
+def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> None:
+    bench = online()
+    sent = bench.board.session.receive(encode_packet(MessageType.STOP, 999), 0)  # as if something else had stopped it
+    assert sent
+    bench.run(150)
+    assert bench.board.session.started == 2
+
+
+def test_a_late_reader_does_not_call_the_board_silent() -> None:
+    bench = online()
+    said = len(bench.states)
+    data = b""
+    for _ in range(1000):  # half a second in which nobody reads
+        bench.now_ns += MS // 2
+        data += bench.board.step(b"", bench.now_ns)
+    bench.connection.receive(data, bench.host_time())
+    bench.connection.tend(bench.host_time(), idle=False)
+    bench.run(20)
+    assert len(bench.states) == said
+    assert bench.account.lost.total == 0
+
+
+@pytest.mark.parametrize("idle", [True, False])
+def test_bytes_that_are_no_frames_are_silence_too(idle: bool) -> None:
+    bench = online()
+    for _ in range(1200):  # garbage at every turn
+        bench.now_ns += MS // 2
+        bench.connection.receive(b"no frame", bench.host_time())
+        bench.connection.tend(bench.host_time(), idle=idle)
+    bench.run(0)
+    assert bench.states[-1][0] == "stalled"
+
+
+def test_a_stalled_link_is_not_looked_after_all_the_time() -> None:
+    bench = online()
+    bench.board.frozen = True
+    bench.run(70)
+    assert bench.states[-1][0] == "stalled"
+    turns = 0
+    end_ns = bench.now_ns + 900 * MS
+    while bench.now_ns < end_ns:
+        turns += 1
+        bench.now_ns = max(bench.now_ns + MS // 100, min(bench.connection.due_ns(), end_ns))
+        bench.connection.data_to_send()
+        bench.connection.tend(bench.host_time(), idle=True)
+    assert turns < 300  # pings among them
+
+
+def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer() -> None:
+    """A board may take 100 ms to answer; frames go on meanwhile."""
+    bench = online()
+    answer = bench.board.session.receive
+    held: list[tuple[int, bytes]] = []
+
+    def slow(data: bytes, board_ticks: int) -> bytes:
+        held.append((bench.now_ns + 80 * MS, answer(data, board_ticks)))
+        out = b""
+        while held and held[0][0] <= bench.now_ns:
+            out += held.pop(0)[1]
+        return out
+
+    bench.board.session.receive = slow  # type: ignore[method-assign]
+    bench.run(3000)
+    assert bench.states[-1][0] == "online"
+    assert len(bench.states) == 2
+    assert bench.account.lost.total == 0
+    assert bench.account.clock_restarts == 0
+
+
+def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_forgotten() -> None:
+    bench = online()
+    bench.board.session.receive = lambda _data, _ticks: b""  # type: ignore[method-assign]
+    bench.run(30_000)
+    assert bench.states[-1][0] == "online"
+    assert bench.states[-1][1].endswith("no ping was answered for 10 s: is the line to the board broken?")
+    assert len(bench.connection._pings._on_the_way) < 1000
+    del bench.board.session.receive
+    bench.run(3000)
+    assert "no ping" not in bench.states[-1][1]
+    assert bench.account.lost.total == 0
+
+
+def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
+    bench = online()
+    line = bench.board.session.log(BoardLog(20, "again"), 0)
+    bench.connection.receive(line * 500, bench.host_time())
+    bench.run(1)
+    said = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardSays)]
+    assert len(said) == 20
+    assert bench.account.log_lines_dropped == 480
+    bench.run(1000)
+    bench.connection.receive(line, bench.host_time())
+    bench.run(1)
+    assert sum(isinstance(arrival, BoardSays) for arrival in bench.arrivals) == 21
+
+
+def test_boots_that_take_turns_keep_their_own_accounts() -> None:
+    bench = online()
+    for boot_id in (8, 7, 8, 7):
+        bench.board.boot(boot_id, bench.now_ns)
+        bench.board._boot_ns -= 1000 * MS * boot_id  # so that no ticks repeat
+        bench.run(600)
+    boots = {boot.boot_id: boot for boot in bench.account.boots}
+    assert boots.keys() == {7, 8}
+    assert bench.account.boots[-1].boot_id == 7
+    assert boots[7].connections == 3
+    assert boots[8].connections == 2
+    assert boots[7].frames > 500
+    assert boots[8].frames > 500
+    assert sum(boot.frames for boot in boots.values()) == bench.account.frames
+
+
+def test_only_so_many_boots_are_remembered() -> None:
+    account = LinkAccount()
+    for boot_id in range(20):
+        account.boot(boot_id).frames += 1
+    assert [boot.boot_id for boot in account.boots] == list(range(12, 20))
+
+
+def test_what_the_clock_set_aside_is_counted_beyond_its_boot() -> None:
+    bench = online()
+    assert bench.connection.clock is not None
+    bench.connection.clock.outliers, bench.connection.clock.restarts = 3, 2
+    bench.board.boot(8, bench.now_ns)
+    bench.run(500)
+    assert bench.states[-1][0] == "online"
+    assert (bench.account.clock_outliers, bench.account.clock_restarts) == (3, 2)
+
+
+def test_a_host_that_slept_asks_at_once_and_goes_on() -> None:
+    bench = online()
+    bench.run(5000)
+    bench.slept_ns = 40_000 * MS  # the board, and UTC, went on
+    bench.board._boot_ns -= bench.slept_ns
+    bench.board._gate_end += bench.slept_ns
+    bench.board._sequence += 40_000  # its queue could not hold them
+    bench.run(300)
+    assert bench.states[-1][0] == "online"
+    bench.check_indices()
+    first, last = bench.frames[0].gate_middle, bench.frames[-1].gate_middle
+    assert last.boottime_ns - first.boottime_ns == pytest.approx((bench.frames[-1].index - bench.frames[0].index) * MS)
+
+
+def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
+    bench = online()
+    frames = len(bench.frames)
+    bench.board.identity = replace(IDENTITY, reset_cause=ResetCause.BROWN_OUT)
+    bench.board.boot(8, bench.now_ns)
+    bench.run(100)  # nothing comes: it waits to be asked
+    bench.run(300)
+    reasons = [reason for state, reason in bench.states if state == "lost"]
+    assert reasons == ["the board started anew", "the board started anew after a brown-out: look at its supply"]
+    assert bench.states[-1][0] == "online"
+    assert len(bench.frames) > frames + 100
+    bench.check_indices()
+    (gap,) = bench.gaps
+    outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.reason == "the board started anew after a brown-out: look at its supply"
+    assert outage.frames_lost == gap.loss.total == pytest.approx((outage.end_utc_ns - outage.start_utc_ns) / MS, abs=3)
+    boots = bench.account.boots
+    assert [boot.boot_id for boot in boots] == [7, 8]
+    assert [boot.connections for boot in boots] == [1, 1]
+    assert sum(boot.frames for boot in boots) == bench.account.frames
+    assert boots[1].lost == gap.loss
+    assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
+
+
+def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
+    bench = online()
+    bench.close()
+    bench.state.say("lost", "unplugged (Input/output error)", bench.host_time().utc_ns)
+    for _ in range(2000):
+        bench.now_ns += MS // 2
+        bench.board.step(b"", bench.now_ns)
+    bench.open()
+    bench.run(200)
+    news = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)]
+    assert [entry.continues for entry in news] == [False, True]
+    bench.check_indices()
+    first, last = bench.frames[0], bench.frames[-1]
+    assert (last.board_ticks - first.board_ticks) / GATE_TICKS == pytest.approx(last.index - first.index, abs=1)
+    outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
+    assert outage.reason == "unplugged (Input/output error)"
+    assert 1000 <= outage.frames_lost == bench.account.lost.link_gap < 1100
+    assert bench.account.boots[0].connections == 2
+
+
+def test_a_step_of_the_wall_clock_bends_no_sample() -> None:
+    bench = online()
+    bench.utc_step_ns = 3600 * 10**9
+    bench.run(3000)
+    monotonic = [frame.gate_middle.monotonic_ns for frame in bench.frames]
+    steps = {b - a for a, b in pairwise(monotonic)}
+    assert max(steps) < 1.05 * MS
+    utc = [frame.gate_middle.utc_ns for frame in bench.frames]
+    jumps = [b - a for a, b in pairwise(utc) if b - a > 2 * MS]
+    assert jumps == [pytest.approx(3600 * 10**9 + MS, abs=MS)]
+
+
+@pytest.mark.parametrize("lose", [lambda it: it.discarded(204), lambda it: it.overrun()], ids=["damage", "overrun"])
+def test_the_books_of_a_connection_are_kept_when_it_ends(lose: Callable[[object], None]) -> None:
+    bench = online()
+    bench.connection.receive(b"\xa5\x5a\x01", bench.host_time())
+    before = bench.account
+    bench.close()
+    after = bench.total
+    assert before.bytes_waiting == 3
+    assert (after.bytes_discarded, after.bytes_waiting) == (before.bytes_discarded + 3, 0)
+    assert after.bytes_received == before.bytes_received
+
+
+def test_nobody_there_is_said_with_what_came() -> None:
+    bench = Bench(SimulatedBoard(Identity("x", "x", "x", 0)))
+    bench.board.frozen = True
+    with pytest.raises(LinkLostError, match="no board answers"):
+        bench.run(4000)
+    bench.close()
+    assert bench.states[-1][1].startswith("no board answers: not a byte came; is it a board of this kind")
+
+
+@pytest.mark.parametrize("lost", ["IDENTITY", "DESCRIPTION", "CONFIGURED", "STARTED"])
+def test_a_lost_answer_is_asked_for_again_while_pings_are_answered(lost: str) -> None:
+    bench = Bench(SimulatedBoard())
+    session, seen = bench.board.session, []
+    answer = session.receive
+
+    def lossy(data: bytes, board_ticks: int) -> bytes:
+        packets = [
+            answer(packet, board_ticks) for packet in data.split(b"\xa5\x5a")[1:] for packet in (b"\xa5\x5a" + packet,)
+        ]
+        if not seen:
+            hit = [packet for packet in packets if packet and packet[3] == MessageType[lost]]
+            seen.extend(hit)
+            packets = [packet for packet in packets if packet not in hit]
+        return b"".join(packets)
+
+    session.receive = lossy  # type: ignore[method-assign]
+    bench.run(900)
+    assert seen
+    assert bench.states[-1][0] == "online"
+    assert session.started == 1

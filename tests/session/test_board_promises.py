@@ -1,0 +1,169 @@
+"""Boards that are not what they were, or do not keep their word: refused, left or flagged, with both values named."""
+
+import re
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, board, online
+
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.messages import Configuration, encode_message
+from firmware_protocol.packets import encode_packet
+from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.session.compatibility import BoardRefusedError
+from resonator_daemon.session.frames import BoardOnline
+
+
+def test_a_board_that_does_nothing_but_start_anew_is_given_up() -> None:
+    bench = Bench(SimulatedBoard())
+
+    def start_anew_for_ever() -> None:
+        for boot_id in range(1, 5000):
+            bench.run(1)
+            bench.board.boot(boot_id, bench.now_ns)
+
+    with pytest.raises(LinkLostError, match="no board answers"):
+        start_anew_for_ever()
+    assert bench.now_ns < 15_000 * MS
+
+
+def test_a_boot_id_that_comes_twice_is_seen_by_the_ticks() -> None:
+    bench = online()
+    bench.run(1000)
+    bench.board.boot(7, bench.now_ns)
+    with pytest.raises(LinkLostError, match="boot id 00000007 came twice: the board's ticks went back from 1"):
+        bench.run(2000)
+    bench.reopen()
+    bench.run(300)
+    assert bench.states[-1][0] == "online"
+    assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
+    bench.check_indices()
+    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
+    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
+
+
+def test_another_board_on_the_link_is_refused_with_both_named() -> None:
+    bench = online()
+    bench.board = SimulatedBoard(replace(IDENTITY, serial_number="T-2"), boot_id=9)
+    bench.board.boot(9, bench.now_ns)
+    bench.reopen()
+    with pytest.raises(BoardRefusedError, match="another board is on this link: T-2; T-1 was here before"):
+        bench.run(200)
+    bench.close()
+    assert bench.account.boots[0].boot_id == 7
+    assert len(bench.account.boots) == 1
+
+
+@pytest.mark.parametrize(
+    ("identity", "changes", "said"),
+    [
+        ({"product": "a scale"}, {}, "product: the board says a scale, it said test board before"),
+        ({}, {"reference_millihertz": 10**12 + 1}, "reference_millihertz: the board says 1000000000001, it said 1000"),
+        ({}, {"gate_ticks_max": 2_000_000}, "gate_ticks_max: the board says 2000000, it said 1000000000 before"),
+    ],
+)  # fmt: skip
+def test_a_board_that_describes_itself_otherwise_than_before_is_refused(
+    identity: dict[str, str], changes: dict[str, int], said: str
+) -> None:
+    bench = online()
+    bench.board = SimulatedBoard(replace(IDENTITY, **identity), replace(DESCRIPTION, **changes), boot_id=9)  # type: ignore[arg-type]
+    bench.reopen()
+    with pytest.raises(BoardRefusedError, match=said):
+        bench.run(200)
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"channels": 0}, "channels: the board describes 0, the plate file has 4"),
+        ({"channels": 5}, "channels: the board describes 5, the plate file has 4"),
+        ({"plate": "skin32"}, "plate: the board describes skin32, the plate file has quartz16"),
+        ({"counter_kind": 1}, "counter kind: the board describes channelised, the plate file has single-tone"),
+        ({"counter_kind": 9}, "counter kind: the board describes number 9"),
+        ({"reference_millihertz": 0}, "reference_hz: the board describes 0.0, the plate file has 1000000000.0"),
+        ({"gate_ticks_min": 0, "gate_ticks_max": 0}, "frame rate: the board makes"),
+        ({"gate_ticks_min": 10, "gate_ticks_max": 9}, "gate: the board describes at least 10 and at most 9 ticks"),
+        ({"gate_ticks_step": 300_000}, "multiples of 300000 ticks, the plate file's 1000 Hz need 1000000"),
+        ({"gate_ticks_step": 0}, "gate: the board describes multiples of 0 ticks"),
+    ],
+)
+def test_a_description_that_does_not_fit_is_refused(changes: dict[str, object], said: str) -> None:
+    bench = Bench(board(**changes))
+    with pytest.raises(BoardRefusedError, match=said):
+        bench.run(200)
+    assert not bench.frames
+
+
+def test_a_plate_calibrated_with_another_board_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(SimulatedBoard())
+    calibration = bench.connection._plate.calibration
+    plate = bench.connection._plate.model_copy(
+        update={"calibration": calibration.model_copy(update={"unit": "RD-0042"})}
+    )
+    monkeypatch.setattr(bench.connection, "_plate", plate)
+    with pytest.raises(BoardRefusedError, match="the board is T-1, the plate file was calibrated with RD-0042"):
+        bench.run(200)
+
+
+def test_a_gate_that_was_not_asked_for_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stubborn(message: Any) -> bytes:
+        return encode_message(Configuration(2 * GATE_TICKS) if isinstance(message, Configuration) else message)
+
+    bench = Bench(SimulatedBoard())
+    monkeypatch.setattr("firmware_protocol.device.encode_message", stubborn)
+    with pytest.raises(BoardRefusedError, match="gates of 2000000 ticks, 1000000 were asked for"):
+        bench.run(200)
+
+
+def test_a_gate_that_is_not_kept_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    as_counted = DeviceSession.frame
+
+    def wide(session: DeviceSession, sequence: int, board_ticks: int, records: bytes) -> bytes:
+        return as_counted(session, sequence, board_ticks + 1000 * sequence, records)
+
+    bench = Bench(SimulatedBoard())
+    monkeypatch.setattr(DeviceSession, "frame", wide)
+    with pytest.raises(BoardRefusedError, match="does not keep its gate: 1001000 ticks from frame to frame, 1000000"):
+        bench.run(200)
+
+
+def test_ticks_that_jump_end_the_connection_before_a_frame_is_believed() -> None:
+    bench = online()
+    frames = len(bench.frames)
+    bench.board.jump_ticks = 5_000_000
+    with pytest.raises(LinkLostError, match="the board's clock jumped: 6000000 ticks from frame to frame"):
+        bench.run(50)
+    bench.reopen()
+    bench.run(200)
+    bench.check_indices()
+    assert len(bench.frames) > frames + 100
+    spacing_ns = bench.frames[-1].gate_middle.monotonic_ns - bench.frames[0].gate_middle.monotonic_ns
+    assert bench.frames[-1].index - bench.frames[0].index == pytest.approx(spacing_ns / MS, abs=2)
+
+
+def test_a_reference_that_is_not_what_was_described_is_flagged_with_both_named() -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.fast_ppm = 2000.0
+    bench.run(10_000)
+    state, reason = bench.states[-1]
+    assert state == "online"
+    assert re.search(r"describes 1000000000 Hz, its ticks come at 100[12]\d{6} Hz \(give or take \d+ ppm", reason)
+    assert sum("its ticks come at" in reason for _, reason in bench.states) == 1
+    bench.check_indices()
+
+
+def test_a_fault_of_the_board_is_its_own_words_and_waited_out() -> None:
+    bench = Bench(SimulatedBoard())
+    bench.board.session.fault = "the reference oscillator does not swing"
+    with pytest.raises(LinkLostError):
+        bench.run(200)
+    bench.close()
+    assert bench.states[-1] == ("stalled", "the board cannot count: the reference oscillator does not swing")
+
+
+def test_other_versions_are_refused_with_both_named() -> None:
+    bench = Bench(SimulatedBoard())
+    with pytest.raises(BoardRefusedError, match="the board speaks protocol 3, this daemon speaks 1") as refused:
+        bench.connection.receive(encode_packet(0x9F, 1, b"?", boot_id=7, major=3), bench.host_time())
+    assert refused.value.refused.other_protocol

@@ -1,0 +1,419 @@
+"""The reader of one board against emulated boards in this process, and against what is no board at all."""
+
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from emulation import emulated
+from listener import DEADLINE_S, Listener, check_bytes, check_indices, frames, gaps, outages
+
+from firmware_protocol.device import DeviceSession
+from resonator_daemon.config import SerialLink, TcpLink, parse_link
+from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.plate import load_plate
+from resonator_daemon.session.clock import Line, TickScale
+from resonator_daemon.session.frames import (
+    BoardOnline,
+    BoardRefused,
+    ChannelisedFrame,
+    LinkChange,
+    ReaderFailed,
+    SingleToneFrame,
+)
+from resonator_daemon.session.link_events import Received
+from simulators.emulator import EmulatorOptions
+from simulators.faults import parse_faults
+
+QUARTZ = load_plate("quartz16")
+SKIN = load_plate("skin32")
+FRAME_BYTES = SingleToneFrame(0, 0, 0, TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0), b"").memory_bytes
+
+
+def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(300)
+        account = it.reader.account()
+    check_bytes(account)
+    assert account.bytes_discarded == 0
+    assert account.lost.total == 0
+    check_indices(it.arrivals)
+    kinds = [type(arrival) for arrival in it.arrivals if not isinstance(arrival, LinkChange)]
+    assert kinds[0] is BoardOnline
+    assert set(kinds[1:]) == {SingleToneFrame}
+    seen = frames(it.arrivals)
+    assert {b.board_ticks - a.board_ticks for a, b in pairwise(seen)} == {1_000_000}
+    # Stamped by the board's clock: evenly, however the bytes came.
+    first, last = seen[0].gate_middle, seen[-1].gate_middle
+    apart_ns = last.monotonic_ns - first.monotonic_ns - 1_000_000 * (len(seen) - 1)
+    assert abs(apart_ns) <= first.uncertainty_ns + last.uncertainty_ns
+    assert all(abs(frame.gate_middle.utc_ns - time.time_ns()) < 60e9 for frame in seen)
+    assert it.states[-1] == ("online", "board EMU-0001 sends 1000 frames/s")
+    assert emulator.report()["frames_dropped"] == 0
+
+
+def test_channelised_frames_over_tcp() -> None:
+    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
+        link = parse_link(emulator.link.address)
+        with Listener(link, SKIN) as it:
+            it.wait_for_frames(30)
+            account = it.reader.account()
+    check_bytes(account)
+    assert account.lost.total == account.parts_lost == 0
+    frame = frames(it.arrivals)[0]
+    assert isinstance(frame, ChannelisedFrame)
+    assert frame.offset_hz16.shape == (4, 3072)
+    assert frame.known.all()
+
+
+def test_damage_is_found_to_the_frame(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("bit_error_rate=1e-4,garbage_rate_hz=20")
+    with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
+        with Listener(SerialLink(str(port), 4000000)) as it:
+            it.wait_for(lambda arrivals: len(frames(arrivals)) + sum(gap.loss.total for gap in gaps(arrivals)) > 1500)
+            account = it.reader.account()
+        it.take_the_rest()
+        last = frames(it.arrivals)[-1].index
+    check_bytes(account)
+    check_indices(it.arrivals)
+    assert account.bytes_discarded > 0
+    hit = emulator.report()["faults"]["frame_sequences_hit"]
+    arrived = {frame.index for frame in frames(it.arrivals)}
+    # The run may have been started twice where an answer was hit; then numbers begin again, and only counts compare.
+    assert it.reader.lost.board_overflow == it.reader.lost.ring_overflow == 0
+    missing = set(range(last)) - arrived
+    assert missing == {sequence for sequence in hit if sequence < last}
+    assert len(missing) > 50
+
+
+def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("unplug_at_s=0.3,unplug_for_s=0.5")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000)) as it,
+    ):
+        it.wait_for(lambda arrivals: len(gaps(arrivals)) == 1 and len(frames(arrivals[-200:])) == 200)
+        account = it.reader.account()
+    states = [state for state, _ in it.states]
+    assert "lost" in states
+    assert states[-1] == "online"
+    assert states.index("lost") < len(states) - 1
+    check_indices(it.arrivals)
+    check_bytes(account)
+    (gap,) = gaps(it.arrivals)
+    assert gap.loss.link_gap == gap.loss.total >= 500
+    before, after = (
+        frame for frame in frames(it.arrivals) if frame.index in (gap.first_index - 1, gap.first_index + gap.loss.total)
+    )
+    assert after.board_ticks - before.board_ticks == pytest.approx((gap.loss.total + 1) * 1_000_000, abs=500_000)
+    assert (after.gate_middle.utc_ns - before.gate_middle.utc_ns) == pytest.approx((gap.loss.total + 1) * 1e6, abs=2e6)
+    assert account.connections >= 2
+
+
+def test_a_reboot_is_told_from_an_unplugging(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=port, faults=parse_faults("reboot_at_s=0.3"))
+    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
+        it.wait_for(lambda arrivals: len(frames(arrivals[-100:])) == 100)
+    first, second = (arrival for arrival in it.arrivals if isinstance(arrival, BoardOnline))
+    assert first.boot_id != second.boot_id
+    check_indices(it.arrivals)
+    assert gaps(it.arrivals)[0].loss.link_gap > 0
+
+
+def test_a_brown_out_within_a_channelised_frame_costs_that_frame() -> None:
+    """The half frame belongs to the boot before; the new boot's frames count from 0 and all arrive."""
+    options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), faults=parse_faults("brown_out_at_s=0.215"))
+    with emulated(options) as emulator, Listener(parse_link(emulator.link.address), SKIN) as it:
+        it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
+        it.wait_for(lambda arrivals: len(frames(arrivals[-20:])) == 20)
+        account = it.reader.account()
+    check_indices(it.arrivals)
+    (half,) = (frame for frame in frames(it.arrivals) if isinstance(frame, ChannelisedFrame) and not frame.known.all())
+    assert half.known.any()
+    assert account.frames_incomplete == 1
+    assert 9 <= account.parts_lost <= 11  # of 20
+    assert account.lost.total < 200
+    assert account.messages_stale == 0
+
+
+def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port)),
+        Listener(SerialLink(str(port), 4000000), ring_bytes=100 * FRAME_BYTES) as it,
+    ):
+        deadline = time.monotonic() + DEADLINE_S
+        while it.reader.account().frames < 400 and time.monotonic() < deadline:
+            threading.Event().wait(0.01)
+        it.take_the_rest()
+        account = it.reader.account()
+    kept = frames(it.arrivals)
+    assert len(kept) == 100
+    assert account.lost.ring_overflow >= 300
+    assert kept[0].index == kept[-1].index - 99
+
+
+def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000), SKIN) as it:
+        it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
+    refused = next(arrival for arrival in it.arrivals if isinstance(arrival, BoardRefused))
+    assert refused.problems[0] == "plate: the board describes quartz16, the plate file has skin32"
+    assert any("single-tone" in problem and "channelised" in problem for problem in refused.problems)
+    assert it.states[-1][0] == "refused"
+    assert not frames(it.arrivals)
+
+
+@contextmanager
+def tcp_server(greeting: bytes) -> Iterator[TcpLink]:
+    """Something that is no board: it sends its greeting and nothing else."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def serve() -> None:
+            try:
+                while True:
+                    client, _ = listener.accept()
+                    clients.append(client)
+                    client.sendall(greeting)
+            except OSError:
+                return
+
+        clients: list[socket.socket] = []
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield TcpLink("127.0.0.1", listener.getsockname()[1])
+        listener.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for client in clients:
+            client.close()
+
+
+def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> None:
+    with tcp_server(b"+OK ready\r\n" * 100) as link, Listener(link) as it:
+        it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "stalled" for a in arrivals))
+        account = it.reader.account()
+    check_bytes(account)
+    assert account.bytes_accepted == 0
+    assert "1100 bytes came and no answer" in it.states[-1][1]
+
+
+def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    with Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(lambda arrivals: len(arrivals) > 1)
+        assert it.states[0] == ("starting", "the link is being opened")
+        state, reason = it.states[1]
+        assert state == "waiting"
+        assert reason.startswith(f"no port {port}; ")
+        with emulated(EmulatorOptions("quartz16", pty=port)):
+            it.wait_for_frames(10)
+
+
+def test_a_busy_port_says_so_and_is_waited_for(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    link = SerialLink(str(port), 4000000)
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link) as holder:
+        holder.wait_for_frames(1)
+        with Listener(link) as it:
+            it.wait_for(lambda arrivals: len(arrivals) > 1)
+            name = Path("/proc/self/comm").read_text().strip()
+            assert it.states[1] == ("waiting", f"{port} is held by {name} (pid {os.getpid()}); close it there")
+        holder.wait_for_frames(len(frames(holder.arrivals)) + 50)
+
+
+def test_nobody_listens_on_tcp() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        link = TcpLink("127.0.0.1", listener.getsockname()[1])
+    with Listener(link) as it:
+        it.wait_for(lambda arrivals: len(arrivals) > 1)
+    assert it.states[1][0] == "waiting"
+    assert "does not answer" in it.states[1][1]
+
+
+def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    as_counted = DeviceSession.frame
+
+    def absurd(session: DeviceSession, sequence: int, board_ticks: int, records: bytes) -> bytes:
+        return as_counted(session, sequence, board_ticks + (2**63 if sequence % 5 == 3 else 0), records)
+
+    monkeypatch.setattr(DeviceSession, "frame", absurd)
+    port = tmp_path / "board"
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(100)
+        account = it.reader.account()
+    assert account.messages_malformed >= 20
+    check_indices(it.arrivals)
+    assert all(abs(frame.gate_middle.utc_ns - time.time_ns()) < 60e9 for frame in frames(it.arrivals))
+
+
+class GoneAtOnce:
+    """A link that is lost by the time it is used, and then cannot be reset either; its driver lost bytes before."""
+
+    def __init__(self) -> None:
+        self.resets = 0
+        self.overruns = 1
+
+    def read(self, _timeout_s: float) -> bytes:
+        raise LinkLostError("unplugged")
+
+    def write(self, _data: bytes) -> None:
+        pass
+
+    def reset(self) -> None:
+        self.resets += 1
+        raise LinkLostError("unplugged")
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    link = GoneAtOnce()
+    monkeypatch.setattr("resonator_daemon.session.board_reader.open_link", lambda _target: link)
+    monkeypatch.setattr("resonator_daemon.session.board_reader._BACKOFF_CAP_S", 0.001)
+    with Listener(TcpLink("127.0.0.1", 1)) as it:
+        deadline = time.monotonic() + DEADLINE_S
+        while link.resets < 3 and time.monotonic() < deadline:
+            threading.Event().wait(0.01)
+        it.take_the_rest()
+    assert link.resets >= 3
+    assert it.states[-1] == ("waiting", "unplugged")
+    assert not any(isinstance(arrival, ReaderFailed) for arrival in it.arrivals)
+
+
+def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(_: object) -> None:
+        raise ZeroDivisionError("mistake")
+
+    monkeypatch.setattr("resonator_daemon.session.board_reader.open_link", fail)
+    with Listener(TcpLink("127.0.0.1", 1)) as it:
+        _, failed = it.wait_for(lambda arrivals: len(arrivals) > 1)
+    assert isinstance(failed, ReaderFailed)
+    assert isinstance(failed.error, ZeroDivisionError)
+
+
+@pytest.mark.parametrize(
+    ("faults", "state", "reason"),
+    [
+        ("freeze_at_s=0.3,freeze_for_s=2", "stalled", "the port is open and no frame comes"),
+        ("silence_at_s=0.3,silence_for_s=0.5", "stalled", "the port is open and no frame comes"),
+        ("unplug_at_s=0.3,unplug_for_s=0.2", "lost", "unplugged"),
+        ("reboot_at_s=0.3", "lost", "the board started anew, by its software"),
+        ("brown_out_at_s=0.3", "lost", "the board started anew after a brown-out"),
+        ("reboot_at_s=0.3,misbehave=same_boot_id", "lost", "came twice"),
+        ("tick_step_at_s=0.3,tick_step_ticks=123456789", "lost", "the board's clock jumped"),
+        ("tick_step_at_s=0.3,tick_step_ticks=-123456", "lost", "the board's clock jumped"),
+    ],
+)
+def test_what_ended_the_frames_is_told_with_the_outage(tmp_path: Path, faults: str, state: str, reason: str) -> None:
+    port = tmp_path / "board"
+    options = EmulatorOptions("quartz16", pty=port, faults=parse_faults(faults))
+    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for(
+            lambda arrivals: (
+                any(reason in outage.reason for outage in outages(arrivals)) and len(frames(arrivals[-100:])) == 100
+            )
+        )
+        account = it.reader.account()
+    check_bytes(account)
+    check_indices(it.arrivals)
+    assert any(said == state and reason in why for said, why in it.states)
+    assert it.states[-1][0] == "online"
+    lost = sum(gap.loss.total for gap in gaps(it.arrivals))
+    assert account.lost.total == lost
+    seen = frames(it.arrivals)
+    # Whatever happened, numbers go on as the time did.
+    elapsed_ns = seen[-1].gate_middle.monotonic_ns - seen[0].gate_middle.monotonic_ns
+    assert seen[-1].index - seen[0].index == pytest.approx(elapsed_ns / 1e6, abs=4, rel=1e-3)
+
+
+def test_frames_that_were_only_late_are_no_outage(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("freeze_at_s=0.3,freeze_for_s=0.4")  # the board's queue holds 1.3 s
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000)) as it,
+    ):
+        it.wait_for_frames(1500)
+        assert it.reader.lost.total == 0
+    assert "stalled" in {state for state, _ in it.states}
+    assert it.states[-1][0] == "online"
+    assert not outages(it.arrivals)
+
+
+def test_another_board_on_the_port_is_refused_and_the_right_one_taken_again(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("wrong_board_at_s=0.3,wrong_board_for_s=0.5")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000)) as it,
+    ):
+        it.wait_for(lambda arrivals: bool(outages(arrivals)) and len(frames(arrivals[-100:])) == 100)
+    refused = [reason for state, reason in it.states if state == "refused"]
+    assert refused == [
+        "another board is on this link: EMU-0002; EMU-0001 was here before: connect that one again, "
+        "or start the daemon anew to take this one"
+    ]
+    assert {arrival.identity.serial_number for arrival in it.arrivals if isinstance(arrival, BoardOnline)} == {
+        "EMU-0001"
+    }
+    check_indices(it.arrivals)
+
+
+def test_a_slow_reader_makes_the_board_overflow_and_every_frame_is_put_down_to_it(tmp_path: Path) -> None:
+    port = tmp_path / "board"
+    faults = parse_faults("slow_reader_bytes_per_s=150000")
+    with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
+        with Listener(SerialLink(str(port), 4000000)) as it:
+            it.wait_for(lambda arrivals: sum(gap.loss.board_overflow for gap in gaps(arrivals)) > 300)
+            account = it.reader.account()
+        it.take_the_rest()
+    check_indices(it.arrivals)
+    assert account.lost.total == account.lost.board_overflow
+    assert account.lost.board_overflow <= emulator.report()["frames_dropped"]
+
+
+def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> None:
+    port, reads = tmp_path / "board", []
+
+    def tap(event: object) -> None:
+        if isinstance(event, Received):
+            reads.append(len(event.data))
+
+    faults = parse_faults("split_bytes=1")
+    with (
+        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+        Listener(SerialLink(str(port), 4000000), tap=tap) as it,
+    ):
+        it.wait_for_frames(300)
+        account = it.reader.account()
+    assert account.lost.damaged == account.lost.link_gap == 0
+    assert sum(reads) / len(reads) > 10
+
+
+def test_time_is_within_its_bound_through_clumps_and_late_answers(tmp_path: Path) -> None:
+    """The truth has the host's time of each gate, by the emulator's own clock."""
+    port, truth = tmp_path / "board", tmp_path / "truth.jsonl"
+    faults = parse_faults("clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50")
+    options = EmulatorOptions("quartz16", pty=port, faults=faults, truth=truth)
+    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+        it.wait_for_frames(9000)
+    ends_ns = {line["board_ticks"]: int(line["t_ns"]) for line in map(json.loads, truth.read_text().splitlines()[:-1])}
+    settled = [frame for frame in frames(it.arrivals)[5000:] if frame.board_ticks in ends_ns]
+    errors_ns = [frame.gate_middle.utc_ns + 500_000 - ends_ns[frame.board_ticks] for frame in settled]
+    bounds_ns = [frame.gate_middle.uncertainty_ns for frame in settled]
+    assert len(settled) > 3000
+    inside = [abs(error) <= 3 * bound for error, bound in zip(errors_ns, bounds_ns, strict=True)]
+    assert sum(inside) >= 0.99 * len(inside)
+    assert max(bounds_ns) < 3_000_000

@@ -1,0 +1,123 @@
+"""What a board describes against the shipped plates: what fits, and a sentence for each thing that does not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_protocol.messages import Description
+from resonator_daemon.plate import load_plate
+from resonator_daemon.session.compatibility import gate_ticks, misfits, oscillator_hz
+
+QUARTZ, SKIN = load_plate("quartz16"), load_plate("skin32")
+
+QUARTZ_BOARD = Description(
+    counter_kind=0,
+    channels=4,
+    tones=1,
+    reference_millihertz=10**12,  # 1 GHz
+    gate_ticks_min=100_000,  # 0.1 ms
+    gate_ticks_max=100_000_000,  # 0.1 s
+    plate="quartz16",
+)
+SKIN_BOARD = Description(
+    counter_kind=1,
+    channels=4,
+    tones=3072,
+    reference_millihertz=250 * 10**9,
+    gate_ticks_min=1_000_000,  # 4 ms
+    gate_ticks_max=25_000_000,  # 100 ms
+    plate="skin32",
+    oscillator_millihertz=10**11,  # 100 MHz, in steps of 3250 Hz: the plate's own tones
+    oscillator_spacing_millihertz=3_250_000,
+)
+
+
+def test_gates_follow_from_the_plate() -> None:
+    assert gate_ticks(QUARTZ) == 1_000_000
+    assert gate_ticks(SKIN) == 2_500_000
+
+
+def test_oscillators_lie_on_a_comb() -> None:
+    comb = replace(SKIN_BOARD, tones=3, oscillator_millihertz=99_000_000_500, oscillator_spacing_millihertz=1_001)
+    np.testing.assert_array_equal(oscillator_hz(comb), [99_000_000.5, 99_000_001.501, 99_000_002.502])
+
+
+def test_boards_of_the_shipped_plates_fit() -> None:
+    assert misfits(QUARTZ_BOARD, QUARTZ) == ()
+    assert misfits(SKIN_BOARD, SKIN) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"plate": "quartz9"}, ("plate", "quartz9", "quartz16")),
+        ({"counter_kind": 1}, ("counter kind", "channelised", "single-tone")),
+        ({"counter_kind": 7}, ("counter kind", "number 7", "single-tone")),
+        ({"channels": 3}, ("channels", "describes 3", "has 4")),
+        ({"reference_millihertz": 999 * 10**9}, ("reference_hz", "999000000", "1000000000")),
+    ],
+)
+def test_what_does_not_fit_is_said_with_both_sides(change: dict[str, object], words: tuple[str, ...]) -> None:
+    (sentence,) = misfits(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
+    for word in words:
+        assert word in sentence
+
+
+def test_everything_that_does_not_fit_is_said_at_once() -> None:
+    sentences = misfits(QUARTZ_BOARD, SKIN)
+    assert [sentence.split(":")[0] for sentence in sentences] == ["plate", "counter kind", "reference_hz", "tones"]
+
+
+def test_tones_must_agree_only_where_they_are_numbered() -> None:
+    (sentence,) = misfits(replace(SKIN_BOARD, tones=3071), SKIN)
+    assert "tones" in sentence
+    assert "3071" in sentence
+    assert "3072" in sentence
+    assert misfits(replace(QUARTZ_BOARD, tones=16), QUARTZ) == ()
+
+
+@pytest.mark.parametrize(("error", "fits"), [(0.9e-6, True), (-0.9e-6, True), (1.1e-6, False), (-1.1e-6, False)])
+def test_nominal_clocks_may_differ_by_their_rounding_alone(error: float, fits: bool) -> None:
+    board = replace(QUARTZ_BOARD, reference_millihertz=round(10**12 * (1 + error)))
+    assert (misfits(board, QUARTZ) == ()) == fits
+
+
+@pytest.mark.parametrize(
+    ("lowest", "highest", "rates"),
+    [
+        (1_000_000, 100_000_000, None),
+        (100_000, 1_000_000, None),
+        (1_000_001, 100_000_000, "10 to 999.999 Hz"),
+        (100_000, 999_999, "1000 to 10000 Hz"),
+        (0, 500_000, "2000 to 1e+09 Hz"),
+    ],
+)
+def test_the_frame_rate_must_be_one_that_the_board_makes(lowest: int, highest: int, rates: str | None) -> None:
+    said = misfits(replace(QUARTZ_BOARD, gate_ticks_min=lowest, gate_ticks_max=highest), QUARTZ)
+    if rates is None:
+        assert said == ()
+    else:
+        assert said == (f"frame rate: the board makes {rates}, the plate file has 1000 Hz",)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_oscillators_must_be_within_reach_of_the_tones(sign: int) -> None:
+    just_within = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_767_000)
+    assert misfits(just_within, SKIN) == ()
+    beyond = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_768_000)
+    (sentence,) = misfits(beyond, SKIN)
+    assert "32768 Hz" in sentence
+    assert "32767 Hz" in sentence
+
+
+def test_the_worst_oscillator_is_named() -> None:
+    # 3071 steps that are 11 Hz too wide: only the last tones are beyond reach.
+    (sentence,) = misfits(replace(SKIN_BOARD, oscillator_spacing_millihertz=3_261_000), SKIN)
+    assert "tone 3071" in sentence
+    assert "33781 Hz" in sentence
+
+
+@pytest.mark.parametrize("tones", [0, 2**60])
+def test_tones_that_nobody_numbers_take_no_room(tones: int) -> None:
+    assert oscillator_hz(replace(QUARTZ_BOARD, tones=tones)).size == 0

@@ -1,0 +1,66 @@
+import json
+import struct
+
+import pytest
+
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import Lost, Refused, Said, Skipped, Standing, Steered, decode, encode
+
+NOW = HostTime(5, 7, 3)
+
+
+def raw(kind: int, body: object) -> bytes:
+    return struct.pack("<Bq", kind, 3) + (body if isinstance(body, bytes) else json.dumps(body).encode())
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        raw(0, ["doubtful", "a state that no link has"]),
+        raw(0, ["lost", "\ud800"]),
+        raw(7, ["half of \udc00 a pair"]),
+        raw(8, [["\ud800"], True]),
+        raw(13, ["\ud800", "{}"]),
+        raw(13, ["key", "\ud800"]),
+        raw(10, [-1, 5]),
+        raw(10, [5, -1]),
+        raw(10, [1, 2**63]),
+        raw(11, {"state": ["doubtful", "", 0, []]}),
+        raw(11, b"[" * 100_000),
+        raw(7, b"[" * 100_000),
+    ],
+)
+def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
+    with pytest.raises((ValueError, RecursionError)) as caught:
+        decode(data, 5, 12)
+    assert len(str(caught.value)) < 200
+    assert "\n" not in str(caught.value)
+
+
+def test_a_standing_in_an_unknown_state_is_damage(told_standing: Standing) -> None:
+    data = encode(told_standing)
+    assert decode(data, 5, 12) == told_standing
+    with pytest.raises(ValueError, match=r"'tired\.\.' is no state of a link"):
+        decode(data.replace(b'"waiting"', b'"tired.."'), 5, 12)
+
+
+@pytest.fixture
+def told_standing() -> Standing:
+    from recording_bench import standing
+
+    return standing(NOW)
+
+
+@pytest.mark.parametrize(
+    "event",
+    [
+        Said(NOW, "lost", "/dev/tty\udcff is gone"),
+        Lost(NOW, "/dev/tty\udcff is gone"),
+        Refused(NOW, ("a", "/dev/tty\udcff"), False),
+        Steered(NOW, "\udcff", "{}"),
+        Skipped(NOW, 0, 2**63 - 1),
+    ],
+)
+def test_a_path_that_is_no_text_is_written_as_one_that_is(event: Said | Lost | Refused | Steered | Skipped) -> None:
+    again = decode(encode(event), 5, 12)
+    assert repr(again) == repr(event).replace("\\udcff", "?")

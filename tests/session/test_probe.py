@@ -1,0 +1,92 @@
+"""Asking a board who it is, over a link that loses requests, and how well its ticks keep time."""
+
+import pytest
+
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.layouts import Capability
+from firmware_protocol.messages import CounterKind, Description, Identity
+from resonator_daemon.session.clock import BoardClock, Exchange
+from resonator_daemon.session.probe import TickRate, inquire, tick_rate
+
+IDENTITY = Identity("board", "0042", "1.0", 0)
+
+
+class LossyLink:
+    """A board that hears only some of what it is sent: those writes are lost whose numbers are given, from 0."""
+
+    def __init__(self, lost: set[int], capabilities: int = Capability.LOCATE) -> None:
+        description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 1, 2, "quartz16", capabilities=capabilities)
+        self.board = DeviceSession(IDENTITY, description, boot_id=7)
+        self._lost = lost
+        self._writes = 0
+        self._answers = b""
+
+    @property
+    def overruns(self) -> int:
+        return 0
+
+    def write(self, data: bytes) -> None:
+        if self._writes not in self._lost:
+            self._answers += self.board.receive(data, 0)
+        self._writes += 1
+
+    def read(self, timeout_s: float) -> bytes:
+        answers, self._answers = self._answers, b""
+        return answers
+
+    def reset(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+@pytest.mark.parametrize("lost", [set(), {0}, {1}, {2}, {3, 4}])
+def test_what_is_lost_is_asked_again(lost: set[int]) -> None:
+    link = LossyLink(lost)
+    found = inquire(link, blink=True)
+    assert found.described.identity == IDENTITY
+    assert found.refused_to_blink is None
+    assert link.board.located
+    assert not found.counting
+
+
+def test_a_board_that_cannot_blink_says_so() -> None:
+    assert "unknown message 0x07" in str(inquire(LossyLink(set(), capabilities=0), blink=True).refused_to_blink)
+    assert inquire(LossyLink(set(), capabilities=0)).refused_to_blink is None
+
+
+def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> None:
+    exchanges = [
+        Exchange(0, 0, 9_000),  # slow
+        Exchange(1_000_000, 1_000_600, 1_001_000),
+        Exchange(101_000_000, 101_010_700, 101_001_400),
+        Exchange(102_000_000, 0, 102_900_000),  # slow
+    ]
+    rate = tick_rate(exchanges, 10**12)  # a tick a nanosecond
+    assert rate is not None
+    elapsed_ns = 101_000_700 - 1_000_500
+    assert rate.deviation_ppm == pytest.approx((101_010_700 - 1_000_600) / elapsed_ns * 1e6 - 1e6)
+    assert rate.uncertainty_ppm == pytest.approx((1_000 + 1_400) / 2 / elapsed_ns * 1e6)
+
+
+@pytest.mark.parametrize("exchanges", [[], [Exchange(0, 0, 1)], [Exchange(0, 0, 1)] * 2])
+def test_too_few_exchanges_give_no_rate(exchanges: list[Exchange]) -> None:
+    assert tick_rate(exchanges, 10**12) is None
+
+
+def test_a_rate_is_plausible_within_its_bound_and_what_a_running_daemon_allows() -> None:
+    assert TickRate(-1040.0, 41.0).plausible
+    assert not TickRate(-1040.0, 39.0).plausible
+    assert not TickRate(1040.0, 39.0).plausible
+
+
+def test_identify_and_a_running_daemon_take_the_same_boards() -> None:
+    def exchanges(ppm: int) -> list[Exchange]:
+        sent_ns = range(0, 1_000_000_000, 50_000_000)
+        return [Exchange(at, at + 50_000 + at * ppm // 1_000_000, at + 100_000) for at in sent_ns]
+
+    for ppm in (-1500, -700, -300, 0, 300, 700, 1500):
+        clock, rate = BoardClock(10**12), tick_rate(exchanges(ppm), 10**12)
+        for exchange in exchanges(ppm):
+            clock.add(exchange, 0)
+        assert rate is not None
+        assert rate.plausible == (clock.rate_beyond_tolerance is None) == (abs(ppm) < 1000)

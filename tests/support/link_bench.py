@@ -1,0 +1,204 @@
+"""Every kind of link with a board at its other end; over USB the host is a process of its own."""
+
+import os
+import select
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Protocol
+
+from usb_bench import HostError, UsbHost
+
+from firmware_protocol.device import DeviceSession
+from firmware_protocol.messages import CounterKind, Description, Identity
+from resonator_daemon.config import parse_link
+from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
+from resonator_daemon.links.opening import open_link
+from simulators import links as device_links
+from simulators.usb_link import UsbLink
+
+AMPLE_S = 20.0  # to wait for what must come: ends a test that hangs
+
+IDENTITY = Identity("conformance board", "0042", "1.0", 0, credit_bytes=512)
+DESCRIPTION = Description(CounterKind.SINGLE_TONE, 4, 1, 10**11, 10_000, 10_000_000, "quartz16")
+
+
+class BoardEnd:
+    """A board's end of a link, in a thread: answers requests and sends what it is given."""
+
+    def __init__(self, make_link: Callable[[Callable[[], None]], device_links.Link]) -> None:
+        self.session = DeviceSession(IDENTITY, DESCRIPTION, boot_id=0x1234)
+        self.received = b""
+        self.link = make_link(self._begin)
+        self._unsent = bytearray()
+        self._orders: deque[Callable[[], None]] = deque()
+        self._changed = threading.Condition()
+        self._wake_read, self._wake_write = os.pipe()
+        self._ending = False
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        self._order(lambda: self._unsent.extend(data))
+
+    def unplug(self) -> None:
+        self._order(self.link.hang_up)
+        self._order(self._unsent.clear)
+
+    def plug_in(self) -> None:
+        self._order(self.link.plug_in)
+
+    def wait(self, condition: Callable[[], bool]) -> None:
+        """Wait until something is so of this end."""
+        with self._changed:
+            assert self._changed.wait_for(condition, AMPLE_S)
+
+    def close(self) -> None:
+        self._order(self._end)
+        self._thread.join()
+        self.link.close()
+        os.close(self._wake_read)
+        os.close(self._wake_write)
+
+    def _order(self, order: Callable[[], None]) -> None:
+        with self._changed:
+            self._orders.append(order)
+            os.write(self._wake_write, b"x")
+            assert self._changed.wait_for(lambda: not self._orders, AMPLE_S)
+
+    def _end(self) -> None:
+        self._ending = True
+
+    def _begin(self) -> None:
+        self.session.begin()
+        self._unsent.clear()
+
+    def _run(self) -> None:
+        while not self._ending:
+            write_fd = self.link.write_fd
+            writers = [write_fd] if self._unsent and write_fd is not None else []
+            readable, writable, _ = select.select([self._wake_read, *self.link.read_fds], writers, [])
+            with self._changed:
+                if any(descriptor in readable for descriptor in self.link.read_fds):
+                    data = self.link.read()
+                    self.received += data
+                    self._unsent += self.session.receive(data, 0)
+                if writable:
+                    del self._unsent[: self.link.write(bytes(self._unsent))]
+                if self._wake_read in readable:
+                    os.read(self._wake_read, 1)
+                    self._orders[0]()
+                    self._orders.popleft()
+                self._changed.notify_all()
+
+
+class Host(Protocol):
+    """The process that opens the link."""
+
+    def open(self) -> Link: ...
+
+    def descriptors(self) -> int:
+        """Return how many it has open, while no link is."""
+
+
+class LocalHost:
+    """This process; where the board's end is in it, too, that must have let go before descriptors are counted."""
+
+    def __init__(self, link: str, board: BoardEnd | None = None) -> None:
+        self._target = parse_link(link)
+        self._board = board
+
+    def open(self) -> Link:
+        return open_link(self._target)
+
+    def descriptors(self) -> int:
+        board = self._board
+        if board is not None and isinstance(board.link, device_links.TcpLink):
+            board.wait(lambda: board.link.write_fd is None)
+        return len(os.listdir("/proc/self/fd"))
+
+
+class RemoteHost:
+    """A process that sees the emulated bus; its links are used from here."""
+
+    def __init__(self, host: UsbHost, link: str) -> None:
+        self._host = host
+        self._opened = 0
+        host.run("import os")
+        host.run("from resonator_daemon.links.opening import open_link")
+        host.run("from resonator_daemon.config import parse_link")
+        host.run(f"target = parse_link({link!r})")
+
+    def open(self) -> Link:
+        self._opened += 1
+        name = f"link{self._opened}"
+        _told(lambda: self._host.run(f"{name} = open_link(target)"))
+        return _RemoteLink(self._host, name)
+
+    def descriptors(self) -> int:
+        return int(str(self._host.value("len(os.listdir('/proc/self/fd'))")))
+
+
+class _RemoteLink:
+    def __init__(self, host: UsbHost, name: str) -> None:
+        self._host = host
+        self._name = name
+
+    @property
+    def overruns(self) -> int:
+        return int(str(self._host.value(f"{self._name}.overruns")))
+
+    def read(self, timeout_s: float) -> bytes:
+        data = _told(lambda: self._host.value(f"{self._name}.read({timeout_s})"))
+        assert isinstance(data, bytes)
+        return data
+
+    def write(self, data: bytes) -> None:
+        _told(lambda: self._host.run(f"{self._name}.write({data!r})"))
+
+    def reset(self) -> None:
+        _told(lambda: self._host.run(f"{self._name}.reset()"))
+
+    def close(self) -> None:
+        self._host.run(f"{self._name}.close()")
+
+
+def _told(use: Callable[[], object]) -> object:
+    try:
+        return use()
+    except HostError as error:
+        kind, _, text = str(error).partition(": ")
+        errors = {"LinkLostError": LinkLostError, "LinkUnavailableError": LinkUnavailableError}
+        if kind in errors:
+            raise errors[kind](text) from None
+        raise
+
+
+class Bench:
+    """A link under test: the host that opens it, and the board behind it."""
+
+    def __init__(self, host: Host, board: BoardEnd) -> None:
+        self.host = host
+        self.board = board
+
+
+@contextmanager
+def bench(kind: str, directory: Path) -> Iterator[Bench]:
+    """Set up a board on a link of this kind: serial, tcp or usb."""
+    makers: dict[str, Callable[[Callable[[], None]], device_links.Link]] = {
+        "serial": lambda _begin: device_links.PtyLink(directory / "board"),
+        "tcp": lambda _begin: device_links.TcpLink("127.0.0.1", 0),
+        "usb": lambda begin: UsbLink(IDENTITY.serial_number, begin),
+    }
+    board = BoardEnd(makers[kind])
+    with ExitStack() as ending:
+        ending.callback(board.close)
+        if isinstance(board.link, UsbLink):
+            host = UsbHost(board.link.environment)
+            ending.callback(host.kill)
+            yield Bench(RemoteHost(host, board.link.address), board)
+            host.close()
+        else:
+            yield Bench(LocalHost(board.link.address, board), board)

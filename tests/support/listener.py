@@ -1,0 +1,79 @@
+"""A running reader of a board, everything that it has handed on, and what must hold of that."""
+
+import threading
+import time
+from collections.abc import Callable
+
+from resonator_daemon.config import LinkTarget
+from resonator_daemon.plate import load_plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, LinkChange, Outage, SingleToneFrame
+
+QUARTZ = load_plate("quartz16")
+DEADLINE_S = 60.0  # far beyond what any of this takes: it ends a test that hangs
+
+
+class Listener:
+    """A running reader and everything that it has handed on."""
+
+    def __init__(self, link: LinkTarget, plate: object = QUARTZ, **options: object) -> None:
+        self._woken = threading.Event()
+        self.reader = BoardReader(link, plate, self._woken.set, **options)  # type: ignore[arg-type]
+        self.arrivals: list[Arrival] = []
+
+    def __enter__(self) -> "Listener":
+        self.reader.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.stop()
+
+    def wait_for(self, enough: Callable[[list[Arrival]], bool]) -> list[Arrival]:
+        """Take arrivals until there are enough."""
+        deadline = time.monotonic() + DEADLINE_S
+        while not enough(self.arrivals):
+            assert time.monotonic() < deadline, self.states
+            self._woken.wait(1.0)
+            self._woken.clear()
+            self.arrivals += self.reader.take()
+        return self.arrivals
+
+    def take_the_rest(self) -> None:
+        self.arrivals += self.reader.take()
+
+    def wait_for_frames(self, count: int) -> None:
+        self.wait_for(lambda arrivals: len(frames(arrivals)) >= count)
+
+    @property
+    def states(self) -> list[tuple[str, str]]:
+        return [(a.state, a.reason) for a in self.arrivals if isinstance(a, LinkChange)]
+
+
+def frames(arrivals: list[Arrival]) -> list[SingleToneFrame | ChannelisedFrame]:
+    return [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame | ChannelisedFrame)]
+
+
+def gaps(arrivals: list[Arrival]) -> list[Gap]:
+    return [arrival for arrival in arrivals if isinstance(arrival, Gap)]
+
+
+def check_bytes(account: LinkAccount) -> None:
+    by_fate = account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction
+    assert account.bytes_received == by_fate + account.bytes_discarded + account.bytes_waiting
+
+
+def check_indices(arrivals: list[Arrival]) -> None:
+    """Every index is a frame or in a gap, in order and once."""
+    expected = 0
+    for arrival in arrivals:
+        if isinstance(arrival, Gap):
+            assert arrival.first_index == expected
+            expected += arrival.loss.total
+        elif isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            assert arrival.index == expected
+            expected += 1
+
+
+def outages(arrivals: list[Arrival]) -> list[Outage]:
+    return [arrival for arrival in arrivals if isinstance(arrival, Outage)]

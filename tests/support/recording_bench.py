@@ -1,0 +1,91 @@
+"""What happened on an emulated board's link, recorded to a file and replayed as fast as it goes."""
+
+import json
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import numpy as np
+from mcap.reader import make_reader
+
+from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.recording.event_replay import replay
+from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.reader import Origin, open_recording
+from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.session.board_reader import RING_BYTES
+from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frames import Arrival
+from resonator_daemon.session.host_time import HostTime
+from resonator_daemon.session.link_events import Received, Said, Standing, WireEvent
+from resonator_daemon.session.link_state_machine import LinkCourse
+
+PLATE = load_plate("quartz16")
+
+
+def at(monotonic_ms: int) -> HostTime:
+    return HostTime(10**9 + monotonic_ms * 10**6, 1_700_000_000 * 10**9 + monotonic_ms, 7)
+
+
+def record(path: Path, events: list[WireEvent], plate: Plate = PLATE, **options: Any) -> Recorder:
+    with Recorder(path, Origin(plate, "tcp://board:1"), **options) as recorder:
+        for event in events:
+            recorder.put(event)
+    return recorder
+
+
+def read(path: Path, plate: Plate = PLATE) -> tuple[list[WireEvent], str | None]:
+    with open_recording(str(path), plate) as recording:
+        return list(recording.events()), recording.damage
+
+
+def replayed(
+    path: Path, plate: Plate = PLATE, pace: Callable[[HostTime], bool] = lambda _: True
+) -> tuple[list[Arrival], LinkAccount, int]:
+    """Return what arrives, the account and how many differences there were."""
+    ring = Ring(RING_BYTES, lambda: None)
+    course = LinkCourse(plate, ring, lambda _: None)
+    with open_recording(str(path), plate) as recording:
+        differences = replay(recording, course, pace)
+    return ring.take(), course.account(), differences
+
+
+def same(one: object, other: object) -> bool:
+    """Like ==, with arrays compared to the bit, and of one type."""
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, np.ndarray):
+        return bool(np.array_equal(one, other))
+    if is_dataclass(one):
+        return all(same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one))
+    return one == other
+
+
+def marks(path: Path) -> list[tuple[int, str]]:
+    """Return times and texts of the marks, as any reader of such files finds them."""
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[])
+        return [
+            (message.log_time, json.loads(message.data)["message"])
+            for schema, channel, message in reader.iter_messages(topics=["marks"])
+            if schema is not None and (schema.name, channel.message_encoding) == ("foxglove.Log", "json")
+        ]
+
+
+def standing(now: HostTime) -> Standing:
+    """How a link stands that was never open."""
+    told: list[WireEvent] = []
+    LinkCourse(PLATE, Ring(RING_BYTES, lambda: None), told.append).apply(Said(now, "waiting", "no port"))
+    assert isinstance(told[-1], Standing)
+    return told[-1]
+
+
+def made(directory: Path, minute: int, name: str = "left", says: str | None = None, size_bytes: int = 20_000) -> Path:
+    """A recording of a certain age, in the order of minutes, with a daemon's name in its own and one inside."""
+    path = Series(directory, name).path((1_700_000_000 + 60 * minute) * 10**9)
+    with Recorder(path, Origin(PLATE, "tcp://board:1", name=says or name)) as recorder:
+        recorder.put(Received(at(0), Random(minute).randbytes(size_bytes)))
+    return path

@@ -1,0 +1,60 @@
+"""What the tests of reports share: a reporter of a plate, and its messages as they are on the wire."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.config import Config
+from resonator_daemon.pipeline.reports import Reporter
+from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.session.clock import Instant
+
+GATE_END_NS = 1_789_000_000_000_000_123
+
+
+def gate_middle(gate_ns: int, *, later_ns: int = 0) -> Instant:
+    """Return the middle of a gate that ended at GATE_END_NS, or later."""
+    return Instant(GATE_END_NS + later_ns - gate_ns // 2, 42_000)
+
+
+NAN = math.nan
+LOST = {
+    "link_gap": 1,
+    "damaged": 2,
+    "board_overflow": 3,
+    "host_overrun": 4,
+    "ring_overflow": 6,
+    "publish_dropped": 5,
+    "skipped_late": 7,
+}
+
+
+class Losses:
+    """Losses that grow while messages are made."""
+
+    def __init__(self) -> None:
+        self.now = Lost(**LOST)
+
+    def __call__(self) -> Lost:
+        return self.now
+
+
+def configured(tmp_path: Path, plate: str, **tables: Any) -> Config:
+    if "\n" in plate:
+        path = tmp_path / "plate.toml"
+        path.write_text(plate)
+        plate = str(path)
+    return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
+
+
+def reporter_of(config: Config, losses: Losses | None = None) -> Reporter:
+    reporter = Reporter(config, "9f3c", losses or Losses())
+    reporter.board_boot_id = "51aa"
+    return reporter
+
+
+def literal(message: Message) -> dict[str, Any]:
+    payload: dict[str, Any] = json.loads(encode(message))
+    return payload

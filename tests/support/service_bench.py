@@ -1,0 +1,94 @@
+"""What the tests of the whole daemon share: a folder with a board, a configuration and the truth."""
+
+import asyncio
+import json
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+from observer import Observer
+
+from resonator_daemon.daemon.config_store import ConfigStore
+from resonator_daemon.daemon.daemon import Service
+from simulators.emulator import Emulator, EmulatorOptions
+
+
+class Bench:
+    """A folder with a port, a configuration and a truth file, and what runs on them."""
+
+    def __init__(self, folder: Path, broker_url: str) -> None:
+        self.folder = folder
+        self.port = folder / "board"
+        self.truth_path = folder / "truth.jsonl"
+        self.broker_url = broker_url
+
+    def scenario(self, text: str) -> str:
+        path = self.folder / "scenario.toml"
+        path.write_text(text)
+        return str(path)
+
+    @asynccontextmanager
+    async def emulated(self, plate: str = "quartz16", **options: Any) -> AsyncIterator[Emulator]:
+        if "tcp" not in options:
+            options |= {"pty": self.port} if plate == "quartz16" else {"tcp": ("127.0.0.1", 0)}
+        emulator = Emulator(EmulatorOptions(plate, truth=self.truth_path, **options))
+        thread = threading.Thread(target=emulator.run)
+        thread.start()
+        try:
+            yield emulator
+        finally:
+            emulator.stop()
+            await asyncio.to_thread(thread.join)
+
+    def service(
+        self,
+        plate: str = "quartz16",
+        link: str | None = None,
+        name: str | None = "hand",
+        decoding: str = 'method = "fourier"',
+        allow: tuple[str, ...] = (),
+        measurement: tuple[str, ...] = (),
+    ) -> Service:
+        config = self.folder / "board.toml"
+        lines = [f'plate = "{plate}"', f'link = "{link or f"serial:{self.port}?baud=4000000"}"']
+        lines += [f'name = "{name}"'] if name else []
+        lines += ["[mqtt]", f'url = "{self.broker_url}"', "[decoding]", decoding]
+        lines += ["[measurement]", *measurement] if measurement else []
+        lines += ["[commands]", f"allow = {json.dumps(allow)}"]
+        config.write_text("\n".join(lines) + "\n")
+        return Service(ConfigStore(config, self.folder / "last-good"))
+
+    @asynccontextmanager
+    async def running(self, service: Service) -> AsyncIterator[Service]:
+        task = asyncio.create_task(service.run())
+        try:
+            yield service
+        finally:
+            service.stop()
+            await task
+
+    @asynccontextmanager
+    async def measured(self, heard: Observer, service: Service, **board: Any) -> AsyncIterator[Service]:
+        """Switch the board on when the service waits for it: a busy computer then misses nothing of what it plays."""
+        async with self.running(service):
+            await heard.until_last("resonator/hand/state/link", state="waiting")
+            async with self.emulated(**board):
+                yield service
+
+    def truth(self) -> list[dict[str, Any]]:
+        return [json.loads(line) for line in self.truth_path.read_text().splitlines() if line.endswith("}")]
+
+    def windows(self, messages: list[Any]) -> Iterator[tuple[Any, list[dict[str, Any]]]]:
+        """Give each message of forces with the truth of the gates, of 1 ms, that it was measured in."""
+        truth = self.truth()
+        index = {line["board_ticks"]: n for n, line in enumerate(truth)}
+        for message in messages:
+            last, gates = index.get(int(message["board_ticks"]), 0), round(message["window_s"] * 1000)
+            if last + 1 >= gates:
+                yield message, truth[last + 1 - gates : last + 1]
+
+
+def events(observer: Observer) -> list[dict[str, Any]]:
+    return observer.payloads("resonator/hand/contacts/event")

@@ -1,0 +1,100 @@
+import math
+
+import numpy as np
+import pytest
+from brute_force_board import REFERENCE_HZ, payload_of, record_of
+
+from firmware_protocol.layouts import RecordFlag, SingleToneRecord
+from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz
+from resonator_daemon.tones.record_checks import FAULTS, RECORD, read_gates
+
+GOOD = record_of([1000 * k for k in range(1000)], 0, 10)
+
+
+def gate_of(record, band_hz=(1e3, 1e9)):
+    """What one record tells: its fault, frequency and slope."""
+    gates = read_gates(np.frombuffer(payload_of([record]), RECORD), REFERENCE_HZ, band_hz)
+    return FAULTS[gates.fault[0]], gates.frequency_hz[0], gates.slope_ticks[0]
+
+
+def fault(record):
+    cause, hertz, _ = gate_of(record)
+    assert math.isnan(hertz) == (cause is not None)
+    return cause
+
+
+def test_a_gate_has_the_record_s_sums_and_their_frequency():
+    records = []
+    for step in range(900, 1000):
+        stamps = [step * k + (k % 3 == 0) for k in range(77)]
+        records.append(record_of(stamps, 4_294_967_000, 10))
+    gates = read_gates(np.frombuffer(payload_of(records), RECORD), REFERENCE_HZ, (1e3, 1e9))
+    assert gates.sums.T.tolist() == [list(record[:8]) for record in records]
+    assert gates.frequency_hz.tolist() == [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in records]
+    assert gates.slope_ticks == pytest.approx(np.arange(900, 1000), rel=1e-4)
+
+
+def test_a_frequency_that_the_plate_cannot_send_is_a_fault():
+    assert gate_of(GOOD, (9e6, 11e6))[0] is None
+    assert gate_of(GOOD, (10.1e6, 11e6))[0] == "impossible_frequency"
+    assert gate_of(GOOD, (9e6, 9.9e6))[0] == "impossible_frequency"
+
+
+def test_a_steady_tone_has_no_fault():
+    assert fault(GOOD) is None
+    assert fault(GOOD._replace(flags=int(RecordFlag.STRIDE_BREAK))) is None
+    assert fault(record_of([0, 1000, 2001], 0, 10)) is None
+
+
+@pytest.mark.parametrize(
+    ("change", "cause"),
+    [
+        ({"flags": RecordFlag.NO_SIGNAL}, "no_signal"),
+        ({"flags": RecordFlag.OVERFLOW}, "overflow"),
+        ({"flags": RecordFlag.CAPTURE_SWITCH | RecordFlag.STRIDE_BREAK}, "capture_switch"),
+        ({"flags": RecordFlag.LOST_EDGE}, "lost_edge"),
+        ({"flags": RecordFlag.SATURATED}, "saturated"),
+        ({"stamps": 0}, "impossible_counts"),
+        ({"stamps": 1}, "impossible_counts"),
+        ({"stamps": 2, "span_ticks": 1000, "s1_ticks": 1000, "s2_ticks": 1000}, "impossible_counts"),
+        ({"stride_edges": 0}, "impossible_counts"),
+        ({"span_ticks": 0}, "impossible_counts"),
+        ({"span_ticks": 0, "s1_ticks": 0, "s2_ticks": 0}, "impossible_counts"),
+        ({"span_ticks": 998}, "impossible_counts"),
+        ({"s1_ticks": 0}, "impossible_counts"),
+        ({"s1_ticks": GOOD.s1_ticks + (1 << 25)}, "impossible_counts"),
+        ({"s1_ticks": (1 << 64) - 1}, "impossible_counts"),
+        ({"s2_ticks": 0}, "impossible_counts"),
+        ({"s2_ticks": GOOD.s2_ticks - (1 << 34)}, "impossible_counts"),
+        ({"s2_ticks": (1 << 64) - 1}, "impossible_counts"),
+    ],
+)
+def test_impossible_records_are_named(change, cause):
+    assert fault(GOOD._replace(**change)) == cause
+
+
+def test_sums_that_contradict_each_other_give_no_frequency() -> None:
+    """A regression slope that leaves the end points' behind is damage that a check sum cannot see."""
+    stamps = [1000 + 1001 * k // 10 * 10 for k in range(1000)]
+    offsets = [stamp - stamps[0] for stamp in stamps]
+    second = [offsets[k] - 2 * offsets[k - 1] + offsets[k - 2] for k in range(2, 1000)]
+    s2 = sum(k * offset for k, offset in enumerate(offsets))
+    sound = SingleToneRecord(
+        0, 1000, 1000, 10, offsets[-1], sum(offsets), s2, sum(value * value for value in second), 0, 0
+    )
+    assert fault(sound) is None
+    assert fault(sound._replace(s2_ticks=s2 + s2 // 20_000)) == "impossible_counts"
+    assert fault(sound._replace(s2_ticks=s2 - s2 // 20_000)) == "impossible_counts"
+    assert fault(sound._replace(q2_ticks2=2**64 - 1)) == "impossible_counts"
+
+
+def test_a_slope_of_nothing_is_no_frequency() -> None:
+    assert fault(SingleToneRecord(0, 0, 3, 1, 2, 3, 3, 0, 0, 0)) == "impossible_counts"
+
+
+def test_stamps_that_scatter_by_more_than_their_distance_are_refused():
+    # sqrt(2) s reaches the distance u of two stamps where Q2, 6 (N - 2) s^2, reaches 3 (N - 2) u^2.
+    interval = GOOD.span_ticks / (GOOD.stamps - 1)
+    limit_ticks2 = 3 * (GOOD.stamps - 2) * interval**2
+    assert fault(GOOD._replace(q2_ticks2=int(1.01 * limit_ticks2))) == "impossible_counts"
+    assert fault(GOOD._replace(q2_ticks2=int(0.99 * limit_ticks2))) is None

@@ -1,0 +1,166 @@
+import math
+
+import numpy as np
+import pytest
+from brute_force_board import REFERENCE_HZ, Channel, payload_of
+
+from firmware_protocol.layouts import RecordFlag, SingleToneRecord
+from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz, merge
+from resonator_daemon.tones.tone_windows import ToneWindows
+
+BAND_HZ = (9e6, 11e6)
+NOTHING = SingleToneRecord(*[0] * 10)
+
+
+def windows(frames=3):
+    return ToneWindows(1, frames, REFERENCE_HZ, BAND_HZ)
+
+
+def frames_of(frequencies_hz, flags=None, start_ticks=0):
+    channel = Channel(np.random.default_rng(9), 10, 0, start_ticks)
+    flags = flags or {}
+    return [
+        channel.gate(f, start_ticks + (k + 1) * 1_000_000, int(flags.get(k, 0))) for k, f in enumerate(frequencies_hz)
+    ]
+
+
+def expected(records):
+    """Sums of adjacent records, by the definition, without where they begin."""
+    return merge([Sums.of(record) for record in records])._replace(first_edge=0, first_ticks=0)
+
+
+def without_start(sums):
+    return [None if part is None else part._replace(first_edge=0, first_ticks=0) for part in sums]
+
+
+def full_after(slide, records):
+    """What each record has made of the window, all pushed at once."""
+    block = slide.push(payload_of(records))
+    return [
+        block.fault_names(gate)[0] or ("full" if block.held[gate][0] == slide.frames else "filling")
+        for gate in range(len(block))
+    ]
+
+
+@pytest.mark.parametrize("frames", [1, 3, 40, 500])
+def test_a_window_has_the_sums_of_its_last_gates(frames):
+    slide, records = (
+        windows(frames),
+        frames_of([10e6 * (1 + 1e-7 * (k % 7)) for k in range(520)], start_ticks=2**32 - 9),
+    )
+    for start, end in ((0, 1), (1, 510), (510, 515), (515, 520)):
+        block = slide.push(payload_of(records[start:end]))
+        gates = sorted({0, len(block) // 2, len(block) - 1})
+        for last in {1, min(2, frames), frames}:
+            sums = block.windows(gates, [last] * len(gates))
+            for index, gate in enumerate(gates):
+                held = records[: start + gate + 1]
+                if last > len(held):
+                    assert sums.sums(index) == [None]
+                    assert math.isnan(sums.frequency_hz(index)[0])
+                    continue
+                wanted = expected(held[-last:])
+                assert without_start(sums.sums(index)) == [wanted]
+                assert sums.frequency_hz(index) == [frequency_hz(wanted, REFERENCE_HZ)]
+                hertz = [frequency_hz(Sums.of(record), REFERENCE_HZ) for record in held[-last:]]
+                assert block.last(gate, last)[0] == [hertz]
+        assert [held for (held,) in block.held] == [min(start + gate + 1, frames) for gate in range(len(block))]
+
+
+def test_the_largest_gates_that_there_are_do_not_overflow():
+    # 65 535 stamps, 65 535 ticks apart: their second sum has 63 bits, that of two gates 66.
+    stamps, interval = 65_535, 65_535
+    records = [
+        SingleToneRecord(
+            first_edge=k * stamps % 2**32,
+            first_ticks=k * stamps * interval % 2**32,
+            stamps=stamps,
+            stride_edges=1,
+            span_ticks=(stamps - 1) * interval,
+            s1_ticks=interval * stamps * (stamps - 1) // 2,
+            s2_ticks=interval * (stamps - 1) * stamps * (2 * stamps - 1) // 6,
+            q2_ticks2=0,
+            attenuation_db256=0,
+            flags=0,
+        )
+        for k in range(40)
+    ]
+    hertz = REFERENCE_HZ / interval
+    for count in (4, 40):  # few and many
+        block = ToneWindows(1, 4, REFERENCE_HZ, (0.9 * hertz, 1.1 * hertz)).push(payload_of(records[:count]))
+        sums = block.windows([count - 1], [4])
+        assert without_start(sums.sums(0)) == [expected(records[count - 4 : count])]
+        assert sums.frequency_hz(0) == pytest.approx([hertz], rel=1e-15)
+
+
+def test_end_residuals_are_those_of_the_gates():
+    # The line through 0, 1000, 2000, 3004 at 0, 1, 2, 3 is -0.8 + 1001.2 k.
+    offsets = [0, 1000, 2000, 3004]
+    record = SingleToneRecord(0, 0, 4, 10, 3004, sum(offsets), sum(k * t for k, t in enumerate(offsets)), 16, 0, 0)
+    few, many = windows().push(payload_of([record])), windows().push(payload_of([record] * 40))
+    assert few.last(0, 1)[1][0] == pytest.approx([(0.8**2 + 1.2**2) / 2])
+    assert many.last(20, 1) == few.last(0, 1)
+
+
+def test_a_flagged_gate_empties_the_window_and_the_next_starts_anew():
+    flags = {3: RecordFlag.CAPTURE_SWITCH}
+    states = full_after(windows(), frames_of([10e6] * 8, flags))
+    assert states == ["filling"] * 2 + ["full", "capture_switch"] + ["filling"] * 2 + ["full"] * 2
+
+
+def test_a_stride_break_starts_the_window_anew_with_that_gate():
+    states = full_after(windows(), frames_of([10e6] * 7, {3: RecordFlag.STRIDE_BREAK}))
+    assert states == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
+
+
+def test_a_missing_gate_starts_the_window_anew():
+    frames = frames_of([10e6] * 8)
+    del frames[3]
+    assert full_after(windows(), frames) == ["filling"] * 2 + ["full"] + ["filling"] * 2 + ["full"] * 2
+
+
+@pytest.mark.parametrize(("jump", "restarts"), [(15e-6, False), (-15e-6, False), (25e-6, True), (-25e-6, True)])
+def test_a_capture_switch_that_the_board_does_not_flag_starts_the_window_anew(jump, restarts):
+    states = full_after(windows(), frames_of([10e6] * 4 + [10e6 * (1 + jump)] * 3))
+    after = ["filling"] * 2 + ["full"] if restarts else ["full"] * 3
+    assert states == ["filling"] * 2 + ["full"] * 2 + after
+
+
+@pytest.mark.parametrize("frequency", [8.9e6, 11.1e6])
+def test_a_frequency_outside_the_band_is_a_fault(frequency):
+    assert full_after(windows(), frames_of([frequency])) == ["impossible_frequency"]
+
+
+def test_a_restart_forgets_the_gates():
+    slide, records = windows(2), frames_of([10e6] * 5)
+    assert full_after(slide, records[:3]) == ["filling", "full", "full"]
+    slide.restart()
+    assert full_after(slide, records[3:]) == ["filling", "full"]
+
+
+def test_another_length_keeps_the_newest_gates():
+    slide, records = windows(3), frames_of([10e6] * 9)
+    slide.push(payload_of(records[:5]))
+    slide.resize(5)
+    block = slide.push(payload_of(records[5:7]))
+    assert block.held == [[4], [5]]
+    assert without_start(block.windows([1], [5]).sums(0)) == [expected(records[2:7])]
+    slide.resize(2)
+    block = slide.push(payload_of(records[7:8]))
+    assert block.held == [[2]]
+    assert without_start(block.windows([0], [2]).sums(0)) == [expected(records[6:8])]
+
+
+def test_a_window_of_no_gates_is_refused():
+    with pytest.raises(ValueError, match="0 frames"):
+        windows(0)
+    with pytest.raises(ValueError, match="0 frames"):
+        windows().resize(0)
+
+
+def test_what_is_no_whole_gate_is_refused():
+    slide = ToneWindows(4, 3, REFERENCE_HZ, BAND_HZ)
+    with pytest.raises(ValueError, match="3 records for 4 channels"):
+        slide.push(payload_of([NOTHING] * 3))
+    with pytest.raises(ValueError, match="0 records"):
+        slide.push(b"")
