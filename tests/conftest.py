@@ -1,5 +1,6 @@
 """What all tests share: a cache and a spool of their own, and brokers."""
 
+import itertools
 import logging
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -13,22 +14,24 @@ def _no_cache_at_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None
     """Set-ups that the daemon keeps go to a temporary directory, those of child processes too."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        patch.delenv("CACHE_DIRECTORY", raising=False)
+        for name in ("CACHE_DIRECTORY", "STATE_DIRECTORY", "RUNTIME_DIRECTORY"):
+            patch.delenv(name, raising=False)
         yield
 
 
-@pytest.fixture(autouse=True)
-def _no_state_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spools and recordings go to each test's own directory."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+@pytest.fixture(scope="session")
+def _homes(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Iterator[int]]:
+    """A directory with a short name, since paths of sockets have at most 107 bytes, and numbers of tests."""
+    return tmp_path_factory.mktemp("h"), itertools.count()
 
 
 @pytest.fixture(autouse=True)
-def _no_runtime_at_home(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sockets of daemons go to a directory of each test's own, with a short name: their paths take 107 bytes."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path_factory.mktemp("r")))
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+def _nothing_at_home(_homes: tuple[Path, Iterator[int]], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spools, recordings and sockets of daemons go to directories of each test's own."""
+    home = _homes[0] / str(next(_homes[1]))
+    home.mkdir()
+    monkeypatch.setenv("XDG_STATE_HOME", str(home / "state"))
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(home))
 
 
 @pytest.fixture(autouse=True)
