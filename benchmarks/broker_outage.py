@@ -265,7 +265,7 @@ def _emulated(folder: Path) -> Iterator[tuple[str, Callable[[], dict[str, int]]]
     scenario = folder / "touches.toml"
     scenario.write_text(_TOUCHES)
     board = ("--plate", "quartz16", "--pty", str(folder / "board"), "--scenario", str(scenario))
-    command = (sys.executable, "-m", "resonator_daemon.cli", "emulate", *board, "--json")
+    command = (sys.executable, "-m", "resonator_daemon", "emulate", *board, "--json")
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     if process.stdout is None:
         raise RuntimeError("the emulator's output is a pipe")

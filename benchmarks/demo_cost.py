@@ -10,7 +10,7 @@ import sys
 
 def main() -> int:
     seconds = sys.argv[1] if len(sys.argv) > 1 else "20"
-    command = [sys.executable, "-m", "resonator_daemon.cli", "demo", "--headless", "--seconds", seconds, "--json"]
+    command = [sys.executable, "-m", "resonator_daemon", "demo", "--headless", "--seconds", seconds, "--json"]
     run = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     if not run.stdout:
         return run.returncode

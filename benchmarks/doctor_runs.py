@@ -20,7 +20,7 @@ from typing import Any
 
 from system_parts import free_port
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+COMMAND = (sys.executable, "-m", "resonator_daemon")
 PLATES = Path(__file__).parents[1] / "resonator_daemon" / "plates"
 
 

@@ -14,7 +14,7 @@ from typing import Any
 def emulated_board(plate: str, folder: Path, *options: str) -> Iterator[tuple[str, "dict[str, Any]"]]:
     """Give the link text and a report that is filled in when the board has been stopped."""
     link = ("--pty", str(folder / "board")) if plate == "quartz16" else ("--tcp", "127.0.0.1:0")
-    command = [sys.executable, "-m", "resonator_daemon.cli", "emulate", "--plate", plate, *link, *options, "--json"]
+    command = [sys.executable, "-m", "resonator_daemon", "emulate", "--plate", plate, *link, *options, "--json"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     report: dict[str, Any] = {}
     try:

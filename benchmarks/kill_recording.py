@@ -62,7 +62,7 @@ def _recorded(config: Path, path: Path, seconds: float) -> tuple[int, str]:
 
     Where the recorder had ended before, its last words follow.
     """
-    command = [sys.executable, "-m", "resonator_daemon.cli", "record", "--config", str(config), "--output", str(path)]
+    command = [sys.executable, "-m", "resonator_daemon", "record", "--config", str(config), "--output", str(path)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     deadline_s = time.monotonic() + _MADE_S
     while not (path.exists() and path.stat().st_size) and process.poll() is None and time.monotonic() < deadline_s:

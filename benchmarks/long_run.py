@@ -31,7 +31,7 @@ from long_run_log import Cause, LogJudge, new_lines
 from system_parts import BOARD, BROKER, DAEMON, NAME, Part, free_port, mosquitto_command
 from watched_daemon import FILE_VARIABLE, InUse, ask_in_use
 
-_COMMAND: Final = (sys.executable, "-m", "resonator_daemon.cli")
+_COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
 _WATCHED: Final = (sys.executable, str(Path(__file__).with_name("watched_daemon.py")))
 _SAMPLE_S: Final = 30.0
 _SAMPLES_MIN: Final = 40  # of a short run

@@ -126,7 +126,7 @@ def run(plate: str, busy: int, seconds: float, share: Share, folder: Path) -> di
         time.sleep(0.5)
         subscriber = Subscriber(port, "bench")
         stack.callback(subscriber.close)
-        daemon = start(sys.executable, "-m", "resonator_daemon.cli", "run", "--config", str(config))
+        daemon = start(sys.executable, "-m", "resonator_daemon", "run", "--config", str(config))
         if not subscriber.first.wait(_FIRST_S):
             raise SystemExit(f"no message within {_FIRST_S:g} s: {(folder / 'log').read_text()}")
         time.sleep(_SETTLED_S)

@@ -15,7 +15,7 @@ from resonator_daemon.replay.case import play_whole
 from resonator_daemon.replay.source import open_playback
 
 ASKED = 20.0  # times real time
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+COMMAND = (sys.executable, "-m", "resonator_daemon")
 
 
 def record(folder: Path, seconds: float) -> Path:

@@ -76,7 +76,7 @@ def child(*command: str, stdout: int = subprocess.DEVNULL) -> Iterator["subproce
 
 def live(plate: str, decoding: str, topic: str, names: dict[str, str], python: Path, folder: Path) -> Stages:
     """Measure a daemon and its emulator at real time, from the first message on `topic`."""
-    cli = (str(python), "-P", "-m", "resonator_daemon.cli")
+    cli = (str(python.with_name("resonatord")),)  # also of another version, whose modules have other names
     link = ("--pty", str(folder / "board")) if plate == "quartz16" else ("--tcp", "127.0.0.1:0")
     config, port = folder / "board.toml", free_port()
     with ExitStack() as stack:
@@ -107,10 +107,7 @@ def live(plate: str, decoding: str, topic: str, names: dict[str, str], python: P
 def demo(python: Path, _folder: Path) -> Stages:
     """Measure the demo's own process with its broker, and all its processes, per frame of quartz16."""
     command = (
-        str(python),
-        "-P",
-        "-m",
-        "resonator_daemon.cli",
+        str(python.with_name("resonatord")),
         "demo",
         "--headless",
         "--seconds",

@@ -14,7 +14,7 @@ import psutil
 BOARD, BROKER, DAEMON, DECODER = "board", "broker", "daemon", "decoder"
 NAME = "hand"
 
-_COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+_COMMAND = (sys.executable, "-m", "resonator_daemon")
 _END_S = 10.0
 
 SMALL_SKIN = """

@@ -61,7 +61,7 @@ def _tell(*_: object) -> None:
 
 def main() -> int:
     signal.signal(signal.SIGUSR1, _tell)
-    from resonator_daemon.cli import main as resonatord
+    from resonator_daemon.commands import main as resonatord
 
     return resonatord()
 

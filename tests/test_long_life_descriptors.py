@@ -28,7 +28,7 @@ RUN = "; ".join(
     (
         "from resonator_daemon.recording import recorder",
         "recorder._RETRY_S = 0.5",
-        "from resonator_daemon.cli import main",
+        "from resonator_daemon.commands import main",
         "raise SystemExit(main())",
     )
 )

@@ -14,7 +14,7 @@ import psutil
 from resonator_daemon.errors import OperatorError
 
 PYTHON = (sys.executable, "-m")
-_RESONATORD = (*PYTHON, "resonator_daemon.cli")
+_RESONATORD = (*PYTHON, "resonator_daemon")
 _STOP_S = 5.0
 
 

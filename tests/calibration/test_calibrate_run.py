@@ -18,7 +18,7 @@ from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, tr
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import SerialLink
 from resonator_daemon.links.serial import open_serial
 from resonator_daemon.plate import load_plate
@@ -61,7 +61,7 @@ class Desk:
             yield
 
     def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[str]:
-        command = [sys.executable, "-m", "resonator_daemon.cli", "calibrate", "--config", str(self.config), "--json"]
+        command = [sys.executable, "-m", "resonator_daemon", "calibrate", "--config", str(self.config), "--json"]
         return subprocess.Popen(
             [*command, *arguments],
             env=os.environ | {"XDG_STATE_HOME": str(self.state)},
@@ -226,7 +226,7 @@ def test_killed_while_it_accepts_the_plate_file_is_whole(desk: Desk, capsys: pyt
     with desk.board():
         desk.say(capsys, *LOADS)
     stop = "import os, signal; os.replace = lambda *_: os.kill(os.getpid(), signal.SIGKILL); "
-    code = stop + "from resonator_daemon.cli import main; main()"
+    code = stop + "from resonator_daemon.commands import main; main()"
     arguments = [sys.executable, "-c", code, "calibrate", "--config", str(desk.config), "--accept-staged"]
     killed = subprocess.run(arguments, env=os.environ | {"XDG_STATE_HOME": str(desk.state)}, timeout=TIMEOUT_S)
     assert killed.returncode == -signal.SIGKILL

@@ -15,7 +15,7 @@ from brokers import Mosquitto, free_port
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration import skin as calibrate_module
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -27,7 +27,7 @@ from simulators.half_space_fields import hertz_fields
 Said = tuple[int | None, str, str]  # exit code, stdout and stderr
 Calibrate = Callable[..., Awaitable[Said]]
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "calibrate", "skin")
+COMMAND = (sys.executable, "-m", "resonator_daemon", "calibrate", "skin")
 TIMEOUT_S = 60
 HEADER = {"daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_unc_ns": 42_000, "lost": Lost(), "board_ticks": None}
 FRAME_NS = 250_000_000

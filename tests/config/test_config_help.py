@@ -8,7 +8,7 @@ from typing import Any
 import jsonschema
 import pytest
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import Config, example_config
 from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained, key_list
 from resonator_daemon.errors import ExitCode

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "demo")
+COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
 FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
 OVERRUNS = {"board_overflow", "host_overrun", "ring_overflow"}
 PLATE_KEYS = {

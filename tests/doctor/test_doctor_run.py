@@ -8,7 +8,7 @@ import pytest
 from brokers import Mosquitto
 from emulation import emulated
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor import clock_checks, run
 from resonator_daemon.doctor.finding import FINE, Area, Check

@@ -11,7 +11,7 @@ from made_up_host import MadeUpHost
 from observer import observe
 from service_bench import Bench
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, TcpLink, UsbLink, parse_link
 from resonator_daemon.doctor import run, running_daemon
 from resonator_daemon.doctor.daemon_checks import check_daemon, told

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 from export_bench import played, recording
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.replay.recorded_pipeline import Playback
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
@@ -234,7 +234,7 @@ def test_a_terminal_sees_how_far_it_is(tmp_path: Path) -> None:
     script = shutil.which("script")
     if script is None:
         pytest.skip("script (bsdutils) gives the terminal")
-    command = f"{sys.executable} -m resonator_daemon.cli export {recording('touches')} --output {tmp_path}/out.npz"
+    command = f"{sys.executable} -m resonator_daemon export {recording('touches')} --output {tmp_path}/out.npz"
     shown = subprocess.run([script, "-qec", command, "/dev/null"], capture_output=True, timeout=60, check=True)
     assert b"recording.mcap" in shown.stdout
     assert b"kB" in shown.stdout

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.errors import ConfigError, ExitCode
 from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.publishing.payloads import ContactEvent, Forces, Message, Status
@@ -212,7 +212,7 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
     here, there = tmp_path / "here.jsonl", tmp_path / "there.jsonl"
     arguments = ["replay", str(CORPUS / "rebooted" / "recording.mcap"), "--to"]
     assert main([*arguments, str(here)]) == 0
-    command = [sys.executable, "-m", "resonator_daemon.cli", *arguments, there]
+    command = [sys.executable, "-m", "resonator_daemon", *arguments, there]
     environment = os.environ | {"PYTHONHASHSEED": "20261121"}
     subprocess.run(command, check=True, env=environment, capture_output=True, timeout=60)
     assert here.read_bytes() == there.read_bytes()

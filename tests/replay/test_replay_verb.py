@@ -170,7 +170,7 @@ async def test_without_a_broker_there_is_one_line(capsys: pytest.CaptureFixture[
 def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
     output = tmp_path / "steps.jsonl"
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "resonator_daemon.cli", "replay", TOUCHES, "--step", "--to", output]
+    command = [sys.executable, "-m", "resonator_daemon", "replay", TOUCHES, "--step", "--to", output]
     with subprocess.Popen(map(str, command), stdin=theirs, stderr=subprocess.PIPE, text=True) as process:
         os.close(theirs)
         os.write(ours, b"\n\n")

@@ -35,7 +35,7 @@ StandardError=file:/out/stderr
 """
 _LAUNCHER = f"""#!/opt/resonatord/bin/python
 import sys
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 sys.argv[0] = "{RESONATORD}"
 sys.exit(main())
 """

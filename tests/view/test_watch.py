@@ -27,7 +27,7 @@ from resonator_daemon.view.watch import broker_at, json_line, watch
 
 LEFT = "resonator/left"
 NOBODY = "mqtt://127.0.0.1:9"
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "watch")
+COMMAND = (sys.executable, "-m", "resonator_daemon", "watch")
 TIMEOUT_S = 30
 
 

@@ -21,7 +21,7 @@ from firmware_protocol.messages import Configuration
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import HostState
 from resonator_daemon import ports
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import SerialLink
 from resonator_daemon.links import usb_devices
 from resonator_daemon.links.link import LinkUnavailableError
@@ -300,6 +300,6 @@ def test_a_link_that_is_none_is_a_usage_error(
 @pytest.mark.parametrize("verb", ["ports", "identify"])
 def test_help_teaches(verb: str) -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "resonator_daemon.cli", verb, "--help"], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "resonator_daemon", verb, "--help"], capture_output=True, text=True, check=True
     )
     assert f"Example: resonatord {verb}" in run.stdout

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.pipeline import code_check
 from resonator_daemon.plate import load_plate
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+COMMAND = (sys.executable, "-m", "resonator_daemon")
 GRID = ("--grid", "4x4", "--pitch-mm", "5")
 FEW = ("--touches", "500")
 
@@ -289,7 +289,7 @@ def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[
     with pytest.raises(SystemExit):
         main(["plan", "codes", "--help"])
     options = set(re.findall(r"--[a-z0-9-]+[a-z0-9]", capsys.readouterr().out)) - {"--help"}
-    page = (Path(__file__).parents[1] / "docs" / "codes.md").read_text()
+    page = (Path(__file__).parents[2] / "docs" / "codes.md").read_text()
     assert set(re.findall(r"--[a-z0-9-]+[a-z0-9]", page)) == options
 
 

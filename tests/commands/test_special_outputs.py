@@ -14,7 +14,7 @@ import pytest
 from resonator_daemon import cli
 from resonator_daemon.host.new_file import takes_a_stream
 
-CORPUS: Final = Path(__file__).parent / "corpus"
+CORPUS: Final = Path(__file__).parents[1] / "corpus"
 
 
 @pytest.mark.parametrize(

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon import install as module
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.toml_files.reading import read_toml
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PROGRAM = Path(sys.executable).with_name("resonatord")
 PLACES = {
     "etc/systemd/system/resonatord@.service",

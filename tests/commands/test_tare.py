@@ -13,7 +13,7 @@ from brokers import Mosquitto, free_port
 from commanded import commanded, state
 
 from resonator_daemon import tare as tare_module
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
@@ -46,7 +46,7 @@ def tare(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Ask:
 
 
 async def tare_in_a_process(config: str, *arguments: str) -> Said:
-    command = (sys.executable, "-m", "resonator_daemon.cli", "tare", "--config", config, *arguments)
+    command = (sys.executable, "-m", "resonator_daemon", "tare", "--config", config, *arguments)
     process = await asyncio.create_subprocess_exec(*command, stdout=PIPE, stderr=PIPE)
     async with asyncio.timeout(TIMEOUT_S):
         said, told = await process.communicate()

@@ -19,7 +19,7 @@ import status_samples
 from rich.console import Console
 
 from resonator_daemon import status_verb
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.monitoring import status_client
 from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
@@ -294,7 +294,7 @@ async def test_what_was_recorded_is_told_while_nothing_is(capsys: pytest.Capture
 @pytest.mark.parametrize("form", [["--json"], []])
 async def test_watching_goes_on_when_the_daemon_goes_and_ends_well(form: list[str], home: Path) -> None:
     environment = os.environ | {"XDG_RUNTIME_DIR": str(home.parent), "PYTHONUNBUFFERED": "1"}
-    command = [sys.executable, "-m", "resonator_daemon.cli", "status", "hand", "--watch", *form]
+    command = [sys.executable, "-m", "resonator_daemon", "status", "hand", "--watch", *form]
     watch = await asyncio.create_subprocess_exec(*command, env=environment, stdout=subprocess.PIPE)
     assert watch.stdout is not None
     async with daemons(status_samples.status()):

@@ -25,7 +25,7 @@ from resonator_daemon.session.link_events import Closed, Goodbye, Received, Said
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "record")
+COMMAND = (sys.executable, "-m", "resonator_daemon", "record")
 
 
 def config(tmp_path: Path, link: str, plate: str = "quartz16") -> Path:

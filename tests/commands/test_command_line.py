@@ -13,10 +13,11 @@ import pytest
 from brokers import Mosquitto
 from observer import observe
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.config import load_config
+from resonator_daemon.publishing.asyncapi import document
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli")
+COMMAND = (sys.executable, "-m", "resonator_daemon")
 VERBS = (
     *("demo", "run", "emulate", "watch", "check", "calibrate", "tare", "plan", "config"),
     *("ports", "identify", "record"),
@@ -202,6 +203,13 @@ def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(re
     schema = json.loads(run.stdout)
     assert schema["$schema"].startswith("https://json-schema.org/")
     assert set(schema["properties"]) == {"touches", "period_s", "environment_kelvin", "plate", "seed", "faults"}
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
+def test_schema_prints_the_document_of_daemons(form: tuple[str, ...], resonatord: Resonatord) -> None:
+    printed = resonatord("schema", *form).stdout
+    assert json.loads(printed) == document()
+    assert (printed.count("\n") == 1) == bool(form)
 
 
 def test_emulate_says_its_link_first_and_its_accounts_last(tmp_path: Path) -> None:

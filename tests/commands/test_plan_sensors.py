@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.cli import main
+from resonator_daemon.commands import main
 from resonator_daemon.view import sensor_plan
 
-COMMAND = (sys.executable, "-m", "resonator_daemon.cli", "plan", "sensors")
+COMMAND = (sys.executable, "-m", "resonator_daemon", "plan", "sensors")
 
 
 @pytest.fixture

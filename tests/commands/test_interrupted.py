@@ -13,9 +13,9 @@ import pytest
 from brokers import Mosquitto
 from emulation import emulated
 from observer import observe
-from test_cli_record import config as record_config
+from test_record import config as record_config
 
-from resonator_daemon import cli
+from resonator_daemon import commands as cli
 from resonator_daemon.demo import latency, latency_figures, latency_report
 from resonator_daemon.doctor import run as doctor_run
 from resonator_daemon.plate import load_plate
@@ -24,8 +24,8 @@ from resonator_daemon.replay import checking
 from resonator_daemon.session.board_reader import BoardReader
 from simulators.emulator import EmulatorOptions
 
-CORPUS: Final = Path(__file__).parent / "corpus"
-COMMAND: Final = (sys.executable, "-m", "resonator_daemon.cli")
+CORPUS: Final = Path(__file__).parents[1] / "corpus"
+COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
 ENDLESS: Final = ("decode", "emulate", "run", "watch")
 
 

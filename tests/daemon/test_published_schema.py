@@ -1,4 +1,4 @@
-"""`resonatord schema`, and whether daemons publish what it says."""
+"""Every message of a daemon is valid by the schema that it publishes."""
 
 import json
 from pathlib import Path
@@ -6,16 +6,12 @@ from typing import Any
 
 import cbor2
 import numpy as np
-import pytest
 from brokers import Mosquitto
 from jsonschema import Draft7Validator
 from observer import Observer, observe
 from service_bench import Bench
 from system_parts import SMALL_SKIN
 from test_skin_daemon import SHEARED
-
-from resonator_daemon.publishing.asyncapi import document
-from resonator_daemon.schema import print_schema
 
 PRESSED = """
 period_s = 1.0
@@ -25,19 +21,6 @@ site = 7
 force_newton = 1.0
 hold_s = 0.3
 """
-
-
-def test_the_schema_is_printed_on_one_line_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    print_schema(as_json=True)
-    (line,) = capsys.readouterr().out.splitlines()
-    assert json.loads(line) == document()
-
-
-def test_the_schema_is_printed_indented_for_people(capsys: pytest.CaptureFixture[str]) -> None:
-    print_schema(as_json=False)
-    printed = capsys.readouterr().out
-    assert json.loads(printed) == document()
-    assert '\n    "title": "resonatord",\n' in printed
 
 
 def rows_of(payload: bytes) -> Any:

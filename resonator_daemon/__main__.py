@@ -1,0 +1,7 @@
+"""`python -m resonator_daemon`: the command `resonatord`."""
+
+import sys
+
+from resonator_daemon.commands import main
+
+sys.exit(main())
