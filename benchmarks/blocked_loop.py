@@ -16,8 +16,8 @@ from emulated_board import emulated_board
 
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.session.board_reader import RING_BYTES
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.board_reader import FRAME_QUEUE_BYTES
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
 
 
@@ -61,7 +61,7 @@ class _Watched(Service):
         super()._handle(arrival)
 
 
-async def blocked(plate: str, link: str, folder: Path, seconds: float) -> tuple[LinkAccount, Seen]:
+async def blocked(plate: str, link: str, folder: Path, seconds: float) -> tuple[LinkCounters, Seen]:
     """Run the daemon and let its event loop stand still once it has frames."""
     with socket.create_server(("127.0.0.1", 0)) as closed:
         port = closed.getsockname()[1]
@@ -75,7 +75,7 @@ async def blocked(plate: str, link: str, folder: Path, seconds: float) -> tuple[
     task = asyncio.create_task(service.run())
     await service.reaches(100)
     time.sleep(seconds)  # noqa: ASYNC251 - this is what is looked at
-    account = service.link_account
+    account = service.link_counters
     before = service.seen.frames
     kept = account.frames - account.lost.ring_overflow - before
     await service.reaches(before + kept)
@@ -92,7 +92,7 @@ def main() -> int:
     for plate in ("quartz16", "skin32"):
         with tempfile.TemporaryDirectory() as folder, emulated_board(plate, Path(folder)) as (link, _):
             account, seen = asyncio.run(blocked(plate, link, Path(folder), seconds))
-        holds, given_up = RING_BYTES // seen.frame_memory_bytes, account.lost.ring_overflow
+        holds, given_up = FRAME_QUEUE_BYTES // seen.frame_memory_bytes, account.lost.ring_overflow
         otherwise = account.lost.total - given_up
         print(
             f"{plate}: event loop blocked for {seconds:g} s; the ring holds {holds} frames: {seen.kept} kept, "

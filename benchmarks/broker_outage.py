@@ -330,7 +330,7 @@ async def _until_all_is_sent(service: Service) -> None:
 
 
 def _tell(case: str, scene: Scene, watch: Watch, before_end: MessageAccount, board: dict[str, int]) -> list[str]:
-    account, link, heard = scene.service.message_account, scene.service.link_account, scene.heard
+    account, link, heard = scene.service.message_account, scene.service.link_counters, scene.heard
     off = max(watch.worst_imbalance, abs(imbalance(account)))
     more_mb = watch.rss_most_mb - watch.rss_first_mb
     excused = sum(account.dropped.get(cause, 0) for cause in ("spool_full", "spool_failed"))

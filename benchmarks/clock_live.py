@@ -41,7 +41,7 @@ def play(faults: str) -> tuple[np.ndarray, np.ndarray]:
             while len(frames) < FRAMES:
                 woken.wait(1.0)
                 woken.clear()
-                frames += [arrival for arrival in reader.take() if isinstance(arrival, SingleToneFrame)]
+                frames += [arrival for arrival in reader.pop_arrivals() if isinstance(arrival, SingleToneFrame)]
             reader.stop()
         lines = map(json.loads, truth.read_text().splitlines())
         ends_ns = {line["board_ticks"]: int(line["t_ns"]) for line in lines}

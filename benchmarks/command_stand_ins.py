@@ -12,7 +12,7 @@ from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonPart
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.forces.readings import Compensation
-from resonator_daemon.pipeline import control_requests as steering
+from resonator_daemon.pipeline import control_requests
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.topics import TOPICS
@@ -50,11 +50,11 @@ class StandIn:
     def set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
         self.acts.append(("set_rate", path, rate_hz, dict(limits_hz)))
 
-    async def order(self, order: steering.Order) -> str:
-        if isinstance(order, steering.Tare):
+    async def control(self, control: control_requests.Control) -> str:
+        if isinstance(control, control_requests.Tare):
             self.acts.append(("tare",))
             return self.touched
-        measurement = order.measurement
+        measurement = control.measurement
         if not 0 < measurement.step_ms <= measurement.window_ms:
             raise ValueError(f"step of {measurement.step_ms} and window of {measurement.window_ms} ms")
         self.measurement = measurement
@@ -106,7 +106,7 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
         streams=("forces", "contacts"),
         set_rate=stand_in.set_rate,
         measurement=lambda: stand_in.measurement,
-        order=stand_in.order,
+        control=stand_in.control,
     )
     return CommandHandlers(config, "9f3c", parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
 

@@ -24,15 +24,15 @@ def run(board: QemuBoard, link: SerialLink | TcpLink, seconds: float) -> tuple[b
     reader = BoardReader(link, load_plate("quartz16"), woken.set)
     with board:
         reader.start()
-        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.take()):
+        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.pop_arrivals()):
             woken.wait(1.0)
             woken.clear()
         begun_s, qemu_s, reader_s = time.monotonic(), board.processor_s, time.process_time()
-        before = reader.account()
+        before = reader.counters()
         while time.monotonic() < begun_s + seconds:
             time.sleep(0.1)
-            reader.take()
-        account = reader.account()
+            reader.pop_arrivals()
+        account = reader.counters()
         elapsed_s = time.monotonic() - begun_s
         qemu = (board.processor_s - qemu_s) / elapsed_s
         here = (time.process_time() - reader_s) / elapsed_s

@@ -51,10 +51,10 @@ def in_turns(plate_name: str, seconds: float, folder: Path) -> tuple[list[Turn],
     arrived = threading.Event()
     without, with_recording = [], []
     with emulated_board(plate_name, folder) as (link, _):
-        reader = BoardReader(parse_link(link), plate, arrived.set, step_frames=(64,), tap=switch.tap)
+        reader = BoardReader(parse_link(link), plate, arrived.set, step_frames=(64,), on_event=switch.put)
         reader.start()
         deadline_s = time.monotonic() + _GIVE_UP_S
-        while reader.account().frames == 0 and time.monotonic() < deadline_s:
+        while reader.counters().frames == 0 and time.monotonic() < deadline_s:
             _read(reader, arrived, 0.2)
         for number in range(_TURNS):
             without.append(_read(reader, arrived, seconds))
@@ -71,13 +71,13 @@ def in_turns(plate_name: str, seconds: float, folder: Path) -> tuple[list[Turn],
 
 
 def _read(reader: BoardReader, arrived: threading.Event, seconds: float) -> Turn:
-    begun_s, begun_cpu_s, begun_bytes = time.monotonic(), _cpu_s(), reader.account().bytes_received
+    begun_s, begun_cpu_s, begun_bytes = time.monotonic(), _cpu_s(), reader.counters().bytes_received
     while time.monotonic() - begun_s < seconds:
         arrived.wait(0.2)
         arrived.clear()
-        reader.take()
+        reader.pop_arrivals()
     passed_s = time.monotonic() - begun_s
-    received = reader.account().bytes_received - begun_bytes
+    received = reader.counters().bytes_received - begun_bytes
     return Turn(100 * (_cpu_s() - begun_cpu_s) / passed_s, link_bytes_per_s=received / passed_s)
 
 
@@ -96,7 +96,7 @@ def cat_percent(seconds: float, folder: Path) -> float:
 
     with emulated_board("quartz16", folder) as (link, _):
         arrived = threading.Event()
-        reader = BoardReader(parse_link(link), load_plate("quartz16"), arrived.set, step_frames=(64,), tap=keep)
+        reader = BoardReader(parse_link(link), load_plate("quartz16"), arrived.set, step_frames=(64,), on_event=keep)
         reader.start()
         _read(reader, arrived, seconds)
         reader.stop()

@@ -38,7 +38,7 @@ def replay(path: Path) -> tuple[float, float, int, str]:
     with open_playback(path) as playback:
         for moment in playback.moments():
             first_ns, last_ns = first_ns or moment.now.monotonic_ns, moment.now.monotonic_ns
-        frames = playback.account.frames
+        frames = playback.counters.frames
     took_s = time.process_time() - begun_s
     return (last_ns - first_ns) * 1e-9, took_s, frames, f"{playback.differences} differences"
 

@@ -22,7 +22,7 @@ def main(folder: Path) -> None:
         with open_playback(path) as playback:
             for _moment in playback.moments():
                 pass
-            frames = playback.account.frames
+            frames = playback.counters.frames
         samples.append(((time.process_time() - begun_s) / frames * 1e6, (loop_us + reference_us()) / 2))
     print(json.dumps({"replay of quartz16, bytes to messages": samples}))
 

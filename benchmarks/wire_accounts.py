@@ -21,9 +21,9 @@ from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_numbers import FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, Gap, SingleToneFrame
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_state import LinkState
@@ -188,9 +188,9 @@ class Receiver:
     """The daemon's end, and what arrived."""
 
     def __init__(self) -> None:
-        self.account = LinkAccount()
+        self.account = LinkCounters()
         self.arrivals: list[Arrival] = []
-        self._ring = Ring(64 << 20, lambda: None)
+        self._queue = FrameQueue(64 << 20, lambda: None)
         self._numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, GATE_NS)
         started = self._numbering.started
 
@@ -199,22 +199,24 @@ class Receiver:
             self._numbering._next_sequence = BEFORE_THE_WRAP  # noqa: SLF001 - 2^32 frames would take 50 days
 
         self._numbering.started = started_before_the_wrap  # type: ignore[method-assign]
-        self._state = LinkState(self._ring.put)
-        self.connection = Connection(PLATE, None, self._numbering, self._ring, self.account, self._state, _host_time(0))
+        self._state = LinkState(self._queue.put)
+        self.connection = Connection(
+            PLATE, None, self._numbering, self._queue, self.account, self._state, _host_time(0)
+        )
         self.fed_bytes = 0
         self.books_wrong = 0
 
     def open(self, now_ns: int) -> None:
         self.connection = Connection(
-            PLATE, None, self._numbering, self._ring, self.account, self._state, _host_time(now_ns)
+            PLATE, None, self._numbering, self._queue, self.account, self._state, _host_time(now_ns)
         )
 
     def take(self, data: bytes, now_ns: int) -> bytes:
         if data:
             self.fed_bytes += len(data)
             self.connection.receive(data, _host_time(now_ns))
-        self.connection.tend(_host_time(now_ns), idle=True)
-        self.arrivals += self._ring.take()
+        self.connection.run_timers(_host_time(now_ns), idle=True)
+        self.arrivals += self._queue.pop_all()
         return self.connection.data_to_send()
 
     def check_bytes(self) -> None:

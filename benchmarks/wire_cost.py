@@ -143,15 +143,15 @@ def reader_cost(seconds: int) -> float:
         woken = threading.Event()
         reader = BoardReader(parse_link(link), load_plate("quartz16"), woken.set, step_frames=(5,))
         reader.start()
-        while reader.account().frames < 6 * FRAME_RATE_HZ:  # beyond the pings of the first seconds
+        while reader.counters().frames < 6 * FRAME_RATE_HZ:  # beyond the pings of the first seconds
             woken.wait(1.0)
             woken.clear()
-            reader.take()
+            reader.pop_arrivals()
         before_s, began = processor_s(), time.monotonic()
         while time.monotonic() < began + seconds:
             woken.wait(1.0)
             woken.clear()
-            reader.take()
+            reader.pop_arrivals()
         percent = 100 * (processor_s() - before_s) / (time.monotonic() - began)
         reader.stop()
     return percent

@@ -15,13 +15,13 @@ from emulated_board import emulated_board
 from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, LinkChange, SingleToneFrame
 
 CASES = (("quartz16", 1e-5), ("skin32", 1e-7))
 
 
-def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tuple[LinkAccount, int, dict[str, Any]]:
+def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tuple[LinkCounters, int, dict[str, Any]]:
     """Read a damaged link for some time; return the account, the index of the last frame, and the emulator's report."""
     last_index = -1
     woken = Event()
@@ -30,7 +30,7 @@ def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tupl
         nonlocal last_index
         woken.wait(0.5)
         woken.clear()
-        arrivals = reader.take()
+        arrivals = reader.pop_arrivals()
         for arrival in arrivals:
             if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
                 last_index = arrival.index
@@ -45,7 +45,7 @@ def run(plate: str, bit_error_rate: float, seconds: float, folder: Path) -> tupl
     while not any(isinstance(arrival, LinkChange) and arrival.state != "online" for arrival in take()):
         pass  # what was still on its way
     reader.stop()
-    return reader.account(), last_index, report
+    return reader.counters(), last_index, report
 
 
 def main() -> int:

@@ -13,8 +13,8 @@ from resonator_daemon.config import LinkTarget, load_config
 from resonator_daemon.errors import ExitCode, OperatorError, failure_told
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.opening import open_link
-from resonator_daemon.session.compatibility import misfits
-from resonator_daemon.session.probe import Inquiry, NoBoardError, inquire, round_trip_s
+from resonator_daemon.session.compatibility import incompatibilities
+from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe, round_trip_s
 
 _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELISED): "channelised"}
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}
@@ -51,7 +51,7 @@ def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool
         else:
             raise ValueError("identify needs a link or a configuration")
         inquiry = _ask(where, blink=blink)
-    problems = misfits(inquiry.described.description, config.plate) if config is not None else ()
+    problems = incompatibilities(inquiry.described.description, config.plate) if config is not None else ()
     if as_json:
         sys.stdout.write(json.dumps(_as_json(where, inquiry, problems, blink=blink)) + "\n")
     else:
@@ -62,20 +62,20 @@ def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool
     return ExitCode.UNAVAILABLE if problems else ExitCode.DONE
 
 
-def _ask(target: LinkTarget, *, blink: bool) -> Inquiry:
+def _ask(target: LinkTarget, *, blink: bool) -> ProbeResult:
     try:
         link = open_link(target)
     except LinkUnavailableError as error:
         raise NoAnswerError(str(error)) from error
     try:
-        return inquire(link, blink=blink)
+        return probe(link, blink=blink)
     except NoBoardError as error:
         raise NoAnswerError(f"no board answers on {target}: {error}") from error
     finally:
         link.close()
 
 
-def _as_json(target: LinkTarget, inquiry: Inquiry, problems: tuple[str, ...], *, blink: bool) -> dict[str, Any]:
+def _as_json(target: LinkTarget, inquiry: ProbeResult, problems: tuple[str, ...], *, blink: bool) -> dict[str, Any]:
     shortest_s, median_s = round_trip_s(inquiry) or (None, None)
     rate = inquiry.tick_rate
     return {
@@ -93,7 +93,7 @@ def _as_json(target: LinkTarget, inquiry: Inquiry, problems: tuple[str, ...], *,
     }
 
 
-def _lines(target: LinkTarget, inquiry: Inquiry, *, blink: bool) -> Iterator[tuple[str, str]]:
+def _lines(target: LinkTarget, inquiry: ProbeResult, *, blink: bool) -> Iterator[tuple[str, str]]:
     identity, description, boot_id = inquiry.described
     yield "board", f"{identity.product} {identity.serial_number}, firmware {identity.firmware}"
     yield "link", str(target)
@@ -132,7 +132,7 @@ def _gates(description: Description) -> str:
     return f"{limits}: {low_hz:g} to {high_hz:g} frames/s"
 
 
-def _tick_rate(inquiry: Inquiry) -> str:
+def _tick_rate(inquiry: ProbeResult) -> str:
     rate = inquiry.tick_rate
     if rate is None:
         return "its ticks could not be timed"
@@ -142,7 +142,7 @@ def _tick_rate(inquiry: Inquiry) -> str:
     return measured if rate.plausible else f"{measured}: NOT plausible, forces would be wrong by as much"
 
 
-def _round_trip(inquiry: Inquiry) -> str:
+def _round_trip(inquiry: ProbeResult) -> str:
     times_s = round_trip_s(inquiry)
     if times_s is None:
         return "no ping was answered"

@@ -26,7 +26,7 @@ from resonator_daemon.errors import (
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
@@ -123,7 +123,7 @@ class _Sitting:
         self._course = _course(config, boot_id, self._recorder) if options.derived else None
         self._arrived = threading.Event()
         self._reader = BoardReader(
-            config.link, config.plate, self._arrived.set, step_frames=(64,), tap=self._recorder.put
+            config.link, config.plate, self._arrived.set, step_frames=(64,), on_event=self._recorder.put
         )
         self._board: BoardOnline | None = None
         self._link = ""  # what was said of it last
@@ -144,7 +144,7 @@ class _Sitting:
             self._reader.stop()
             self._measure_the_rest()
             self._recorder.close()
-            is_kept = self._reader.account().frames > 0
+            is_kept = self._reader.counters().frames > 0
             if not is_kept:
                 self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
@@ -184,7 +184,7 @@ class _Sitting:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 
     def result(self) -> dict[str, Any]:
-        account = self._reader.account()
+        account = self._reader.counters()
         counts = self._recorder.counts
         return {
             "file": str(self._recorder.path),
@@ -205,7 +205,7 @@ class _Sitting:
         self._stopped = True
 
     def _take(self) -> None:
-        for arrival in self._reader.take():
+        for arrival in self._reader.pop_arrivals():
             if self._course is not None:
                 self._course.take(arrival)
             match arrival:
@@ -224,11 +224,11 @@ class _Sitting:
     def _measure_the_rest(self) -> None:
         """Measure what came before the reader stopped: its bytes are in the file."""
         if self._course is not None:
-            for arrival in self._reader.take():
+            for arrival in self._reader.pop_arrivals():
                 self._course.take(arrival)
 
     def _say_progress(self, end: str = "") -> None:
-        line = _progress(self._reader.account(), self._recorder)
+        line = _progress(self._reader.counters(), self._recorder)
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:
@@ -245,7 +245,7 @@ def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
     return BoardCourse(config, boot_id, messages.take)
 
 
-def _progress(account: LinkAccount, recorder: Recorder) -> str:
+def _progress(account: LinkCounters, recorder: Recorder) -> str:
     counts = recorder.counts
     line = f"{recorder.path}: {account.frames} frames, {account.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:

@@ -83,7 +83,7 @@ async def test_jumps_of_the_wall_clock_are_jumps_of_time_stamps_and_nothing_else
             await newer_than(observer, "forces", utc_ns)
             last = await newer_than(observer, "health", utc_ns)
             files.append(last["recording"]["files"])
-        account = running.link_account
+        account = running.link_counters
         assert account.connections == 1
         assert account.clock_restarts == 0
     forces = observer.payloads("resonator/hand/forces")

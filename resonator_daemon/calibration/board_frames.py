@@ -52,7 +52,7 @@ def _arrivals(reader: BoardReader, arrived: threading.Event, timeout_s: float) -
     while True:
         arrived.wait(0.2)
         arrived.clear()
-        for arrival in reader.take():
+        for arrival in reader.pop_arrivals():
             match arrival:
                 case SingleToneFrame() | ChannelisedFrame():
                     last_s = time.monotonic()

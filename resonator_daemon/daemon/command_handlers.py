@@ -9,7 +9,7 @@ from typing import Final, Protocol, get_args
 from resonator_daemon.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.forces.readings import Compensation
-from resonator_daemon.pipeline import control_requests as steering
+from resonator_daemon.pipeline import control_requests
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.verbs import (
@@ -62,7 +62,7 @@ class DaemonParts:
         Lowers the rate of a stream, or with None no longer; is handed what holds then of all topics, too.
     measurement
         Returns the window that holds now.
-    order
+    control
         Has an order obeyed after the frames that have arrived; returns why it was not, or "".
     """
 
@@ -73,7 +73,7 @@ class DaemonParts:
     streams: Collection[str]
     set_rate: Callable[[str, float | None, Mapping[str, float]], None]
     measurement: Callable[[], Measurement]
-    order: Callable[[steering.Order], Awaitable[str]]
+    control: Callable[[control_requests.Control], Awaitable[str]]
 
 
 class CommandHandlers:
@@ -135,7 +135,7 @@ class CommandHandlers:
 
     async def _tare(self, _request: Tare) -> TareAnswer:
         chain = self._force_chain()
-        if reason := await self._parts.order(steering.Tare()):
+        if reason := await self._parts.control(control_requests.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
         return TareAnswer(
             did="the present readings count as untouched", common_mode=tuple(chain.compensation.common_mode)
@@ -149,7 +149,7 @@ class CommandHandlers:
         if problems := timing_problems(spans_ms, self._plate):
             said = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
             raise CommandRefusedError("window", said, "send window_ms and step_ms that fit each other and the frames")
-        if reason := await self._parts.order(steering.MeasureOver(measurement=measurement)):
+        if reason := await self._parts.control(control_requests.MeasureOver(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
 

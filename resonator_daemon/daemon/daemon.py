@@ -24,7 +24,7 @@ from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
-from resonator_daemon.host.journal import name_lines
+from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
@@ -34,7 +34,7 @@ from resonator_daemon.monitoring.liveness import DECLARED_WAITING, FlowWatch
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
-from resonator_daemon.pipeline import control_requests as steering
+from resonator_daemon.pipeline import control_requests
 from resonator_daemon.pipeline.board_pipeline import BoardCourse
 from resonator_daemon.pipeline.measuring import step_ns, useful_together
 from resonator_daemon.pipeline.surface_decoding import SurfaceClient
@@ -46,14 +46,14 @@ from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK,
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     Arrival,
     BoardOnline,
     BoardRefused,
+    ControlRequest,
     ReaderFailed,
     SingleToneFrame,
-    Steering,
     in_blocks,
 )
 
@@ -116,10 +116,10 @@ class Service:
             config.plate,
             self._wake_from(loop),
             step_frames=steps,
-            ring_bytes=frames_waiting_bytes(config.plate),
-            tap=self._recording.tap,
+            frame_queue_bytes=frames_waiting_bytes(config.plate),
+            on_event=self._recording.put,
         )
-        self._steering = steering.Steering(self._reader.steer)
+        self._control = control_requests.ControlRequests(self._reader.request_control)
         self._daemon_boot_id = secrets.token_hex(8)
         self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
         self._recordings: RecordingCommands | None = None
@@ -197,9 +197,9 @@ class Service:
         return self._daemon_boot_id
 
     @property
-    def link_account(self) -> LinkAccount:
+    def link_counters(self) -> LinkCounters:
         """Where the link's bytes and frames went."""
-        return self._reader.account()
+        return self._reader.counters()
 
     @property
     def message_account(self) -> MessageAccount:
@@ -229,14 +229,14 @@ class Service:
             report_health=self._report_health,
             last_message=self._outlet.last_message,
             force_chain=self._force_chain,
-            locate=self._reader.locate,
+            locate=self._reader.blink,
             streams=self._course.reporter.streams,
             set_rate=self._set_rate,
             measurement=lambda: self._course.reporter.measurement,
-            order=self._steering.order,
+            control=self._control.request,
         )
         self._name = name
-        name_lines(name)
+        tag_log(name)
         recordings = RecordingCommands(
             self._config,
             name,
@@ -276,7 +276,7 @@ class Service:
         config = self._in_use.config
         if found is not None and found.live:
             if any(key.startswith("measurement.") for key in found.live):
-                await self._steering.order(steering.MeasureOver(measurement=config.measurement))
+                await self._control.request(control_requests.MeasureOver(measurement=config.measurement))
             self._course.allow(config.commands.allow)
             self._outlet.allow(config.commands.allow)
             self._recorded.derived = config.recording.derived
@@ -312,7 +312,7 @@ class Service:
         handled = 0
         while handled < _TOGETHER and not self._over.done():
             if not self._arrivals:  # also after the last one: `_consume` ignores what comes while others are handled
-                self._arrivals.extend(in_blocks(self._reader.take(), _TOGETHER))
+                self._arrivals.extend(in_blocks(self._reader.pop_arrivals(), _TOGETHER))
                 if not self._arrivals:
                     return True
             arrival = self._arrivals.popleft()
@@ -336,10 +336,10 @@ class Service:
                 self._recording.name_board(arrival)
             case BoardRefused():
                 self._refuse(arrival)
-            case Steering():
-                self._steering.obeyed(arrival.key, self._course.steer(arrival.order))
+            case ControlRequest():
+                self._control.applied(arrival.key, self._course.apply_control(arrival.request))
                 measurement = self._course.reporter.measurement
-                self._reader.wake_at(useful_together(self._config.plate, measurement))
+                self._reader.set_step_frames(useful_together(self._config.plate, measurement))
                 self._step_ns = step_ns(self._config.plate, measurement)
                 return
             case ReaderFailed():
@@ -447,7 +447,7 @@ class Service:
     def _report_health(self) -> Health:
         measuring = self._course.measuring
         vitals = self._monitor.vitals(
-            self.link_account,
+            self.link_counters,
             self.message_account,
             self._reader.clock_rate_ppm,
             measuring.frames_not_decoded,

@@ -6,7 +6,7 @@ import signal
 import socket
 import sys
 
-from resonator_daemon.host.journal import name_lines, set_up_logging
+from resonator_daemon.host.journal import set_up_logging, tag_log
 
 _PR_SET_PDEATHSIG, _PR_SET_NAME = 1, 15  # linux/prctl.h
 
@@ -20,7 +20,7 @@ def main() -> None:
     libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)  # also ends a frame that never ends; else the closed socket does
     libc.prctl(_PR_SET_NAME, b"resonatord-dec")  # 15 bytes at most
     set_up_logging()
-    name_lines(name)
+    tag_log(name)
     connection = socket.socket(fileno=int(descriptor))
     from resonator_daemon.decoder_process.worker import work  # a slow import: signals are ignored by now
 

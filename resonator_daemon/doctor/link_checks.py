@@ -9,8 +9,8 @@ from resonator_daemon.doctor.finding import Area, Check, Finding, excused, grade
 from resonator_daemon.doctor.sitting import OPEN_S, Sitting
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import TOLERANCE_PPM
-from resonator_daemon.session.compatibility import misfits
-from resonator_daemon.session.probe import Inquiry, round_trip_s
+from resonator_daemon.session.compatibility import incompatibilities
+from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
@@ -48,7 +48,7 @@ def remedy_of_opening(link: LinkTarget) -> str:
     return "see with `resonatord ports` which ports there are, and who holds them; docs/links.md"
 
 
-def check_inquiry(inquiry: Inquiry, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
+def check_inquiry(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
     """Yield what a board's answers say, its counting aside; `busy` explains answers that come late."""
     identity = inquiry.described.identity
     yield ANSWERS.ok(f"{identity.product} {identity.serial_number}, firmware {identity.firmware}")
@@ -181,14 +181,14 @@ def _all_frames(sitting: Sitting) -> int:
     return max(1, sitting.frames + sitting.after.lost.total - sitting.before.lost.total)
 
 
-def _fits(inquiry: Inquiry, plate: Plate) -> Finding:
-    problems = misfits(inquiry.described.description, plate)
+def _fits(inquiry: ProbeResult, plate: Plate) -> Finding:
+    problems = incompatibilities(inquiry.described.description, plate)
     if problems:
         return FITS.fault("; ".join(problems), "connect the right board, or name the right plate file")
     return FITS.ok(f"the board counts what plate {plate.name} needs")
 
 
-def _unit(inquiry: Inquiry, plate: Plate) -> Finding:
+def _unit(inquiry: ProbeResult, plate: Plate) -> Finding:
     unit, present = plate.calibration.unit, inquiry.described.identity.serial_number
     if unit is None:
         return UNIT.not_checked("the plate file does not say with which board it was calibrated")
@@ -200,7 +200,7 @@ def _unit(inquiry: Inquiry, plate: Plate) -> Finding:
     return UNIT.ok(unit)
 
 
-def _reference(inquiry: Inquiry) -> Finding:
+def _reference(inquiry: ProbeResult) -> Finding:
     rate = inquiry.tick_rate
     if rate is None:
         return REFERENCE.not_checked("its ticks could not be timed")
@@ -219,7 +219,7 @@ def _reference(inquiry: Inquiry) -> Finding:
     )
 
 
-def _round_trip(inquiry: Inquiry) -> Finding:
+def _round_trip(inquiry: ProbeResult) -> Finding:
     times_s = round_trip_s(inquiry)
     if times_s is None:
         return ROUND_TRIP.fault(
@@ -240,7 +240,7 @@ def _round_trip(inquiry: Inquiry) -> Finding:
     )
 
 
-def _reset(inquiry: Inquiry) -> Finding:
+def _reset(inquiry: ProbeResult) -> Finding:
     cause = inquiry.described.identity.reset_cause
     if cause == ResetCause.BROWN_OUT:
         return RESET.warning(

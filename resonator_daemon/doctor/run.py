@@ -40,7 +40,7 @@ from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.opening import open_link
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
-from resonator_daemon.session.probe import Inquiry, NoBoardError, inquire
+from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
@@ -200,7 +200,7 @@ class _Examination:
             yield link_checks.OPENS.ok(f"{link} is open")
             self._say("asking the board who it is")
             with Load(self._host) as load:
-                inquiry = inquire(opened)
+                inquiry = probe(opened)
             busy = load.busy()
         except NoBoardError as error:
             check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
@@ -211,7 +211,7 @@ class _Examination:
             opened.close()
         yield from self._listen(link, inquiry, busy)
 
-    def _listen(self, link: LinkTarget, inquiry: Inquiry, busy: str) -> Iterator[Finding]:
+    def _listen(self, link: LinkTarget, inquiry: ProbeResult, busy: str) -> Iterator[Finding]:
         plate = self._plate(inquiry)
         answered = list(link_checks.check_inquiry(inquiry, plate, busy))
         yield from answered
@@ -237,7 +237,7 @@ class _Examination:
         else:
             yield from sensor_checks.check_plate(sitting, plate)
 
-    def _plate(self, inquiry: Inquiry) -> Plate | None:
+    def _plate(self, inquiry: ProbeResult) -> Plate | None:
         if self._config is not None:
             return self._config.plate
         name = inquiry.described.description.plate

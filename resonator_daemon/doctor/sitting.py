@@ -16,7 +16,7 @@ from resonator_daemon.doctor.load import Load
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.compatibility import oscillator_hz
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
@@ -57,8 +57,8 @@ class Sitting:
     link: str = ""
     hearing: Hearing | None = None
     readings: list[Reading] = field(default_factory=list)
-    before: LinkAccount = field(default_factory=LinkAccount)
-    after: LinkAccount = field(default_factory=LinkAccount)
+    before: LinkCounters = field(default_factory=LinkCounters)
+    after: LinkCounters = field(default_factory=LinkCounters)
     interruptions: list[str] = field(default_factory=list)
     losses: list[str] = field(default_factory=list)
     busy: str = ""
@@ -86,7 +86,7 @@ class _StatusEar:
         self._decoder = PacketDecoder(from_board=True)
         self.heard: list[BoardStatus] = []
 
-    def tap(self, event: WireEvent) -> None:
+    def put(self, event: WireEvent) -> None:
         if not isinstance(event, Received):
             return
         for packet in self._decoder.feed(event.data):
@@ -108,7 +108,7 @@ def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progres
     arrived = threading.Event()
     ear = _StatusEar()
     anyone = plate.calibration.model_copy(update={"unit": None})  # that it is another board is said beside the rest
-    reader = BoardReader(target, plate.model_copy(update={"calibration": anyone}), arrived.set, tap=ear.tap)
+    reader = BoardReader(target, plate.model_copy(update={"calibration": anyone}), arrived.set, on_event=ear.put)
     sitting = Sitting(plate.counter.frame_rate_hz)
     with Load(host) as load:
         reader.start()
@@ -118,9 +118,9 @@ def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progres
             reader.stop()
     sitting.busy = load.busy()
     if sitting.counted:
-        sitting.after = reader.account()
+        sitting.after = reader.counters()
     else:
-        sitting.before = sitting.after = reader.account()
+        sitting.before = sitting.after = reader.counters()
     kelvin = (status.temperature_millikelvin for status in ear.heard)
     sitting.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
     return sitting
@@ -135,12 +135,12 @@ def _listen(
         arrived.wait(_TURN_S)
         arrived.clear()
         now_s = time.monotonic()
-        for arrival in reader.take():
+        for arrival in reader.pop_arrivals():
             match arrival:
                 case SingleToneFrame() | ChannelisedFrame():
                     if first_s is None:
                         first_s = now_s
-                        sitting.before = reader.account()
+                        sitting.before = reader.counters()
                     if sitting.hearing is not None and (reading := sitting.hearing.push(arrival)) is not None:
                         sitting.readings.append(reading)
                 case BoardOnline():
@@ -164,6 +164,6 @@ def _listen(
                 return
         else:
             sitting.seconds = now_s - first_s
-            progress(f"{reader.account().frames} frames, {min(sitting.seconds, seconds):.0f} of {seconds:g} s")
+            progress(f"{reader.counters().frames} frames, {min(sitting.seconds, seconds):.0f} of {seconds:g} s")
             if sitting.seconds >= seconds:
                 return

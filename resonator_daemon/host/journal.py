@@ -25,11 +25,11 @@ def set_up_logging(level: int = logging.INFO, journal: Path = JOURNAL) -> None:
     logging.basicConfig(level=level, handlers=[JournalHandler(connection, plain) if connection else plain])
 
 
-def name_lines(name: str) -> None:
+def tag_log(name: str) -> None:
     """Have all further lines in the journal carry the daemon's name."""
     for handler in logging.getLogger().handlers:
         if isinstance(handler, JournalHandler):
-            handler.name_lines(name)
+            handler.tag_log(name)
 
 
 def error_prefix() -> str:
@@ -59,7 +59,7 @@ class JournalHandler(logging.Handler):
         self._lost = 0
         self._common: dict[str, str] = {"SYSLOG_IDENTIFIER": _IDENTIFIER}
 
-    def name_lines(self, name: str) -> None:
+    def tag_log(self, name: str) -> None:
         self._common["RESONATORD_NAME"] = name
 
     def close(self) -> None:

@@ -10,7 +10,7 @@ _under_way: dict[tuple[str, int], Future[Addresses]] = {}
 _guard = threading.Lock()
 
 
-def look_up(host: str, port: int, timeout_s: float) -> Addresses:
+def resolve_host(host: str, port: int, timeout_s: float) -> Addresses:
     """Return families and addresses; a look-up that took too long goes on, and its answer serves the next call.
 
     Raises

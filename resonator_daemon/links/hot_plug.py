@@ -65,7 +65,7 @@ class PortWatch:
                 before = self._places
                 happened = self._events.read()
                 self._aim(self._events)
-                if any(self._tells(event, before) for event in happened):
+                if any(self._concerns(event, before) for event in happened):
                     return True
             if time.monotonic() >= deadline:
                 return False
@@ -100,7 +100,7 @@ class PortWatch:
             return _places_of_path(_USB)
         return frozenset((directory, None) for directory, _, _ in os.walk(_USB))
 
-    def _tells(self, event: DirectoryEvent, places: _Places) -> bool:
+    def _concerns(self, event: DirectoryEvent, places: _Places) -> bool:
         path = self._target.path if isinstance(self._target, SerialLink) else _USB
         if (event.directory, None) in places:
             return True

@@ -43,7 +43,7 @@ class Link(Protocol):
         """Give the port back; never fails, and never waits for the board."""
 
 
-def took_no_bytes() -> LinkLostError:
+def write_timeout() -> LinkLostError:
     return LinkLostError(f"the board took no bytes for {WRITE_TIMEOUT_S:g} s")
 
 
@@ -89,7 +89,7 @@ class FileDescriptorLink:
         while data:
             left_s = deadline - time.monotonic()
             if left_s < 0 or not self._writable.poll(left_s * 1e3):
-                raise took_no_bytes()
+                raise write_timeout()
             try:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:

@@ -16,7 +16,7 @@ from serial.tools import list_ports
 from resonator_daemon.config import SerialLink
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
-from resonator_daemon.links.tty_settings import hasten, overrun_counter, settle
+from resonator_daemon.links.tty_settings import configure_tty, overrun_counter, set_low_latency
 
 _LAST_BYTES_S = 0.05
 
@@ -56,13 +56,13 @@ def open_serial(target: SerialLink) -> SerialPortLink:
             # A pseudo-terminal that its other side keeps alive would stay shut to all but root.
             fcntl.ioctl(descriptor, termios.TIOCNXCL)
         with suppress(OSError, termios.error):
-            _let_go_of_output(descriptor)
+            _discard_output(descriptor)
         with suppress(OSError, termios.error):
             port.close()
 
     try:
         fcntl.ioctl(descriptor, termios.TIOCEXCL)
-        settle(descriptor)
+        configure_tty(descriptor)
         # Until the port was raw, the kernel may have sent back what the board had sent.
         termios.tcflush(descriptor, termios.TCOFLUSH)
     except (OSError, termios.error) as error:
@@ -71,11 +71,11 @@ def open_serial(target: SerialLink) -> SerialPortLink:
     if sharing := _shared_with(target.path):
         close()
         raise LinkUnavailableError(f"{target.path} is also held by {sharing}; each would get some of the bytes")
-    hasten(descriptor, target.path)
+    set_low_latency(descriptor, target.path)
     return SerialPortLink(descriptor, close)
 
 
-def _let_go_of_output(descriptor: int) -> None:
+def _discard_output(descriptor: int) -> None:
     """Give the last bytes a moment; what a board has not taken by then is dropped, or closing would wait for it."""
     queued = array.array("i", [0])
     deadline = time.monotonic() + _LAST_BYTES_S

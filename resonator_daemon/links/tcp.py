@@ -9,7 +9,7 @@ import socket
 import time
 
 from resonator_daemon.config import TcpLink
-from resonator_daemon.links.host_lookup import look_up
+from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 
 _CONNECT_TIMEOUT_S = 3.0  # for the name and all its addresses together
@@ -30,7 +30,7 @@ def open_tcp(target: TcpLink) -> FileDescriptorLink:
     deadline = time.monotonic() + _CONNECT_TIMEOUT_S
     reasons = []
     try:
-        for family, address in look_up(target.host, target.port, _CONNECT_TIMEOUT_S):
+        for family, address in resolve_host(target.host, target.port, _CONNECT_TIMEOUT_S):
             try:
                 connection = _connect(family, address, deadline - time.monotonic())
             except OSError as error:

@@ -24,7 +24,7 @@ _SYS_TTY = Path("/sys/class/tty")
 _said: set[str] = set()  # ports whose latency was told of: once for each life of the process
 
 
-def settle(descriptor: int) -> None:
+def configure_tty(descriptor: int) -> None:
     """Have DTR stay as it is when the port is closed, and an empty port not look like one that is gone.
 
     Many boards start anew when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
@@ -36,7 +36,7 @@ def settle(descriptor: int) -> None:
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
-def hasten(descriptor: int, path: str) -> None:
+def set_low_latency(descriptor: int, path: str) -> None:
     """Have received bytes handed on at once where an adapter would collect them; say so where it will not."""
     try:
         serial = bytearray(_SERIAL_STRUCT_BYTES)

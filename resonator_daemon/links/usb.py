@@ -11,7 +11,7 @@ from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
 from resonator_daemon.config import UsbLink
-from resonator_daemon.links.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, took_no_bytes
+from resonator_daemon.links.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, write_timeout
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
 from resonator_daemon.links.usb_transfers import BulkReader, Failure
@@ -80,7 +80,7 @@ class UsbBulkLink:
         self._check()
         deadline = time.monotonic() + timeout_s
         while True:
-            if data := self._reader.take():
+            if data := self._reader.pop_received():
                 self._halts_in_a_row = 0
                 return data
             if self._reader.failure is not None:
@@ -90,7 +90,7 @@ class UsbBulkLink:
                 return b""
             self._reader.wait(left_s)
             if timeout_s <= 0.0:
-                return self._reader.take()
+                return self._reader.pop_received()
 
     def write(self, data: bytes) -> None:
         self._check()
@@ -98,7 +98,7 @@ class UsbBulkLink:
         while data:
             left_ms = int((deadline - time.monotonic()) * 1e3)
             if left_ms <= 0:  # libusb would take 0 for ever
-                raise took_no_bytes()
+                raise write_timeout()
             try:
                 data = data[self._write_some(data, left_ms) :]
             except USBTimeoutError:

@@ -140,7 +140,7 @@ class BulkReader:
         if code < 0 and code != _ERROR_INTERRUPTED:
             self._fail(Failure.ERROR)
 
-    def take(self) -> bytes:
+    def pop_received(self) -> bytes:
         """Return what has been received, in order."""
         data = b"".join(self._received)
         self._received.clear()

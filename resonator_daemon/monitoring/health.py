@@ -16,7 +16,7 @@ from resonator_daemon.publishing.payloads import (
     MessageAccount,
     RecordingInfo,
 )
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 
 
 class Vitals(TypedDict):
@@ -99,7 +99,7 @@ class HealthMonitor:
 
     def vitals(
         self,
-        link: LinkAccount,
+        link: LinkCounters,
         messages: MessageAccount,
         clock_drift_ppm: float,
         frames_not_decoded: int,

@@ -6,7 +6,7 @@ from typing import Any
 
 from resonator_daemon.config import Config, Measurement
 from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.pipeline.control_requests import MeasureOver, Tare, parse_order
+from resonator_daemon.pipeline.control_requests import MeasureOver, Tare, parse_control
 from resonator_daemon.pipeline.frame_timeout import CallLater, Silence
 from resonator_daemon.pipeline.measuring import Measuring
 from resonator_daemon.pipeline.reports import Reporter, utc_day
@@ -19,14 +19,14 @@ from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import (
     Arrival,
+    BoardLogLine,
     BoardOnline,
-    BoardSays,
     ChannelisedFrame,
+    ControlRequest,
     Gap,
     LinkChange,
     Outage,
     SingleToneFrame,
-    Steering,
 )
 
 log = logging.getLogger(__name__)
@@ -130,10 +130,10 @@ class BoardCourse:
                     self._say_link(self.link)
             case BoardOnline():
                 self._adopt(arrival)
-            case Steering():
-                if refusal := self.steer(arrival.order):
+            case ControlRequest():
+                if refusal := self.apply_control(arrival.request):
                     log.warning("%s", refusal)
-            case BoardSays():
+            case BoardLogLine():
                 log.log(min(arrival.level, logging.ERROR), "board: %s", arrival.text)
 
     def measure(self, frames: Sequence[SingleToneFrame]) -> list[ForceReading]:
@@ -173,10 +173,10 @@ class BoardCourse:
         self._arrived_utc_ns = utc_ns
         self.pass_time(utc_ns)
 
-    def steer(self, order: str) -> str:
-        """Obey an order; return why it was not done, "" where it was."""
+    def apply_control(self, request: str) -> str:
+        """Apply a control request; return why it was refused, "" where it was applied."""
         try:
-            match parse_order(order):
+            match parse_control(request):
                 case MeasureOver(measurement=measurement):
                     self._measure_over(measurement)
                     return ""
@@ -184,7 +184,7 @@ class BoardCourse:
                     chain = self.measuring.force_chain
                     return chain.tare() if chain is not None else "no force sites are being measured"
         except ValueError as error:
-            return f"{order!r} is no order of this version: {error}"
+            return f"{request!r} is no order of this version: {error}"
 
     def _measure_over(self, measurement: Measurement) -> None:
         self.measuring.set_measurement(measurement)

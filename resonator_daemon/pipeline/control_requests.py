@@ -23,17 +23,17 @@ class MeasureOver(BaseModel):
     measurement: Measurement
 
 
-Order = Tare | MeasureOver
+Control = Tare | MeasureOver
 
-_ORDER: Final[TypeAdapter[Order]] = TypeAdapter(Annotated[Order, Field(discriminator="verb")])
+_CONTROL: Final[TypeAdapter[Control]] = TypeAdapter(Annotated[Control, Field(discriminator="verb")])
 
 
-def parse_order(text: str) -> Order:
+def parse_control(text: str) -> Control:
     """Read an order; ValueError where it is none of this version."""
-    return _ORDER.validate_json(text)
+    return _CONTROL.validate_json(text)
 
 
-class Steering:
+class ControlRequests:
     """Sends orders after the frames that have arrived, and waits until they were obeyed.
 
     Parameters
@@ -46,18 +46,18 @@ class Steering:
         self._send = send
         self._asked: dict[str, asyncio.Future[str]] = {}
 
-    async def order(self, order: Order) -> str:
+    async def request(self, control: Control) -> str:
         """Return why the order was not obeyed; "" where it was."""
         key = secrets.token_hex(8)
         asked: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         self._asked[key] = asked
         try:
-            self._send(key, order.model_dump_json())
+            self._send(key, control.model_dump_json())
             return await asked
         finally:
             del self._asked[key]
 
-    def obeyed(self, key: str, refusal: str) -> None:
+    def applied(self, key: str, refusal: str) -> None:
         """Take what became of an order; of one that was replayed nobody wants to know."""
         if (asked := self._asked.get(key)) is not None and not asked.done():
             asked.set_result(refusal)

@@ -10,23 +10,23 @@ from resonator_daemon.recording.reader import Recording
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
+    BlinkRequested,
     Closed,
-    Goodbye,
-    Locate,
+    ControlRequested,
     Lost,
     Opened,
     Overrun,
     Received,
     Refused,
-    Said,
     Sent,
     Skipped,
-    Standing,
-    Steered,
-    Tended,
+    SnapshotTaken,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
     WireEvent,
 )
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 log = logging.getLogger(__name__)
 
@@ -61,12 +61,12 @@ class Pace:
         return False
 
 
-def replay(recording: Recording, course: LinkCourse, pace: Callable[[HostTime], bool]) -> int:
+def replay(recording: Recording, machine: LinkStateMachine, pace: Callable[[HostTime], bool]) -> int:
     """Apply the events of a recording; at the end the link is lost, for the reason that the recording is over.
 
     Parameters
     ----------
-    course
+    machine
         Has no link open.
     pace
         Is handed the time of each event and may wait; returns False to end the replay where it is.
@@ -76,7 +76,7 @@ def replay(recording: Recording, course: LinkCourse, pace: Callable[[HostTime], 
     int
         How often what followed was not what is recorded; 0 where nothing of the recording is missing.
     """
-    again = Replay(recording, course)
+    again = Replay(recording, machine)
     for event in recording.events():
         if not pace(event.now):
             again.close(event.now)
@@ -93,7 +93,7 @@ class Replay:
     ----------
     recording
         Whose events are handed to `apply`, in order.
-    course
+    machine
         Has no link open.
 
     Attributes
@@ -102,9 +102,9 @@ class Replay:
         How often what followed was not what is recorded; 0 where nothing of the recording is missing.
     """
 
-    def __init__(self, recording: Recording, course: LinkCourse) -> None:
+    def __init__(self, recording: Recording, machine: LinkStateMachine) -> None:
         self._recording = recording
-        self._course = course
+        self._machine = machine
         self._raised: BoardRefusedError | LinkLostError | None = None
         self._begun: HostTime | None = None
         self._now = HostTime(0, 0, 0)
@@ -118,33 +118,33 @@ class Replay:
             self._begun = event.now
         self._now = event.now
         match event:
-            case Received() | Tended() if self._raised is None and self._course.connection is not None:
+            case Received() | TimersRun() if self._raised is None and self._machine.connection is not None:
                 # What of all events nearly every one is. It was sent before the link was read again; one reading may
                 # have come in pieces.
-                if event.idle if isinstance(event, Tended) else not self._reading:
+                if event.idle if isinstance(event, TimersRun) else not self._reading:
                     self._compare_sent(event, b"")
                 self._reading = isinstance(event, Received)
                 self._take(event)
-            case Said() | Skipped() | Steered():
+            case StateAnnounced() | Skipped() | ControlRequested():
                 self._take(event)
                 if isinstance(event, Skipped):
                     self._astray = True
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
-            case Standing():
+            case SnapshotTaken():
                 # Told again and again, for whoever has not read what was before.
-                if self._astray and self._course.connection is None:
+                if self._astray and self._machine.connection is None:
                     self._take(event)
                 self._astray = False
             case Opened():
-                if self._course.connection is not None:
+                if self._machine.connection is not None:
                     self._differ(event, "the link is opened twice")
                     self.close(event.now)
-                self._course.apply(event)
-            case _ if self._course.connection is None:
+                self._machine.apply(event)
+            case _ if self._machine.connection is None:
                 self._differ(event, "the link is not open")
             case Lost() | Refused():
                 self._compare_end(event)
-                self._course.apply(event)
+                self._machine.apply(event)
             case Closed():
                 self.close(event.now)
             case _ if self._raised is not None:
@@ -152,13 +152,13 @@ class Replay:
             case Sent():
                 self._take(event)
                 self._compare_sent(event, event.data)
-            case Overrun() | Goodbye() | Locate():
+            case Overrun() | StopRequested() | BlinkRequested():
                 self._reading = False
                 self._take(event)
 
     def _take(self, event: WireEvent) -> None:
         try:
-            self._course.apply(event)
+            self._machine.apply(event)
         except (BoardRefusedError, LinkLostError) as error:
             self._raised = error
         except ValueError as error:  # no daemon has events in such an order; whoever made the file may
@@ -173,18 +173,18 @@ class Replay:
             sentences.append(f"its file is {damage}; all before that was replayed")
         if self.differences:
             sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
-        over = Said(self._now, "lost", "; ".join(sentences))
-        self._course.apply(over)
+        over = StateAnnounced(self._now, "lost", "; ".join(sentences))
+        self._machine.apply(over)
         return over
 
     def close(self, now: HostTime) -> None:
         """Close what is open."""
         self._raised = None
-        if self._course.connection is not None:
-            self._course.apply(Closed(now))
+        if self._machine.connection is not None:
+            self._machine.apply(Closed(now))
 
     def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
-        connection = self._course.connection
+        connection = self._machine.connection
         if connection is None or connection.follows:
             return
         wanted = connection.data_to_send()

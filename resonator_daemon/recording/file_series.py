@@ -27,7 +27,7 @@ _AGAIN: Final = 1.1  # so much more room lets a recording go on that ended for w
 Say = Callable[[int, str], None]
 
 
-def say_nothing(_level: int, _text: str) -> None:
+def discard_line(_level: int, _text: str) -> None:
     """Take a line that nobody wants to read."""
 
 

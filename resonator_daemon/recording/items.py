@@ -5,11 +5,11 @@ from typing import Final
 from resonator_daemon.recording.reader import Mark
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import BoardOnline
-from resonator_daemon.session.link_events import Received, Sent, Standing, WireEvent
+from resonator_daemon.session.link_events import Received, Sent, SnapshotTaken, WireEvent
 
 EVENT_BYTES: Final = 300  # of memory, beside its data
 
-_STANDING_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
+_SNAPSHOT_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
 
 Item = WireEvent | Mark | BoardOnline | Published
 
@@ -27,8 +27,8 @@ def size_bytes(item: Item) -> int:
             return EVENT_BYTES + len(item.text)
         case Published():
             return EVENT_BYTES + len(item.payload)
-        case Standing():
-            return _STANDING_BYTES
+        case SnapshotTaken():
+            return _SNAPSHOT_BYTES
         case BoardOnline():
             return 0
         case _:

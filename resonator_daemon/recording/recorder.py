@@ -10,13 +10,13 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.recording.file_series import Room, Say, Series, say_nothing
+from resonator_daemon.recording.file_series import Room, Say, Series, discard_line
 from resonator_daemon.recording.items import EVENT_BYTES, Item, State, size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.writer import Published, RecordingWriter
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime, read_host_time
-from resonator_daemon.session.link_events import Received, Sent, Skipped, Standing, WireEvent
+from resonator_daemon.session.link_events import Received, Sent, Skipped, SnapshotTaken, WireEvent
 
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
@@ -51,7 +51,7 @@ class Recorder:
 
     After an error, as of the disk, nothing more is written: `failure` says so, and what was written stays readable.
     Where the series resumes, it goes on in a new file once it can, and `failure` is None again. A series goes from file
-    to file where a `Standing` is put: the next begins with it.
+    to file where a `SnapshotTaken` is put: the next begins with it.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class Recorder:
     """
 
     def __init__(
-        self, place: Path | Series, origin: Origin, *, queue_bytes: int = QUEUE_BYTES, say: Say = say_nothing
+        self, place: Path | Series, origin: Origin, *, queue_bytes: int = QUEUE_BYTES, say: Say = discard_line
     ) -> None:
         self._place = place
         self._origin = origin
@@ -148,16 +148,16 @@ class Recorder:
             return self._counts
 
     def put(self, event: WireEvent) -> None:
-        """Have an event written; never waits. A `Standing` is written where a replay can begin or go on with it."""
+        """Queue an event; never waits. A snapshot is written only where a replay can begin or go on with it."""
         taken_bytes = size_bytes(event)
         with self._lock:
             if self._missing_events:
                 taken_bytes += EVENT_BYTES  # the word of them comes first
             fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
             if fits and (self._failure is None or self._resumes):
-                self._tell_missing(event.now)
+                self._record_missing(event.now)
                 self._append(event)
-            elif not isinstance(event, Standing):
+            elif not isinstance(event, SnapshotTaken):
                 self._skip(event)
 
     def skip(self, event: WireEvent) -> None:
@@ -213,7 +213,7 @@ class Recorder:
         self._items.append(item)
         self._waiting_bytes += size_bytes(item)
 
-    def _tell_missing(self, now: HostTime) -> None:
+    def _record_missing(self, now: HostTime) -> None:
         if self._missing_events:
             self._append(Skipped(now, self._missing_events, self._missing_bytes))
             self._missing_events = self._missing_bytes = 0
@@ -238,7 +238,7 @@ class Recorder:
             closing = self._closing.wait(_BATCH_S)
             with self._lock:
                 if closing:  # nothing comes after them
-                    self._tell_missing(read_host_time())
+                    self._record_missing(read_host_time())
                 items, self._items = self._items, deque()
             self._write(items)
             if time.monotonic() >= look_s:
@@ -259,7 +259,7 @@ class Recorder:
                     messages_missing += not written
                 case Mark() | BoardOnline() | Skipped():
                     pass
-                case Standing():
+                case SnapshotTaken():
                     self._filling = _Filling(events + written, traffic, messages)
                 case _:
                     self._filling = _Filling(events + written, traffic + written, messages)
@@ -286,10 +286,10 @@ class Recorder:
                     self._board = item
                 case State():
                     self._states[item.topic] = item
-                case Standing():
+                case SnapshotTaken():
                     self._turn_over(item)
             file = self._file
-            if file is None or (isinstance(item, Standing) and not _is_of_use(item, file)):
+            if file is None or (isinstance(item, SnapshotTaken) and not _is_of_use(item, file)):
                 return False
             match item:
                 case BoardOnline():
@@ -305,22 +305,22 @@ class Recorder:
             return False
         return True
 
-    def _turn_over(self, standing: Standing) -> None:
+    def _turn_over(self, snapshot: SnapshotTaken) -> None:
         """Begin the next file, where it is its turn."""
         if not isinstance(self._place, Series):
             return
         if self._file is not None:
-            if not self._place.is_over(self._file, standing.now.monotonic_ns):
+            if not self._place.is_over(self._file, snapshot.now.monotonic_ns):
                 return
             self._end_file(wait=False)
         elif not self._resumes or time.monotonic() < self._retry_s:
             return
         try:
-            self._begin_file(standing.now.utc_ns)
+            self._begin_file(snapshot.now.utc_ns)
         except OperatorError as error:
             self._fail(str(error))
             return
-        if self._board is not None and standing.course.running is not None and self._file is not None:
+        if self._board is not None and snapshot.snapshot.running is not None and self._file is not None:
             self._file.name_board(self._board)
 
     def _begin_file(self, utc_ns: int) -> None:
@@ -362,17 +362,17 @@ class Recorder:
             self._fail(str(error))
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
-        self._take_stock()
+        self._update_counts()
 
     def _leave(self) -> None:
         """End a file that nobody will find; where the series resumes, the next begins as soon as it can."""
         self._end_file(wait=False)
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
-        self._tell_failure(f"{self._path} was removed, moved or replaced: {then}")
+        self._report_failure(f"{self._path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
         self._said_failure = not self._resumes  # why none can be begun is news
 
-    def _take_stock(self) -> None:
+    def _update_counts(self) -> None:
         with self._lock:
             if self._file is not None:
                 self._counts = self._counts._replace(file_bytes=self._file.size_bytes)
@@ -386,7 +386,7 @@ class Recorder:
         try:
             self._file.finish()
             self._count_chunk(self._file)
-            self._take_stock()
+            self._update_counts()
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
             return
@@ -410,7 +410,7 @@ class Recorder:
             if self._file.chunks != self._chunks:  # it failed behind a chunk, as at the file's end
                 self._count_chunk(self._file)
             self._file.abandon()
-            self._take_stock()
+            self._update_counts()
             self._file = None
         lost, self._filling = self._filling, _Filling()
         with self._lock:
@@ -420,9 +420,9 @@ class Recorder:
 
     def _fail(self, reason: str) -> None:
         then = f"it is tried again every {_RETRY_S:g} s" if self._resumes else "nothing more is recorded"
-        self._tell_failure(f"{reason}: {then}; what was written stays")
+        self._report_failure(f"{reason}: {then}; what was written stays")
 
-    def _tell_failure(self, said: str) -> None:
+    def _report_failure(self, said: str) -> None:
         with self._lock:
             self._failure = said
         self._retry_s = time.monotonic() + _RETRY_S
@@ -431,6 +431,6 @@ class Recorder:
             self._say(logging.WARNING, said)
 
 
-def _is_of_use(standing: Standing, file: RecordingWriter) -> bool:
+def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:
     """Whether a replay could begin with it or, where the chunk before is damaged, go on with the open link."""
-    return not file.begun or (file.standing_due and standing.course.running is not None)
+    return not file.begun or (file.snapshot_due and snapshot.snapshot.running is not None)

@@ -13,7 +13,7 @@ from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder, RecordingCounts
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime, read_host_time
-from resonator_daemon.session.link_events import Received, Sent, Standing, WireEvent
+from resonator_daemon.session.link_events import Received, Sent, SnapshotTaken, WireEvent
 
 log = logging.getLogger(__name__)
 
@@ -73,17 +73,17 @@ class RecordingSwitch:
         self._last: Recorder | None = None  # that one, or the one that ran last: it still counts while it is closed
         self._before = RecordingCounts()  # of all earlier ones
         self._states: dict[str, tuple[str, int, bytes, Mapping[str, Any]]] = {}
-        self._awaits_standing = False
+        self._awaits_snapshot = False
         self._since: HostTime | None = None
 
-    def tap(self, event: WireEvent) -> None:
+    def put(self, event: WireEvent) -> None:
         """Take one event, in the reader's thread; never waits for a disk."""
         with self._lock:
-            if isinstance(event, Standing):
+            if isinstance(event, SnapshotTaken):
                 self._kept, self._size_bytes = [], 0
-                self._awaits_standing = False
+                self._awaits_snapshot = False
             if self._recorder is not None:
-                if self._awaits_standing:
+                if self._awaits_snapshot:
                     self._recorder.skip(event)
                 else:
                     self._recorder.put(event)
@@ -132,12 +132,12 @@ class RecordingSwitch:
                 for state in self._states.values():
                     recorder.put_state(*state)
                 kept = self._kept or []
-                counts = bool(kept) and isinstance(kept[0], Standing) and kept[0].course.running is not None
+                counts = bool(kept) and isinstance(kept[0], SnapshotTaken) and kept[0].snapshot.running is not None
                 if self._board is not None and counts:
                     recorder.name_board(self._board)
                 for event in kept:
                     recorder.put(event)
-                self._awaits_standing = self._kept is None
+                self._awaits_snapshot = self._kept is None
                 self._before = self._all_counts()
                 self._recorder = self._last = recorder
 

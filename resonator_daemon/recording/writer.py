@@ -30,7 +30,7 @@ from resonator_daemon.recording.reader import (
     encode_mark,
 )
 from resonator_daemon.session.frames import BoardOnline
-from resonator_daemon.session.link_events import Skipped, Standing, WireEvent, encode
+from resonator_daemon.session.link_events import Skipped, SnapshotTaken, WireEvent, encode
 
 _TOML: Final = "application/toml"
 
@@ -71,7 +71,7 @@ class RecordingWriter:
         Monotonic time of the first of these.
     chunks
         How many are whole and in the kernel's hands, with all that was written until then.
-    standing_due
+    snapshot_due
         A chunk has ended since it was last written how the link stands.
     """
 
@@ -80,7 +80,7 @@ class RecordingWriter:
         self.begun = False
         self.begun_ns = 0
         self.chunks = 0
-        self.standing_due = False
+        self.snapshot_due = False
         self._whole_bytes = 0
         self._channels: dict[str, int] = {}
         self._file = _made(path)
@@ -111,8 +111,8 @@ class RecordingWriter:
         now = event.now
         if not self.begun and not isinstance(event, Skipped):
             self.begun, self.begun_ns = True, now.monotonic_ns
-        if isinstance(event, Standing):
-            self.standing_due = False
+        if isinstance(event, SnapshotTaken):
+            self.snapshot_due = False
         self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
 
     def mark(self, mark: Mark) -> None:
@@ -184,7 +184,7 @@ class RecordingWriter:
     def _note_chunk(self) -> None:
         self._whole_bytes = self._file.tell()
         self.chunks += 1
-        self.standing_due = True
+        self.snapshot_due = True
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:
         if topic not in self._channels:

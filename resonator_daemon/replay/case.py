@@ -104,7 +104,7 @@ def play_whole(playback: Playback, every: Mapping[str, int] | None = None) -> Ou
             digest.update(f"{path} {payload}\n".encode())
             begun_ns = begun_ns or moment.now.utc_ns
             place += 1
-    account = playback.account
+    account = playback.counters
     summary = {
         "frames": account.frames,
         "frames_lost": asdict(account.lost),

@@ -12,14 +12,14 @@ from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, Recording
-from resonator_daemon.session.counters import LinkAccount
-from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.counters import LinkCounters
+from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, BoardRefused, SingleToneFrame, in_blocks
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import WireEvent
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 
-_RING_BYTES: Final = 1 << 30  # what one event brings is taken at once
+_FRAME_QUEUE_BYTES: Final = 1 << 30  # what one event brings is taken at once
 _BLOCK_EVENTS: Final = 128  # whose frames are measured together
 _BLOCK_FRAMES: Final = 1024
 
@@ -63,8 +63,8 @@ class Playback:
         self._recording = recording
         self.config = config
         self._messages: list[Published] = []
-        self._ring = Ring(_RING_BYTES, lambda: None, ())
-        self._link = LinkCourse(config.plate, self._ring, lambda _: None)
+        self._queue = FrameQueue(_FRAME_QUEUE_BYTES, lambda: None, ())
+        self._link = LinkStateMachine(config.plate, self._queue, lambda _: None)
         self._replay = Replay(recording, self._link)
         self._board = BoardCourse(config, daemon_boot_id, self._publish)
         self._waiting: list[tuple[HostTime, list[Arrival]]] = []  # events of which nothing but frames came
@@ -87,9 +87,9 @@ class Playback:
         return self._recording.read_bytes
 
     @property
-    def account(self) -> LinkAccount:
+    def counters(self) -> LinkCounters:
         """Where the recorded bytes and frames went."""
-        return self._link.account()
+        return self._link.counters()
 
     def moments(self) -> Iterator[Moment]:
         """Give what follows from each event that anything follows from, and the marks, in order."""
@@ -100,7 +100,7 @@ class Playback:
                     yield Moment(entry.now, mark=entry.text)
                     continue
                 self._replay.apply(entry)
-                arrivals = self._ring.take()
+                arrivals = self._queue.pop_all()
                 if arrivals and not self._keep(arrivals):
                     yield from self._measured()
                     yield from self._taken(entry, arrivals)
@@ -109,7 +109,7 @@ class Playback:
                 if len(self._waiting) >= _BLOCK_EVENTS:
                     yield from self._measured()
             yield from self._measured()
-            yield from self._taken(self._replay.end(), self._ring.take())
+            yield from self._taken(self._replay.end(), self._queue.pop_all())
 
     def _keep(self, arrivals: list[Arrival]) -> bool:
         """Keep frames to be measured with those of later events; return False where these do not merely adjoin."""

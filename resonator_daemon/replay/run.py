@@ -143,7 +143,7 @@ async def _play_out(
                 await play(playback, span, pacing, output, progress, tally)
         if isinstance(output, AtBroker):
             told["dropped"] = output.dropped
-        account = playback.account
+        account = playback.counters
         told |= {
             "frames": account.frames,
             "frames_lost": asdict(account.lost),

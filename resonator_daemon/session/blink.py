@@ -1,18 +1,18 @@
 """Asks a board that counts to make itself seen, as often as it takes, and always comes to an answer."""
 
 from firmware_protocol.host import HostSession, Located
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frames import BoardLocated
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import BlinkAnswered
 
 _ASK_AGAIN_NS = 300_000_000
 _ANSWER_NS = 3_000_000_000
 
 
-class Locating:
+class BlinkRequests:
     """What one connection asks of this kind; the answers go to the ring."""
 
-    def __init__(self, ring: Ring) -> None:
-        self._ring = ring
+    def __init__(self, queue: FrameQueue) -> None:
+        self._queue = queue
         self._asked_ns = 0
         self.due_ns: int | None = None  # when it is to be asked again; None while nothing is asked
 
@@ -20,7 +20,7 @@ class Locating:
         self._asked_ns, self.due_ns = now_ns, now_ns + _ASK_AGAIN_NS
         session.locate()
 
-    def tend(self, session: HostSession, now_ns: int) -> None:
+    def run_timers(self, session: HostSession, now_ns: int) -> None:
         """Ask again, or give up, when it is time to."""
         if self.due_ns is None or now_ns < self.due_ns:
             return
@@ -30,7 +30,7 @@ class Locating:
             self.due_ns = now_ns + _ASK_AGAIN_NS
             session.locate()
 
-    def take(self, event: Located) -> None:
+    def answered(self, event: Located) -> None:
         self._end(event.refusal.text if event.refusal is not None else None)
 
     def close(self) -> None:
@@ -40,4 +40,4 @@ class Locating:
     def _end(self, refused: str | None) -> None:
         if self.due_ns is not None:
             self.due_ns = None
-            self._ring.put(BoardLocated(refused))
+            self._queue.put(BlinkAnswered(refused))

@@ -1,31 +1,31 @@
 """What a board tells of itself, for people: why it started, and the lines of its log."""
 
 from firmware_protocol.messages import BoardLog, ResetCause
-from resonator_daemon.session.counters import LinkAccount
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frames import BoardSays
+from resonator_daemon.session.counters import LinkCounters
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import BoardLogLine
 
 _LOG_LINES_A_SECOND = 20
 _S = 1_000_000_000
 
 
-class LogLines:
+class BoardLogFilter:
     """Hands on the lines of a board's log, no more than anyone would read; the others are counted."""
 
-    def __init__(self, ring: Ring, account: LinkAccount) -> None:
-        self._ring = ring
-        self._account = account
+    def __init__(self, queue: FrameQueue, counters: LinkCounters) -> None:
+        self._queue = queue
+        self._counters = counters
         self._second = self._lines = 0
 
-    def take(self, line: BoardLog, now_ns: int) -> None:
+    def put(self, line: BoardLog, now_ns: int) -> None:
         second = now_ns // _S
         if second != self._second:
             self._second, self._lines = second, 0
         self._lines += 1
         if self._lines <= _LOG_LINES_A_SECOND:
-            self._ring.put(BoardSays(line.level, line.text))
+            self._queue.put(BoardLogLine(line.level, line.text))
         else:
-            self._account.log_lines_dropped += 1
+            self._counters.log_lines_dropped += 1
 
 
 def after(reset_cause: int | None) -> str:

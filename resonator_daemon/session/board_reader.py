@@ -17,30 +17,30 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.recording.event_replay import Pace, replay
 from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.session.compatibility import BoardRefusedError
-from resonator_daemon.session.counters import FrameLoss, LinkAccount
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frames import Arrival, BoardLocated, LinkChange, Outage, ReaderFailed, Steering
+from resonator_daemon.session.counters import FrameLoss, LinkCounters
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import Arrival, BlinkAnswered, ControlRequest, LinkChange, Outage, ReaderFailed
 from resonator_daemon.session.host_time import HostTime, read_host_time
 from resonator_daemon.session.link_events import (
+    BlinkRequested,
     Closed,
-    Goodbye,
-    Locate,
+    ControlRequested,
     Lost,
     Opened,
     Overrun,
     Received,
     Refused,
-    Said,
     Sent,
-    Steered,
-    Tended,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
     WireEvent,
 )
 from resonator_daemon.session.link_state import LinkLog
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 from resonator_daemon.session.step_pacing import StepPacing
 
-RING_BYTES = 64 << 20
+FRAME_QUEUE_BYTES = 64 << 20
 
 _POLL_NS = 20_000_000  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
@@ -51,7 +51,7 @@ _FEW_BYTES, _GATHER_S = 64, 250e-6
 _RESET_EVERY = 3  # openings in a row without a frame
 
 
-def _to_nobody(_: WireEvent) -> None:
+def _discard_event(_: WireEvent) -> None:
     """Take an event that is not recorded."""
 
 
@@ -65,12 +65,12 @@ class BoardReader:
     plate
         What the board must serve; decides the gate.
     wake
-        Called from the reader's thread when `take` has something to give.
+        Called from the reader's thread when `pop_arrivals` has something to give.
     step_frames
         How many frames are of use together: `wake` waits until there are a multiple of any of these numbers.
-    ring_bytes
+    frame_queue_bytes
         Bound of the memory of frames that nobody takes.
-    tap
+    on_event
         Is handed everything that happens on the link, as a recorder wants it; must not wait.
 
     Attributes
@@ -86,30 +86,30 @@ class BoardReader:
         wake: Callable[[], None],
         *,
         step_frames: Sequence[int] = (1,),
-        ring_bytes: int = RING_BYTES,
-        tap: Callable[[WireEvent], None] = _to_nobody,
+        frame_queue_bytes: int = FRAME_QUEUE_BYTES,
+        on_event: Callable[[WireEvent], None] = _discard_event,
     ) -> None:
         self._target = target
         self._plate = plate
         self._wake = wake
         self._wake_due = False
-        self._ring = Ring(ring_bytes, self._wake_soon, step_frames)
-        self._course = LinkCourse(plate, self._ring, tap)
+        self._queue = FrameQueue(frame_queue_bytes, self._wake_soon, step_frames)
+        self._machine = LinkStateMachine(plate, self._queue, on_event)
         self._pacing = StepPacing(frame_bytes(plate), round(1e9 / plate.counter.frame_rate_hz))
         self._log = LinkLog()
         self._stopping = False
-        self._orders: deque[tuple[str, str]] = deque()
+        self._requests: deque[tuple[str, str]] = deque()
         self.turns = 0
         self._watch = PortWatch(target)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
         self._port: PortIdentity | None = None
-        self._locating = threading.Lock()
-        self._told_located: list[Callable[[str | None], None]] = []  # whoever waits for an answer
-        self._to_locate = self._link_open = self._serving = False
+        self._blink_lock = threading.Lock()
+        self._on_blink_answer: list[Callable[[str | None], None]] = []  # whoever waits for an answer
+        self._blink_due = self._link_open = self._serving = False
 
     def start(self) -> None:
         if not self.replays:  # there it was said when it was recorded
-            self._course.apply(Said(read_host_time(), "starting", "the link is being opened"))
+            self._machine.apply(StateAnnounced(read_host_time(), "starting", "the link is being opened"))
         self._thread.start()
 
     def stop(self) -> None:
@@ -120,47 +120,47 @@ class BoardReader:
             self._thread.join()
         self._watch.close()
 
-    def take(self) -> list[Arrival]:
+    def pop_arrivals(self) -> list[Arrival]:
         """Return what has arrived since the last call, in order."""
-        arrivals = self._ring.take()
+        arrivals = self._queue.pop_all()
         for arrival in arrivals:
             if isinstance(arrival, LinkChange | Outage):
                 self._log.write(arrival)
-            elif isinstance(arrival, BoardLocated):
-                with self._locating:
-                    told, self._told_located = self._told_located, []
+            elif isinstance(arrival, BlinkAnswered):
+                with self._blink_lock:
+                    told, self._on_blink_answer = self._on_blink_answer, []
                 for done in told:
                     done(arrival.refused)
         return arrivals
 
-    def locate(self, done: Callable[[str | None], None]) -> None:
-        """Have the board make itself seen while it counts on; from any thread.
+    def blink(self, done: Callable[[str | None], None]) -> None:
+        """Ask the board to blink while it counts on; from any thread.
 
-        `take` calls `done`, in any case unless the reader is stopped before: with why the board does not, or None where
-        it does.
+        `pop_arrivals` calls `done` with None, or with the reason why the board does not blink. It does so in any case,
+        unless the reader is stopped before.
         """
-        with self._locating:
-            self._told_located.append(done)
-            self._to_locate = self._link_open
+        with self._blink_lock:
+            self._on_blink_answer.append(done)
+            self._blink_due = self._link_open
             if self._link_open:
                 return
-        self._ring.put(BoardLocated("a recording has no board" if self.replays else "no board is connected"))
+        self._queue.put(BlinkAnswered("a recording has no board" if self.replays else "no board is connected"))
 
-    def steer(self, key: str, order: str) -> None:
-        """Have `take` give this order after all frames that have arrived, and a recording hold it there."""
+    def request_control(self, key: str, request: str) -> None:
+        """Pass a request on after all frames that have arrived; a recording holds it in the same place."""
         if self.replays:  # what is recorded there was recorded before
-            self._ring.put(Steering(key, order))
+            self._queue.put(ControlRequest(key, request))
         else:
-            self._orders.append((key, order))
+            self._requests.append((key, request))
             self._watch.wake()
 
-    def account(self) -> LinkAccount:
+    def counters(self) -> LinkCounters:
         """Return where every byte and frame went, as of now."""
-        return self._course.account()
+        return self._machine.counters()
 
-    def wake_at(self, step_frames: Sequence[int]) -> None:
+    def set_step_frames(self, step_frames: Sequence[int]) -> None:
         """Have `wake` called at the ends of other steps from now on."""
-        self._ring.step_frames = step_frames
+        self._queue.step_frames = step_frames
 
     @property
     def replays(self) -> bool:
@@ -170,18 +170,18 @@ class BoardReader:
     @property
     def newest_monotonic_ns(self) -> int:
         """Middle of the newest gate whose frame has arrived; 0 before the first."""
-        newest = self._ring.newest
+        newest = self._queue.newest
         return newest.gate_middle.monotonic_ns if newest is not None else 0
 
     @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
-        return self._course.lost
+        return self._machine.lost
 
     @property
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
-        connection = self._course.connection
+        connection = self._machine.connection
         clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
         return clock.rate_ppm if clock else float("nan")
 
@@ -203,19 +203,19 @@ class BoardReader:
             else:
                 self._keep_reading()
         except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
-            self._ring.put(ReaderFailed(error))
+            self._queue.put(ReaderFailed(error))
 
     def _keep_reading(self) -> None:
         backoff_s = _BACKOFF_FIRST_S
         fruitless = 0
         while not self._stopping:
             self.turns += 1
-            self._pass_orders_on(read_host_time())
+            self._apply_requests(read_host_time())
             wait_s = 0.0
             try:
                 link = self._open()
             except LinkUnavailableError as error:
-                self._course.apply(Said(read_host_time(), "waiting", str(error)))
+                self._machine.apply(StateAnnounced(read_host_time(), "waiting", str(error)))
             else:
                 try:
                     counted = self._serve(link)
@@ -246,69 +246,69 @@ class BoardReader:
 
     def _serve(self, link: Link) -> bool:
         """Talk to the board until the link is lost; return whether it ever counted."""
-        course = self._course
+        machine = self._machine
         now = read_host_time()
-        course.apply(Opened(now))
+        machine.apply(Opened(now))
         overruns = 0
         self._link_open = self._serving = True
         try:
             while not self._stopping:
                 self.turns += 1
-                self._pass_orders_on(now)
+                self._apply_requests(now)
                 self._send(link, now)
-                if self._to_locate:
-                    self._to_locate = False
-                    course.apply(Locate(now))
+                if self._blink_due:
+                    self._blink_due = False
+                    machine.apply(BlinkRequested(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
-                pieces = self._read(link, course.due_ns())
+                pieces = self._read(link, machine.due_ns())
                 now = read_host_time()
                 if not pieces and (data := link.read(0.0)):  # silence ends before a thread that was kept waiting looks
                     pieces = [Received(read_host_time(), data)]
                 if link.overruns != overruns:
                     overruns = link.overruns
-                    course.apply(Overrun(read_host_time()))
+                    machine.apply(Overrun(read_host_time()))
                 for piece in pieces:
-                    course.apply(piece)
-                if self._ring.newest is not None:
-                    self._pacing.has_read(self._ring.newest)
+                    machine.apply(piece)
+                if self._queue.newest is not None:
+                    self._pacing.has_read(self._queue.newest)
                 if pieces:
                     now = read_host_time()
-                course.apply(Tended(now, idle=not pieces))
-                if pieces and len(pieces[-1].data) < _FEW_BYTES and course.within_packet:
+                machine.apply(TimersRun(now, idle=not pieces))
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and machine.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)
-            self._say_goodbye(link)
+            self._request_stop(link)
         except LinkLostError as error:
-            course.apply(Lost(read_host_time(), str(error)))
+            machine.apply(Lost(read_host_time(), str(error)))
         except BoardRefusedError as error:
-            course.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
+            machine.apply(Refused(read_host_time(), error.refused.problems, error.refused.other_protocol))
             with suppress(LinkLostError):  # a board that counts would fill a buffer that nobody empties
-                self._say_goodbye(link)
+                self._request_stop(link)
             raise
         finally:
             self._serving = False
             self._wake_now()
-            was_online = course.was_online
-            with self._locating:
+            was_online = machine.was_online
+            with self._blink_lock:
                 self._link_open = False
-                unasked, self._to_locate = self._to_locate, False
-            course.apply(Closed(read_host_time()))
+                unasked, self._blink_due = self._blink_due, False
+            machine.apply(Closed(read_host_time()))
             if unasked:
-                self._ring.put(BoardLocated("the link was closed before the board was asked"))
+                self._queue.put(BlinkAnswered("the link was closed before the board was asked"))
         return was_online
 
-    def _pass_orders_on(self, now: HostTime) -> None:
-        while self._orders:
-            self._course.apply(Steered(now, *self._orders.popleft()))
+    def _apply_requests(self, now: HostTime) -> None:
+        while self._requests:
+            self._machine.apply(ControlRequested(now, *self._requests.popleft()))
 
     def _read(self, link: Link, due_ns: int) -> list[Received]:
         """Read until a monotonic time; while an answer is awaited all that is there, each piece with its time."""
         now_ns = time.monotonic_ns()
         due_ns = min(due_ns, now_ns + _POLL_NS)
-        newest = self._ring.newest
+        newest = self._queue.newest
         sleep_ns = 0
-        if newest is not None and not self._course.awaits_answer:
-            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._ring.step_frames, due_ns)
+        if newest is not None and not self._machine.awaits_answer:
+            sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._queue.step_frames, due_ns)
         self._wake_now()
         if sleep_ns:
             time.sleep(sleep_ns * 1e-9)
@@ -319,25 +319,25 @@ class BoardReader:
         pieces: list[Received] = []
         while len(pieces) < _PIECES and (data := link.read(timeout_s)):
             pieces.append(Received(read_host_time(), data))
-            if not self._course.awaits_answer or len(data) < _FEW_BYTES:
+            if not self._machine.awaits_answer or len(data) < _FEW_BYTES:
                 break  # so few are the last of what there was, or a line hands them on one by one
             timeout_s = _QUICK_S
         return pieces
 
-    def _say_goodbye(self, link: Link) -> None:
+    def _request_stop(self, link: Link) -> None:
         now = read_host_time()
-        self._course.apply(Goodbye(now))
+        self._machine.apply(StopRequested(now))
         self._send(link, now)
 
     def _send(self, link: Link, now: HostTime) -> None:
-        if data := self._course.data_to_send():
-            self._course.apply(Sent(now, data))
+        if data := self._machine.data_to_send():
+            self._machine.apply(Sent(now, data))
             link.write(data)
 
     def _replay(self, target: ReplayLink) -> None:
         try:
             with open_recording(target.path, self._plate) as recording:
-                replay(recording, self._course, Pace(self._watch.wait, lambda: self._stopping))
+                replay(recording, self._machine, Pace(self._watch.wait, lambda: self._stopping))
         except LinkUnavailableError as error:
             # Another file does not come by waiting.
-            self._course.apply(Refused(read_host_time(), (str(error),), other_protocol=False))
+            self._machine.apply(Refused(read_host_time(), (str(error),), other_protocol=False))

@@ -10,7 +10,7 @@ from collections import deque
 from typing import NamedTuple, Self
 
 from resonator_daemon.session.ping_pacing import PingPacing
-from resonator_daemon.session.tick_bounds import RATE_WANDER_PER_S, BoundsStanding, TickBounds
+from resonator_daemon.session.tick_bounds import RATE_WANDER_PER_S, BoundsSnapshot, TickBounds
 
 _RATE_KNOWN_PPM = 10.0
 _CRYSTAL_RATES = (-200e-6, 200e-6)
@@ -79,12 +79,12 @@ class _Bounds(NamedTuple):
     most_ns: int
 
 
-class ClockStanding(NamedTuple):
+class ClockSnapshot(NamedTuple):
     """All that a clock knows of a boot, but for when the next ping should leave."""
 
     origin: Exchange
-    agreed: BoundsStanding
-    rival: BoundsStanding | None
+    agreed: BoundsSnapshot
+    rival: BoundsSnapshot | None
     votes: int
     utc_less_monotonic_ns: int
     boottime_less_monotonic_ns: int
@@ -126,14 +126,14 @@ class BoardClock:
         self.restarts = 0
 
     @property
-    def standing(self) -> ClockStanding | None:
+    def snapshot(self) -> ClockSnapshot | None:
         """What is known now, for `resumed`; None before the first exchange."""
         if self._origin is None or self._agreed is None:
             return None
-        return ClockStanding(
+        return ClockSnapshot(
             self._origin,
-            self._agreed.standing,
-            self._rival.standing if self._rival is not None else None,
+            self._agreed.snapshot,
+            self._rival.snapshot if self._rival is not None else None,
             self._votes,
             self.utc_less_monotonic_ns,
             self._boottime_less_monotonic_ns,
@@ -142,18 +142,18 @@ class BoardClock:
         )
 
     @classmethod
-    def resumed(cls, reference_millihertz: int, standing: ClockStanding) -> Self:
+    def resumed(cls, reference_millihertz: int, snapshot: ClockSnapshot) -> Self:
         """Return a clock that knows what another knew; it has counted no outliers."""
         clock = cls(reference_millihertz)
-        clock._origin = standing.origin
-        clock._agreed = TickBounds.resumed(standing.agreed)
-        clock._rival = TickBounds.resumed(standing.rival) if standing.rival is not None else None
-        clock._votes = standing.votes
-        clock.utc_less_monotonic_ns = standing.utc_less_monotonic_ns
-        clock._boottime_less_monotonic_ns = standing.boottime_less_monotonic_ns
-        clock._asleep_ns = standing.asleep_ns
-        clock._lines.extend(standing.lines)
-        clock._line = clock._draw(standing.origin, clock._agreed)
+        clock._origin = snapshot.origin
+        clock._agreed = TickBounds.resumed(snapshot.agreed)
+        clock._rival = TickBounds.resumed(snapshot.rival) if snapshot.rival is not None else None
+        clock._votes = snapshot.votes
+        clock.utc_less_monotonic_ns = snapshot.utc_less_monotonic_ns
+        clock._boottime_less_monotonic_ns = snapshot.boottime_less_monotonic_ns
+        clock._asleep_ns = snapshot.asleep_ns
+        clock._lines.extend(snapshot.lines)
+        clock._line = clock._draw(snapshot.origin, clock._agreed)
         return clock
 
     @property

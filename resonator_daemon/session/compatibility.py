@@ -36,7 +36,7 @@ def oscillator_hz(description: Description) -> NDArray[np.float64]:
     return (description.oscillator_millihertz + number * description.oscillator_spacing_millihertz) / 1e3
 
 
-def misfits(description: Description, plate: Plate) -> tuple[str, ...]:
+def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]:
     """Return a sentence for everything about the board that does not fit the plate file; empty when it fits."""
     reference_hz = description.reference_millihertz / 1e3
     kind = _KINDS.get(CounterKind(description.counter_kind)) if description.counter_kind in set(CounterKind) else None
@@ -82,7 +82,7 @@ def misfits(description: Description, plate: Plate) -> tuple[str, ...]:
     return ()
 
 
-def strangers(board: Described, known: Described) -> tuple[str, ...]:
+def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
     """Return a sentence for everything that tells a board from the one that was here; empty when it is the same."""
     if board.identity.serial_number != known.identity.serial_number:
         return (
@@ -101,7 +101,7 @@ def strangers(board: Described, known: Described) -> tuple[str, ...]:
     )
 
 
-def measured_misfit(description: Description, slower_ppm: float, uncertainty_ppm: float) -> str:
+def tick_rate_problem(description: Description, slower_ppm: float, uncertainty_ppm: float) -> str:
     """Say that the board's ticks do not come at the rate that it describes."""
     described_hz = description.reference_millihertz / 1e3
     measured_hz = described_hz / (1 + slower_ppm * 1e-6)

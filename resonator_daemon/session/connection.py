@@ -9,17 +9,23 @@ from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
-from resonator_daemon.session.blink import Locating
-from resonator_daemon.session.board_log import LogLines, after
+from resonator_daemon.session.blink import BlinkRequests
+from resonator_daemon.session.board_log import BoardLogFilter, after
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
-from resonator_daemon.session.compatibility import BoardRefusedError, gate_ticks, measured_misfit, misfits, strangers
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.compatibility import (
+    BoardRefusedError,
+    gate_ticks,
+    identity_changes,
+    incompatibilities,
+    tick_rate_problem,
+)
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_numbers import Accepted, FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frame_receiver import FrameIntake
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frame_receiver import FrameReceiver
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_snapshot import Running
+from resonator_daemon.session.link_snapshot import ConnectionSnapshot
 from resonator_daemon.session.link_state import LinkState
 from resonator_daemon.session.pings import Pings
 
@@ -31,7 +37,7 @@ _SILENCE_FRAMES, _SILENCE_NS = 3, 50 * _MS
 _REOPEN_NS = 1 * _S  # of silence beyond what was noticed
 _STUCK_NS = 500 * _MS  # of bytes without a frame among them
 _SLEPT_NS = 50 * _MS
-_DEAF_NS = 10 * _S  # without an answer, though frames come
+_UNANSWERED_NS = 10 * _S  # without an answer, though frames come
 
 
 class Connection:
@@ -50,23 +56,23 @@ class Connection:
         plate: Plate,
         known: Described | None,
         numbering: FrameNumbering,
-        ring: Ring,
-        account: LinkAccount,
+        queue: FrameQueue,
+        counters: LinkCounters,
         state: LinkState,
         opened: HostTime,
     ) -> None:
         self._plate = plate
         self._known = known
         self._numbering = numbering
-        self._ring = ring
-        self._account = account
+        self._queue = queue
+        self._counters = counters
         self._state = state
         self._gate_ticks = gate_ticks(plate)
         self._session = HostSession()
-        self._intake = FrameIntake(plate, numbering, ring, account)
+        self._receiver = FrameReceiver(plate, numbering, queue, counters)
         self._pings = Pings()
-        self._locating = Locating(ring)
-        self._log_lines = LogLines(ring, account)
+        self._blink = BlinkRequests(queue)
+        self._log_lines = BoardLogFilter(queue, counters)
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
         self._now = opened
         self._opened_ns = opened.monotonic_ns
@@ -77,7 +83,7 @@ class Connection:
         self._answered_ns = opened.monotonic_ns
         self._asleep_ns = opened.boottime_less_monotonic_ns
         self._rate_doubt = ""  # what is odd about the board's ticks, though it can be read
-        self._deaf = False  # it does not answer, though it sends
+        self._unanswered = False  # it does not answer, though it sends
         self._damaged_bytes = 0
         self.described: Described | None = None
         self.clock: BoardClock | None = None
@@ -96,9 +102,9 @@ class Connection:
         self._now = now
         for kind, events in groupby(self._session.receive(data), type):
             if kind is Frame:
-                self._take_frames([event for event in events if isinstance(event, Frame)])
+                self._receive_frames([event for event in events if isinstance(event, Frame)])
             elif kind is FramePart:
-                self._take_parts([event for event in events if isinstance(event, FramePart)])
+                self._receive_parts([event for event in events if isinstance(event, FramePart)])
             else:
                 for event in events:
                     self._handle(event)
@@ -122,55 +128,55 @@ class Connection:
         """Whether what went out is told by `sent` instead of made here."""
         return self._pings.follow
 
-    def standing(self) -> Running | None:
+    def snapshot(self) -> ConnectionSnapshot | None:
         """Return what another connection needs to go on from here; None where it could not, as within a packet."""
         session = self._session
-        underway = session.waiting_bytes or self._intake.frame_begun or self._damaged_bytes != session.bytes.discarded
+        underway = session.waiting_bytes or self._receiver.frame_begun or self._damaged_bytes != session.bytes.discarded
         if self.described is None or not self._counting or underway or session.state is not HostState.RUNNING:
             return None
-        clock = self.clock.standing if self.clock is not None else None
+        clock = self.clock.snapshot if self.clock is not None else None
         if clock is None or self._state.state != "online" or not self._numbering.settled:
             return None
-        return Running(
+        return ConnectionSnapshot(
             self.described,
             session.configuration,
             session.number,
             self._answered_ns,
             self._rate_doubt,
-            self._intake.newest_ticks,
+            self._receiver.newest_ticks,
             clock,
-            self._pings.standing,
+            self._pings.snapshot,
         )
 
-    def join(self, running: Running) -> None:
+    def join(self, running: ConnectionSnapshot) -> None:
         """Go on where another connection stood: it pings the board, and `sent` tells of that."""
         described = self.described = running.described
         self._pings.follow_another(running.pings)
         self._session = HostSession.running(described, running.configuration, running.request_number)
         self.clock = BoardClock.resumed(described.description.reference_millihertz, running.clock)
-        self._intake.newest_ticks = running.newest_ticks
+        self._receiver.newest_ticks = running.newest_ticks
         self._answered_ns = running.answered_ns
         self._rate_doubt = running.rate_doubt
-        self._deaf = self._now.monotonic_ns - self._answered_ns > _DEAF_NS
-        self._intake.last_frame_ns = self._now.monotonic_ns
+        self._unanswered = self._now.monotonic_ns - self._answered_ns > _UNANSWERED_NS
+        self._receiver.last_frame_ns = self._now.monotonic_ns
         self._counting = self.was_online = True
-        self._account.boot(described.boot_id).connections += 1
-        self._ring.put(BoardOnline(*described, running.configuration, continues=False))
+        self._counters.boot(described.boot_id).connections += 1
+        self._queue.put(BoardOnline(*described, running.configuration, continues=False))
 
     def sent(self, data: bytes, now: HostTime) -> None:
         """Take what the connection that is followed has sent."""
-        self._pings.sent(self._session, data, now, self._intake.newest_ticks)
+        self._pings.sent(self._session, data, now, self._receiver.newest_ticks)
 
-    def locate(self, now: HostTime) -> None:
+    def blink(self, now: HostTime) -> None:
         """Ask the board to make itself seen; BoardLocated follows in any case."""
-        self._locating.ask(self._session, now.monotonic_ns)
+        self._blink.ask(self._session, now.monotonic_ns)
 
     def overrun(self) -> None:
         """Take note that the host's driver lost bytes of this link."""
-        self._account.host_overruns += 1
+        self._counters.host_overruns += 1
         self._numbering.overrun()
 
-    def tend(self, now: HostTime, *, idle: bool) -> None:
+    def run_timers(self, now: HostTime, *, idle: bool) -> None:
         """Do what is due: ask again, ping, notice silence; `idle`: nothing is left to read.
 
         Raises
@@ -185,69 +191,71 @@ class Connection:
         self._asleep_ns = now.boottime_less_monotonic_ns
         if self._counting:
             # A reader that comes late finds much to read, and the frames in it: that is no silence.
-            if idle or now_ns - self._intake.last_frame_ns > self._silence_ns + _STUCK_NS:
+            if idle or now_ns - self._receiver.last_frame_ns > self._silence_ns + _STUCK_NS:
                 self._watch_silence(now_ns)
-            if now_ns - self._answered_ns > _DEAF_NS and not self._deaf and self._state.state == "online":
-                self._deaf = True
-                self._say_online()
+            if now_ns - self._answered_ns > _UNANSWERED_NS and not self._unanswered and self._state.state == "online":
+                self._unanswered = True
+                self._announce_online()
         elif now_ns - self._opened_ns > _HANDSHAKE_NS:
             received = self._session.bytes.received
             heard = f"{received} bytes came and no answer" if received else "not a byte came"
-            self._say("stalled", f"no board answers: {heard}; is it a board of this kind, and the baud rate right?")
+            self._announce(
+                "stalled", f"no board answers: {heard}; is it a board of this kind, and the baud rate right?"
+            )
             raise LinkLostError("no board answers")
         if not self._session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
         elif now_ns >= self._next_ask_ns:
             self._session.ask_again()
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
-        if self._locating.due_ns is not None:
-            self._locating.tend(self._session, now_ns)  # after what takes all unanswered requests for lost
+        if self._blink.due_ns is not None:
+            self._blink.run_timers(self._session, now_ns)  # after what takes all unanswered requests for lost
         if self.clock is not None and now_ns >= self._next_ping_ns:
             self._ping(self.clock)
 
     def due_ns(self) -> int:
-        """Return the monotonic time at which `tend` has something to do."""
+        """Return the monotonic time at which `run_timers` has something to do."""
         dues = [self._next_ask_ns]
-        if self._locating.due_ns is not None:
-            dues.append(self._locating.due_ns)
+        if self._blink.due_ns is not None:
+            dues.append(self._blink.due_ns)
         if self.clock is not None:
             dues.append(self._next_ping_ns)
         if self._counting:
-            noticed_ns = self._intake.last_frame_ns + self._silence_ns + 1
+            noticed_ns = self._receiver.last_frame_ns + self._silence_ns + 1
             dues.append(noticed_ns + _REOPEN_NS if self._state.state == "stalled" else noticed_ns)
         return min(dues)
 
-    def say_goodbye(self) -> None:
+    def request_stop(self) -> None:
         """Stop the board, so that it does not fill a buffer that nobody empties."""
         self._session.stop()
 
     def close(self) -> None:
         """Hand on what was begun and close the books of this connection."""
-        self._flush_intake()
-        self._locating.close()
-        self.add_to(self._account)
-        self._account.bytes_discarded += self._account.bytes_waiting
-        self._account.bytes_waiting = 0
+        self._flush_receiver()
+        self._blink.close()
+        self.add_to(self._counters)
+        self._counters.bytes_discarded += self._counters.bytes_waiting
+        self._counters.bytes_waiting = 0
 
-    def add_to(self, account: LinkAccount) -> None:
+    def add_to(self, counters: LinkCounters) -> None:
         """Add this connection's counts."""
         session = self._session
-        account.bytes_received += session.bytes.received
-        account.bytes_accepted += session.bytes.accepted
-        account.bytes_other_version += session.bytes.other_version
-        account.bytes_own_direction += session.bytes.own_direction
-        account.bytes_discarded += session.bytes.discarded
-        account.bytes_waiting += session.waiting_bytes
-        account.messages_stale += session.messages.stale
-        account.messages_malformed += session.messages.malformed
-        account.messages_unknown += session.messages.unknown + self._intake.misfits
+        counters.bytes_received += session.bytes.received
+        counters.bytes_accepted += session.bytes.accepted
+        counters.bytes_other_version += session.bytes.other_version
+        counters.bytes_own_direction += session.bytes.own_direction
+        counters.bytes_discarded += session.bytes.discarded
+        counters.bytes_waiting += session.waiting_bytes
+        counters.messages_stale += session.messages.stale
+        counters.messages_malformed += session.messages.malformed
+        counters.messages_unknown += session.messages.unknown + self._receiver.unplaced_parts
         outliers, restarts = self._clock_counts
         clock = self.clock
-        account.clock_outliers += outliers + (clock.outliers if clock else 0)
-        account.clock_restarts += restarts + (clock.restarts if clock else 0)
+        counters.clock_outliers += outliers + (clock.outliers if clock else 0)
+        counters.clock_restarts += restarts + (clock.restarts if clock else 0)
 
-    def _say(self, state: str, reason: str) -> None:
-        self._state.say(state, reason, self._now.utc_ns)
+    def _announce(self, state: str, reason: str) -> None:
+        self._state.announce(state, reason, self._now.utc_ns)
 
     def _handle(self, event: HostEvent) -> None:
         match event:
@@ -261,14 +269,14 @@ class Connection:
             case Started():
                 self._start(event)
             case Located():
-                self._locating.take(event)
+                self._blink.answered(event)
             case Damage():
                 self._damaged_bytes += event.size_bytes
                 self._numbering.discarded(event.size_bytes)
             case BoardStatus():
                 self._numbering.dropped_by_board(event.frames_dropped)
             case BoardLog():
-                self._log_lines.take(event, self._now.monotonic_ns)
+                self._log_lines.put(event, self._now.monotonic_ns)
             case Rebooted():
                 self._rebooted()
             case Refusal():
@@ -277,31 +285,31 @@ class Connection:
                 problem = f"the board speaks protocol {event.major}, this daemon speaks {PROTOCOL_MAJOR}"
                 raise BoardRefusedError(problem, other_protocol=True)
 
-    def _take_frames(self, frames: list[Frame]) -> None:
+    def _receive_frames(self, frames: list[Frame]) -> None:
         if not frames or self.clock is None or self.described is None:
             return
         boot_id, start = self.described.boot_id, 0
         while start < len(frames) and self._state.state != "online":  # which is announced after the first frame
-            self._frames_came(self._intake.take_frames(frames[start : start + 1], self.clock, boot_id, self._now))
+            self._note_frames(self._receiver.receive_frames(frames[start : start + 1], self.clock, boot_id, self._now))
             start += 1
         if start < len(frames):
-            self._frames_came(self._intake.take_frames(frames[start:], self.clock, boot_id, self._now))
+            self._note_frames(self._receiver.receive_frames(frames[start:], self.clock, boot_id, self._now))
 
-    def _take_parts(self, parts: list[FramePart]) -> None:
+    def _receive_parts(self, parts: list[FramePart]) -> None:
         if self.clock is None or self.described is None:
             return
-        for frame in self._intake.assemble(parts):
-            taken = self._intake.take_assembled(frame, self.clock.scale, self.described.boot_id, self._now)
+        for frame in self._receiver.assemble(parts):
+            taken = self._receiver.receive_assembled(frame, self.clock.scale, self.described.boot_id, self._now)
             if taken is not None:
-                self._frames_came([taken])
+                self._note_frames([taken])
 
-    def _flush_intake(self) -> None:
+    def _flush_receiver(self) -> None:
         if self.clock is not None and self.described is not None:
-            self._frames_came(self._intake.flush(self.clock, self.described.boot_id, self._now))
+            self._note_frames(self._receiver.flush(self.clock, self.described.boot_id, self._now))
 
     def _rebooted(self) -> None:
-        self._flush_intake()  # what it holds belongs to the boot, and the clock, before
-        self._say("lost", "the board started anew")
+        self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
+        self._announce("lost", "the board started anew")
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
@@ -316,7 +324,7 @@ class Connection:
             case RefusalCode.NOT_IN_THIS_STATE if self._counting:
                 raise LinkLostError(f"the board has forgotten its configuration ({refusal.text})")
             case RefusalCode.FAULT:
-                self._say("stalled", f"the board cannot count: {refusal.text}")
+                self._announce("stalled", f"the board cannot count: {refusal.text}")
                 raise LinkLostError(refusal.text)
             case RefusalCode.OTHER_VERSION:
                 raise BoardRefusedError(f"the board does not speak protocol {PROTOCOL_MAJOR}", other_protocol=True)
@@ -324,9 +332,9 @@ class Connection:
                 raise BoardRefusedError(f"the board refuses the configuration: {refusal.text}")
 
     def _describe(self, event: Described) -> None:
-        problems = misfits(event.description, self._plate)
+        problems = incompatibilities(event.description, self._plate)
         if self._known is not None:
-            problems += strangers(event, self._known)
+            problems += identity_changes(event, self._known)
         elif (unit := self._plate.calibration.unit) and unit != event.identity.serial_number:
             problems += (
                 f"serial number: the board is {event.identity.serial_number}, the plate file was calibrated with "
@@ -337,11 +345,13 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._say("lost", f"the board started anew{after(identity.reset_cause)}")
-        self._say("starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured")
+            self._announce("lost", f"the board started anew{after(identity.reset_cause)}")
+        self._announce(
+            "starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
+        )
         self.described = event
         self._pings.restart()
-        self._intake.newest_ticks = 0
+        self._receiver.newest_ticks = 0
         self.clock = BoardClock(event.description.reference_millihertz)
         self._ping(self.clock)
 
@@ -351,30 +361,30 @@ class Connection:
         given = event.configuration.gate_ticks
         if given != self._gate_ticks:
             raise BoardRefusedError(f"the board counts gates of {given} ticks, {self._gate_ticks} were asked for")
-        continues = self._numbering.continues(self.described.boot_id, self._intake.newest_ticks)
+        continues = self._numbering.continues(self.described.boot_id, self._receiver.newest_ticks)
         self._numbering.started(self._now.monotonic_ns)
         self._counting = True
-        self._intake.last_frame_ns = self._answered_ns = self._now.monotonic_ns
-        self._account.boot(self.described.boot_id).connections += 1
-        self._ring.put(BoardOnline(*self.described, event.configuration, continues))
+        self._receiver.last_frame_ns = self._answered_ns = self._now.monotonic_ns
+        self._counters.boot(self.described.boot_id).connections += 1
+        self._queue.put(BoardOnline(*self.described, event.configuration, continues))
 
-    def _say_online(self) -> None:
+    def _announce_online(self) -> None:
         if self.described is not None:
             rate_hz = self._plate.counter.frame_rate_hz
             told = [f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"]
             if self._rate_doubt:
                 told.append(self._rate_doubt)
-            if self._deaf:
-                told.append(f"no ping was answered for {_DEAF_NS // _S} s: is the line to the board broken?")
-            self._say("online", "; ".join(told))
+            if self._unanswered:
+                told.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
+            self._announce("online", "; ".join(told))
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
-        self._pings.make(self._session, now_ns, self._intake.newest_ticks)
+        self._pings.make(self._session, now_ns, self._receiver.newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
-        ping = self._pings.take(event.opaque)
+        ping = self._pings.answered(event.opaque)
         if ping is None or self.clock is None or self.described is None:
             return
         if event.board_ticks < ping.known_ticks:
@@ -382,17 +392,17 @@ class Connection:
                 f"boot id {self.described.boot_id:08x} came twice: the board's ticks went back from "
                 f"{ping.known_ticks} to {event.board_ticks}, as at a start"
             )
-        self._intake.newest_ticks = max(self._intake.newest_ticks, event.board_ticks)
+        self._receiver.newest_ticks = max(self._receiver.newest_ticks, event.board_ticks)
         now = self._now
         self._answered_ns = now.monotonic_ns
         exchange = Exchange(ping.sent_ns, event.board_ticks, now.monotonic_ns)
         self.clock.add(exchange, now.utc_less_monotonic_ns, boottime_less_monotonic_ns=now.boottime_less_monotonic_ns)
         if not self._rate_doubt and (measured := self.clock.rate_beyond_tolerance) is not None:
             # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
-            self._rate_doubt = measured_misfit(self.described.description, *measured)
-        self._deaf = False
+            self._rate_doubt = tick_rate_problem(self.described.description, *measured)
+        self._unanswered = False
         if self._state.state == "online":
-            self._say_online()
+            self._announce_online()
         self._next_ping_ns = min(self._next_ping_ns, self.clock.ping_due_ns(now.monotonic_ns))
         # Only now: every frame can be stamped from the first one on.
         if self._session.state is HostState.DESCRIBED:
@@ -400,17 +410,17 @@ class Connection:
         elif self._state.state == "stalled":
             self._session.resume()
 
-    def _frames_came(self, taken: list[tuple[Accepted, Instant]]) -> None:
+    def _note_frames(self, taken: list[tuple[Accepted, Instant]]) -> None:
         for accepted, middle in taken:
             self.was_online = True
             if self._state.state != "online":
-                self._say_online()
-            self._state.frame_came(accepted.previous, middle, accepted.gap.loss.total if accepted.gap else 0)
+                self._announce_online()
+            self._state.frame_received(accepted.previous, middle, accepted.gap.loss.total if accepted.gap else 0)
 
     def _watch_silence(self, now_ns: int) -> None:
-        silent_ns = now_ns - self._intake.last_frame_ns
+        silent_ns = now_ns - self._receiver.last_frame_ns
         if silent_ns > self._silence_ns + _REOPEN_NS:
             raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
         if silent_ns > self._silence_ns and self._state.state != "stalled":
-            self._say("stalled", "the port is open and no frame comes")
+            self._announce("stalled", "the port is open and no frame comes")
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on

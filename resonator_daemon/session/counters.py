@@ -22,7 +22,7 @@ class FrameLoss:
 
 
 @dataclass(slots=True)
-class BootAccount:
+class BootCounters:
     """What one boot of a board sent; a gap counts for the boot whose frame ended it."""
 
     boot_id: int
@@ -35,7 +35,7 @@ BOOTS_REMEMBERED = 8
 
 
 @dataclass(slots=True)
-class LinkAccount:
+class LinkCounters:
     """Where every byte and every frame of the link went; complete at any instant.
 
     bytes_received = bytes_accepted + bytes_other_version + bytes_own_direction + bytes_discarded + bytes_waiting.
@@ -59,13 +59,13 @@ class LinkAccount:
     clock_outliers: int = 0  # pings that contradicted the others
     clock_restarts: int = 0
     lost: FrameLoss = field(default_factory=FrameLoss)
-    boots: list[BootAccount] = field(default_factory=list)  # the latest, the present one last
+    boots: list[BootCounters] = field(default_factory=list)  # the latest, the present one last
 
-    def boot(self, boot_id: int) -> BootAccount:
-        """Return the account of the present boot, made where there is none, and now the last."""
-        boot = next((boot for boot in self.boots if boot.boot_id == boot_id), BootAccount(boot_id))
+    def boot(self, boot_id: int) -> BootCounters:
+        """Return the counters of the present boot, made where there is none, and now the last."""
+        boot = next((boot for boot in self.boots if boot.boot_id == boot_id), BootCounters(boot_id))
         self.boots = [*(other for other in self.boots if other is not boot), boot][-BOOTS_REMEMBERED:]
         return boot
 
-    def copy(self) -> "LinkAccount":
+    def copy(self) -> "LinkCounters":
         return replace(self, boots=[replace(boot) for boot in self.boots])

@@ -75,14 +75,14 @@ class FrameAssembler:
     Parameters
     ----------
     tones
-        Tones on each channel; parts that reach beyond, and repeated ones, are refused and counted in `misfits`.
+        Tones on each channel; parts that reach beyond, and repeated ones, are refused and counted in `unplaced_parts`.
     """
 
     def __init__(self, tones: int) -> None:
         self._tones = tones
         self._blank = _BLANK * (CHANNEL_COUNT * tones)
         self._open: AssembledFrame | None = None
-        self.misfits = 0
+        self.unplaced_parts = 0
 
     @property
     def begun(self) -> bool:
@@ -102,7 +102,7 @@ class FrameAssembler:
                 frame = self._begin(part)
             seen = frame.seen
             if first_tone + tones > all_tones or number in seen:
-                self.misfits += 1
+                self.unplaced_parts += 1
                 continue
             start = (channel * all_tones + first_tone) * tone_bytes
             frame.pieces[start] = data

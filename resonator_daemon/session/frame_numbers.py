@@ -22,7 +22,7 @@ class Accepted:
     previous: Instant | None
 
 
-class NumberStanding(NamedTuple):
+class NumberingSnapshot(NamedTuple):
     """What the numbers of later frames follow from; `last`: boot id, board ticks and time of the last frame."""
 
     next_index: int
@@ -84,15 +84,15 @@ class FrameNumbering:
         return self._frames_of_run >= _SETTLED_FRAMES and not undecided
 
     @property
-    def standing(self) -> NumberStanding:
+    def snapshot(self) -> NumberingSnapshot:
         """Where the numbers stand, for `join`; within a run only while `settled`."""
-        return NumberStanding(self._next_index, self._next_sequence, self._dropped_by_board, self._last)
+        return NumberingSnapshot(self._next_index, self._next_sequence, self._dropped_by_board, self._last)
 
-    def join(self, standing: NumberStanding) -> None:
+    def join(self, snapshot: NumberingSnapshot) -> None:
         """Go on from where another's numbers stood."""
-        self._next_index, self._next_sequence = standing.next_index, standing.next_sequence
-        self._dropped_by_board = self._dropped_counted = standing.dropped_by_board
-        self._last = standing.last
+        self._next_index, self._next_sequence = snapshot.next_index, snapshot.next_sequence
+        self._dropped_by_board = self._dropped_counted = snapshot.dropped_by_board
+        self._last = snapshot.last
         self._discarded_bytes, self._overrun, self._resuming = 0, False, False
         self._frames_of_run = _SETTLED_FRAMES
 

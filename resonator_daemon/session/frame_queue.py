@@ -8,7 +8,7 @@ from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
 
 
-class Ring:
+class FrameQueue:
     """Arrivals in order; when frames take more than `limit_bytes`, the oldest give way to a gap, news never.
 
     Parameters
@@ -59,7 +59,7 @@ class Ring:
                 self._wake()
                 break
 
-    def take(self) -> list[Arrival]:
+    def pop_all(self) -> list[Arrival]:
         """Return and remove all that is there."""
         with self._lock:
             if not self._items and not self._ahead:

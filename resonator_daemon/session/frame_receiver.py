@@ -7,44 +7,44 @@ from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import BoardClock, Instant, TickScale
 from resonator_daemon.session.compatibility import BoardRefusedError, gate_ticks
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_assembly import AssembledFrame, FrameAssembler
 from resonator_daemon.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import ChannelisedFrame, SingleToneFrame
 from resonator_daemon.session.host_time import HostTime
 
 _FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
 
 
-class FrameIntake:
+class FrameReceiver:
     """Takes the frames of one connection; the numbers, the ring and the account outlive it.
 
     `last_frame_ns` is the monotonic time at which a frame was taken last, `newest_ticks` the newest tick count that any
     message of this boot has told.
     """
 
-    def __init__(self, plate: Plate, numbering: FrameNumbering, ring: Ring, account: LinkAccount) -> None:
+    def __init__(self, plate: Plate, numbering: FrameNumbering, queue: FrameQueue, counters: LinkCounters) -> None:
         self._gate_ticks = gate_ticks(plate)
         self._single_tone = plate.counter.kind == "single-tone"
         self._assembler = FrameAssembler(len(plate.tones.f0_hz))
         self._numbering = numbering
-        self._ring = ring
-        self._account = account
+        self._queue = queue
+        self._counters = counters
         self.last_frame_ns = 0
         self.newest_ticks = 0
 
     @property
-    def misfits(self) -> int:
+    def unplaced_parts(self) -> int:
         """Parts of frames that had no place in theirs."""
-        return self._assembler.misfits
+        return self._assembler.unplaced_parts
 
     @property
     def frame_begun(self) -> bool:
         """Whether a frame has come in part."""
         return self._assembler.begun
 
-    def take_frames(
+    def receive_frames(
         self, frames: Sequence[Frame], clock: BoardClock, boot_id: int, now: HostTime
     ) -> list[tuple[Accepted, Instant]]:
         """Take frames of a single-tone counter that were read together.
@@ -62,7 +62,7 @@ class FrameIntake:
             Its clock jumped.
         """
         if not self._single_tone:
-            self._account.messages_malformed += len(frames)
+            self._counters.messages_malformed += len(frames)
             return []
         begun = []
         scale, half_gate_ticks = clock.scale, self._gate_ticks // 2
@@ -75,7 +75,7 @@ class FrameIntake:
                 begun.append(accepted)
                 end = self._follow(frames, start, scale, now)
                 index = accepted[0].index - start
-                self._ring.put_frames(
+                self._queue.put_frames(
                     [
                         SingleToneFrame(index + at, ticks, ticks - half_gate_ticks, scale, payload)
                         for at, (_, ticks, _, payload) in enumerate(frames[start:end], start)
@@ -87,11 +87,11 @@ class FrameIntake:
     def assemble(self, parts: Sequence[FramePart]) -> list[AssembledFrame]:
         """Put parts of channelised frames together; return the frames that are over."""
         if self._single_tone:
-            self._account.messages_malformed += len(parts)
+            self._counters.messages_malformed += len(parts)
             return []
         return self._assembler.add(parts)
 
-    def take_assembled(
+    def receive_assembled(
         self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
     ) -> tuple[Accepted, Instant] | None:
         """Take a channelised frame; return its number and the middle of its gate, None where it cannot be.
@@ -99,15 +99,15 @@ class FrameIntake:
         Raises
         ------
         BoardRefusedError, LinkLostError
-            As of `take_frames`.
+            As of `receive_frames`.
         """
         taken = self._accept(frame, scale, boot_id, now)
         if taken is None:
             return None
         accepted, middle = taken
-        self._account.parts_lost += frame.parts - frame.parts_seen
-        self._account.frames_incomplete += frame.parts_seen < frame.parts
-        self._ring.put_frames([ChannelisedFrame(accepted.index, frame.board_ticks, middle, frame.tones)])
+        self._counters.parts_lost += frame.parts - frame.parts_seen
+        self._counters.frames_incomplete += frame.parts_seen < frame.parts
+        self._queue.put_frames([ChannelisedFrame(accepted.index, frame.board_ticks, middle, frame.tones)])
         return taken
 
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
@@ -115,9 +115,9 @@ class FrameIntake:
         taken = []
         for frame in self._assembler.flush():
             try:
-                taken.append(self.take_assembled(frame, clock.scale, boot_id, now))
+                taken.append(self.receive_assembled(frame, clock.scale, boot_id, now))
             except (BoardRefusedError, LinkLostError):  # its connection, or its boot, is over anyway
-                self._account.messages_malformed += 1
+                self._counters.messages_malformed += 1
         return [one for one in taken if one is not None]
 
     def _follow(self, frames: Sequence[Frame], start: int, scale: TickScale, now: HostTime) -> int:
@@ -136,8 +136,8 @@ class FrameIntake:
         if not self._may_be(middle, now):
             return start + 1
         self._numbering.accept_following(following, ticks, middle)
-        self._account.boots[-1].frames += following
-        self._account.frames += following
+        self._counters.boots[-1].frames += following
+        self._counters.frames += following
         self.newest_ticks = max(self.newest_ticks, ticks)
         return end
 
@@ -151,21 +151,21 @@ class FrameIntake:
         """Accept a frame with its number and count it; return None for one that cannot be, or was there before."""
         middle = scale.at(frame.board_ticks - self._gate_ticks // 2)
         if not self._may_be(middle, now):
-            self._account.messages_malformed += 1
+            self._counters.messages_malformed += 1
             return None
         accepted = self._number(frame, boot_id, middle)
         if accepted is None:
-            self._account.messages_stale += 1
+            self._counters.messages_stale += 1
             return None
         self.last_frame_ns = now.monotonic_ns
         self.newest_ticks = max(self.newest_ticks, frame.board_ticks)
-        boot, gap = self._account.boots[-1], accepted.gap
+        boot, gap = self._counters.boots[-1], accepted.gap
         boot.frames += 1
-        self._account.frames += 1
+        self._counters.frames += 1
         if gap is not None:
-            self._account.lost += gap.loss
+            self._counters.lost += gap.loss
             boot.lost += gap.loss
-            self._ring.put(gap)
+            self._queue.put(gap)
         return accepted, middle
 
     def _number(self, frame: Frame | AssembledFrame, boot_id: int, middle: Instant) -> Accepted | None:

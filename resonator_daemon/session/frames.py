@@ -131,7 +131,7 @@ class Outage:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardSays:
+class BoardLogLine:
     """A line of the board's log."""
 
     level: int
@@ -139,18 +139,18 @@ class BoardSays:
 
 
 @dataclass(frozen=True, slots=True)
-class BoardLocated:
+class BlinkAnswered:
     """The board makes itself seen, or says why it does not; None where it does."""
 
     refused: str | None
 
 
 @dataclass(frozen=True, slots=True)
-class Steering:
-    """All frames from here on are to be measured otherwise; `key` and `order` as whoever wanted it gave them."""
+class ControlRequest:
+    """A request that changes how all later frames are measured; `key` identifies whoever waits for the answer."""
 
     key: str
-    order: str
+    request: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +168,9 @@ Arrival = (
     | BoardRefused
     | LinkChange
     | Outage
-    | BoardSays
-    | BoardLocated
-    | Steering
+    | BoardLogLine
+    | BlinkAnswered
+    | ControlRequest
     | ReaderFailed
 )
 

@@ -7,13 +7,13 @@ from typing import NamedTuple
 from pydantic import TypeAdapter, ValidationError
 
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_snapshot import CourseStanding
+from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.link_state import STATES
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
 
 
-class Said(NamedTuple):
+class StateAnnounced(NamedTuple):
     """A state of the link was announced while no link was open."""
 
     now: HostTime
@@ -34,7 +34,7 @@ class Received(NamedTuple):
     data: bytes
 
 
-class Tended(NamedTuple):
+class TimersRun(NamedTuple):
     """Timers were looked after; `idle`: nothing had come."""
 
     now: HostTime
@@ -54,7 +54,7 @@ class Overrun(NamedTuple):
     now: HostTime
 
 
-class Goodbye(NamedTuple):
+class StopRequested(NamedTuple):
     """The reader was told to stop, and is about to tell the board."""
 
     now: HostTime
@@ -89,63 +89,63 @@ class Skipped(NamedTuple):
     size_bytes: int
 
 
-class Standing(NamedTuple):
+class SnapshotTaken(NamedTuple):
     """How the link stands before anything that comes at `now` or later; a replay may begin or go on with it."""
 
     now: HostTime
-    course: CourseStanding
+    snapshot: LinkSnapshot
 
 
-class Locate(NamedTuple):
+class BlinkRequested(NamedTuple):
     """The board on the open link was to make itself seen."""
 
     now: HostTime
 
 
-class Steered(NamedTuple):
-    """Somebody had the measurement of all later frames changed; `key` tells who waits for an answer which it was."""
+class ControlRequested(NamedTuple):
+    """A request changed how all later frames are measured; `key` identifies whoever waits for the answer."""
 
     now: HostTime
     key: str
-    order: str
+    request: str
 
 
 WireEvent = (
-    Said
+    StateAnnounced
     | Opened
     | Received
-    | Tended
+    | TimersRun
     | Sent
     | Overrun
-    | Goodbye
+    | StopRequested
     | Lost
     | Refused
     | Closed
     | Skipped
-    | Standing
-    | Locate
-    | Steered
+    | SnapshotTaken
+    | BlinkRequested
+    | ControlRequested
 )
 
 # A kind's place is its number in files: new ones are appended.
 _KINDS: tuple[type[WireEvent], ...] = (
-    Said,
+    StateAnnounced,
     Opened,
     Received,
-    Tended,
+    TimersRun,
     Sent,
     Overrun,
-    Goodbye,
+    StopRequested,
     Lost,
     Refused,
     Closed,
     Skipped,
-    Standing,
-    Locate,
-    Steered,
+    SnapshotTaken,
+    BlinkRequested,
+    ControlRequested,
 )
 _TOLD = 60  # of what cannot be read
-_STANDING = TypeAdapter(CourseStanding)
+_SNAPSHOT = TypeAdapter(LinkSnapshot)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 
@@ -155,14 +155,14 @@ def encode(event: WireEvent) -> bytes:
     match event:
         case Received() | Sent():
             return head + event.data
-        case Tended():
+        case TimersRun():
             return head + bytes([event.idle])
-        case Opened() | Overrun() | Goodbye() | Closed() | Locate():
+        case Opened() | Overrun() | StopRequested() | Closed() | BlinkRequested():
             return head
-        case Standing():
-            text = json.dumps(_STANDING.dump_python(event.course, mode="json"), ensure_ascii=False)
+        case SnapshotTaken():
+            text = json.dumps(_SNAPSHOT.dump_python(event.snapshot, mode="json"), ensure_ascii=False)
             return head + text.encode(errors="replace")  # reasons may name paths that are no text
-        case Said() | Lost() | Refused() | Skipped() | Steered():
+        case StateAnnounced() | Lost() | Refused() | Skipped() | ControlRequested():
             return head + json.dumps(event[1:], ensure_ascii=False).encode(errors="replace")
 
 
@@ -184,36 +184,36 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
     now = new_tuple(HostTime, (monotonic_ns, utc_ns - monotonic_ns, boottime_less_monotonic_ns))
     if kind is Received:
         return new_tuple(Received, (now, body))
-    if kind is Tended:
-        return new_tuple(Tended, (now, body == b"\1"))
+    if kind is TimersRun:
+        return new_tuple(TimersRun, (now, body == b"\1"))
     if kind is Sent:
         return Sent(now, body)
-    if kind is Opened or kind is Overrun or kind is Goodbye or kind is Closed or kind is Locate:
+    if kind is Opened or kind is Overrun or kind is StopRequested or kind is Closed or kind is BlinkRequested:
         return kind(now)
-    if kind is Standing:
-        return Standing(now, _standing(body))
+    if kind is SnapshotTaken:
+        return SnapshotTaken(now, _snapshot(body))
     match kind, json.loads(body):
-        case (_, [str() as state, str() as reason]) if kind is Said and state in STATES:
-            return Said(now, state, _text(reason))
+        case (_, [str() as state, str() as reason]) if kind is StateAnnounced and state in STATES:
+            return StateAnnounced(now, state, _text(reason))
         case (_, [str() as reason]) if kind is Lost:
             return Lost(now, _text(reason))
         case (_, [list() as problems, bool() as other_protocol]) if kind is Refused:
             return Refused(now, tuple(_text(str(problem)) for problem in problems), other_protocol)
-        case (_, [str() as key, str() as order]) if kind is Steered:
-            return Steered(now, _text(key), _text(order))
+        case (_, [str() as key, str() as request]) if kind is ControlRequested:
+            return ControlRequested(now, _text(key), _text(request))
         case (_, [int() as events, int() as size_bytes]) if kind is Skipped and _counts(events, size_bytes):
             return Skipped(now, events, size_bytes)
     raise ValueError(f"{kind.__name__} cannot be read from {body[:_TOLD]!r}")
 
 
-def _standing(body: bytes) -> CourseStanding:
+def _snapshot(body: bytes) -> LinkSnapshot:
     try:
-        standing = _STANDING.validate_json(body)
+        snapshot = _SNAPSHOT.validate_json(body)
     except ValidationError as error:
         raise ValueError(f"Standing cannot be read: {error.errors()[0]['msg']}") from error
-    if standing.state.state not in ("", *STATES):
-        raise ValueError(f"{standing.state.state[:_TOLD]!r} is no state of a link")
-    return standing
+    if snapshot.state.state not in ("", *STATES):
+        raise ValueError(f"{snapshot.state.state[:_TOLD]!r} is no state of a link")
+    return snapshot
 
 
 def _text(text: str) -> str:

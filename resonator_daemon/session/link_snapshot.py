@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 from firmware_protocol.host import Described
 from firmware_protocol.messages import Configuration
-from resonator_daemon.session.clock import ClockStanding
-from resonator_daemon.session.frame_numbers import NumberStanding
-from resonator_daemon.session.link_state import StateStanding
+from resonator_daemon.session.clock import ClockSnapshot
+from resonator_daemon.session.frame_numbers import NumberingSnapshot
+from resonator_daemon.session.link_state import LinkStateSnapshot
 
 
 class Ping(NamedTuple):
@@ -20,7 +20,7 @@ class Ping(NamedTuple):
     known_ticks: int
 
 
-class Running(NamedTuple):
+class ConnectionSnapshot(NamedTuple):
     """A connection whose board counts, between two packets and two frames.
 
     `request_number` is that of the last request, `answered_ns` the monotonic time of the last answer, `rate_doubt` what
@@ -33,14 +33,14 @@ class Running(NamedTuple):
     answered_ns: int
     rate_doubt: str
     newest_ticks: int
-    clock: ClockStanding
+    clock: ClockSnapshot
     pings: tuple[Ping, ...]
 
 
-class CourseStanding(NamedTuple):
+class LinkSnapshot(NamedTuple):
     """A link as it stands; `running` None while it is closed, `known` the board of the connection before."""
 
-    state: StateStanding
-    numbers: NumberStanding
+    state: LinkStateSnapshot
+    numbers: NumberingSnapshot
     known: Described | None
-    running: Running | None
+    running: ConnectionSnapshot | None

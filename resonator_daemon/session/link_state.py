@@ -13,7 +13,7 @@ STATES: Final = frozenset({"waiting", "starting", "online", "stalled", "lost", "
 """All that is said of a link."""
 
 
-class StateStanding(NamedTuple):
+class LinkStateSnapshot(NamedTuple):
     """What was said of a link last, "" where nothing was, and of the outage that goes on."""
 
     state: str
@@ -27,12 +27,12 @@ class LinkState:
 
     Parameters
     ----------
-    announce
+    put
         Takes what is to be said.
     """
 
-    def __init__(self, announce: Callable[[Arrival], None]) -> None:
-        self._announce = announce
+    def __init__(self, put: Callable[[Arrival], None]) -> None:
+        self._put = put
         self._present: LinkChange | None = None
         self._outage_reasons: list[str] = []  # of the outage that goes on
 
@@ -41,19 +41,19 @@ class LinkState:
         return self._present.state if self._present else ""
 
     @property
-    def standing(self) -> StateStanding:
+    def snapshot(self) -> LinkStateSnapshot:
         """What is said now, for `join`."""
         present = self._present or LinkChange("", "", 0, 0)
-        return StateStanding(present.state, present.reason, present.since_utc_ns, tuple(self._outage_reasons))
+        return LinkStateSnapshot(present.state, present.reason, present.since_utc_ns, tuple(self._outage_reasons))
 
-    def join(self, standing: StateStanding, utc_ns: int) -> None:
+    def join(self, snapshot: LinkStateSnapshot, utc_ns: int) -> None:
         """Go on from what was said of the link by another."""
-        self._outage_reasons = list(standing.outage_reasons)
-        if standing.state:
-            self._present = LinkChange(standing.state, standing.reason, standing.since_utc_ns, utc_ns)
-            self._announce(self._present)
+        self._outage_reasons = list(snapshot.outage_reasons)
+        if snapshot.state:
+            self._present = LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns)
+            self._put(self._present)
 
-    def say(self, state: str, reason: str, utc_ns: int) -> None:
+    def announce(self, state: str, reason: str, utc_ns: int) -> None:
         """Announce a state, unless it was said already; a reason alone may change."""
         before = self._present
         if before is not None and (state, reason) == (before.state, before.reason):
@@ -67,15 +67,15 @@ class LinkState:
             self._outage_reasons.append(reason)
         since_utc_ns = utc_ns if changed or before is None else before.since_utc_ns
         self._present = LinkChange(state, reason, since_utc_ns, utc_ns)
-        self._announce(self._present)
+        self._put(self._present)
 
-    def frame_came(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
+    def frame_received(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
         """Tell of the outage that this frame has ended, if there was one; frames that were only late are none."""
         if self._outage_reasons:
             if previous is not None and frames_lost:
                 # By the clock of its end: that may have been set meanwhile.
                 start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
-                self._announce(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
+                self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
             self._outage_reasons = []
 
 

@@ -8,57 +8,57 @@ from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
-from resonator_daemon.session.counters import FrameLoss, LinkAccount
+from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_numbers import FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frames import BoardRefused, Steering
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import BoardRefused, ControlRequest
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
+    BlinkRequested,
     Closed,
-    Goodbye,
-    Locate,
+    ControlRequested,
     Lost,
     Opened,
     Overrun,
     Received,
     Refused,
-    Said,
     Sent,
     Skipped,
-    Standing,
-    Steered,
-    Tended,
+    SnapshotTaken,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
     WireEvent,
 )
-from resonator_daemon.session.link_snapshot import CourseStanding
+from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.link_state import LinkState
 
-_STANDING_EVERY_NS = 100_000_000
+_SNAPSHOT_EVERY_NS = 100_000_000
 
 
-class LinkCourse:
+class LinkStateMachine:
     """Follows one link through any number of connections; it depends on its events alone.
 
     Parameters
     ----------
-    ring
+    queue
         Takes the frames and the news.
-    tap
+    on_event
         Is handed each event before anything follows from it; about every 100 ms it is told how the link stands.
     """
 
-    def __init__(self, plate: Plate, ring: Ring, tap: Callable[[WireEvent], None]) -> None:
+    def __init__(self, plate: Plate, queue: FrameQueue, on_event: Callable[[WireEvent], None]) -> None:
         self._plate = plate
-        self._ring = ring
-        self._tap = tap
+        self._queue = queue
+        self._on_event = on_event
         self._numbering = FrameNumbering(
             frame_bytes(plate), gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz)
         )
         self._lock = threading.Lock()  # held while a chunk is taken apart, so that accounts are whole
-        self._account = LinkAccount()
+        self._counters = LinkCounters()
         self._known: Described | None = None
-        self._state = LinkState(ring.put)
-        self._standing_due_ns = 0
+        self._state = LinkState(queue.put)
+        self._snapshot_due_ns = 0
         self.connection: Connection | None = None
 
     def apply(self, event: WireEvent) -> None:
@@ -71,44 +71,44 @@ class LinkCourse:
         ValueError
             An event of an open link, and none is open; or `Opened`, and one is.
         """
-        if isinstance(event, Received) and event.now.monotonic_ns >= self._standing_due_ns:
-            self._tell_standing(event.now)
-        self._tap(event)
+        if isinstance(event, Received) and event.now.monotonic_ns >= self._snapshot_due_ns:
+            self._record_snapshot(event.now)
+        self._on_event(event)
         match event:
             case Received():
                 with self._lock:
                     self._opened().receive(event.data, event.now)
-            case Tended():
+            case TimersRun():
                 with self._lock:
-                    self._opened().tend(event.now, idle=event.idle)
-            case Said():
-                self._state.say(event.state, event.reason, event.now.utc_ns)
-                self._tell_standing(event.now)
+                    self._opened().run_timers(event.now, idle=event.idle)
+            case StateAnnounced():
+                self._state.announce(event.state, event.reason, event.now.utc_ns)
+                self._record_snapshot(event.now)
             case Opened():
                 self._open(event.now)
             case Overrun():
                 with self._lock:
                     self._opened().overrun()
-            case Goodbye():
-                self._opened().say_goodbye()
+            case StopRequested():
+                self._opened().request_stop()
             case Lost():
                 if self._state.state != "stalled":
                     state = "lost" if self._opened().was_online else "waiting"
-                    self._state.say(state, event.reason, event.now.utc_ns)
+                    self._state.announce(state, event.reason, event.now.utc_ns)
             case Refused():
-                self._state.say("refused", "; ".join(event.problems), event.now.utc_ns)
-                self._ring.put(BoardRefused(event.problems, event.other_protocol))
+                self._state.announce("refused", "; ".join(event.problems), event.now.utc_ns)
+                self._queue.put(BoardRefused(event.problems, event.other_protocol))
             case Closed():
                 self._close()
-                self._tell_standing(event.now)
+                self._record_snapshot(event.now)
             case Sent():
                 self._opened().sent(event.data, event.now)
-            case Locate():
-                self._opened().locate(event.now)
-            case Standing():
-                self._join(event)
-            case Steered():
-                self._ring.put(Steering(event.key, event.order))
+            case BlinkRequested():
+                self._opened().blink(event.now)
+            case SnapshotTaken():
+                self._restore(event)
+            case ControlRequested():
+                self._queue.put(ControlRequest(event.key, event.request))
             case Skipped():
                 pass
 
@@ -135,19 +135,19 @@ class LinkCourse:
         """Whether the board has counted since the link was opened."""
         return self._opened().was_online
 
-    def account(self) -> LinkAccount:
+    def counters(self) -> LinkCounters:
         """Return where every byte and frame went, as of now."""
         with self._lock:
-            account = self._account.copy()
+            counters = self._counters.copy()
             if self.connection is not None:
-                self.connection.add_to(account)
-        account.lost += self._ring.loss
-        return account
+                self.connection.add_to(counters)
+        counters.lost += self._queue.loss
+        return counters
 
     @property
     def lost(self) -> FrameLoss:
         """Frames lost since the start, by cause."""
-        return self._account.lost + self._ring.loss
+        return self._counters.lost + self._queue.loss
 
     def _opened(self) -> Connection:
         if self.connection is None:
@@ -157,28 +157,30 @@ class LinkCourse:
     def _open(self, now: HostTime) -> None:
         if self.connection is not None:
             raise ValueError("the link is open already")
-        connection = Connection(self._plate, self._known, self._numbering, self._ring, self._account, self._state, now)
+        connection = Connection(
+            self._plate, self._known, self._numbering, self._queue, self._counters, self._state, now
+        )
         with self._lock:
             self.connection = connection
-            self._account.connections += 1
+            self._counters.connections += 1
 
-    def _tell_standing(self, now: HostTime) -> None:
+    def _record_snapshot(self, now: HostTime) -> None:
         """Tell the tap how the link stands, unless a packet, a frame or a handshake is under way."""
-        running = self.connection.standing() if self.connection is not None else None
+        running = self.connection.snapshot() if self.connection is not None else None
         if running is None and self.connection is not None:
             return
-        standing = CourseStanding(self._state.standing, self._numbering.standing, self._known, running)
-        self._tap(Standing(now, standing))
-        self._standing_due_ns = now.monotonic_ns + _STANDING_EVERY_NS
+        snapshot = LinkSnapshot(self._state.snapshot, self._numbering.snapshot, self._known, running)
+        self._on_event(SnapshotTaken(now, snapshot))
+        self._snapshot_due_ns = now.monotonic_ns + _SNAPSHOT_EVERY_NS
 
-    def _join(self, standing: Standing) -> None:
+    def _restore(self, snapshot: SnapshotTaken) -> None:
         if self.connection is not None:
             raise ValueError("the link is open already")
-        state, numbers, self._known, running = standing.course
+        state, numbers, self._known, running = snapshot.snapshot
         self._numbering.join(numbers)
-        self._state.join(state, standing.now.utc_ns)
+        self._state.join(state, snapshot.now.utc_ns)
         if running is not None:
-            self._open(standing.now)
+            self._open(snapshot.now)
             self._opened().join(running)
 
     def _close(self) -> None:

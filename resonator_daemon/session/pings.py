@@ -45,7 +45,7 @@ class Pings:
             self._on_the_way[self._made] = Ping(self._made, now_ns, newest_ticks)
             self._made += 1
 
-    def take(self, opaque: bytes) -> Ping | None:
+    def answered(self, opaque: bytes) -> Ping | None:
         """Return the ping that is answered; None where nobody waits for that."""
         taken = self._on_the_way.pop(int.from_bytes(opaque, "little"), None)
         if taken is not None:
@@ -54,7 +54,7 @@ class Pings:
         return taken
 
     @property
-    def standing(self) -> tuple[Ping, ...]:
+    def snapshot(self) -> tuple[Ping, ...]:
         """Those on their way, for `follow_another`."""
         return tuple(self._on_the_way.values())
 

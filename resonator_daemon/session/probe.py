@@ -41,7 +41,7 @@ class TickRate(NamedTuple):
         return abs(self.deviation_ppm) <= self.uncertainty_ppm + TOLERANCE_PPM
 
 
-class Inquiry(NamedTuple):
+class ProbeResult(NamedTuple):
     """What a board said of itself; `round_trips_s` in order, `refused_to_blink` None where it was not asked or did."""
 
     described: Described
@@ -51,7 +51,7 @@ class Inquiry(NamedTuple):
     refused_to_blink: str | None
 
 
-def inquire(link: Link, *, blink: bool = False) -> Inquiry:
+def probe(link: Link, *, blink: bool = False) -> ProbeResult:
     """Identify the board, ask for its limits, and ping it for a second.
 
     Raises
@@ -60,7 +60,7 @@ def inquire(link: Link, *, blink: bool = False) -> Inquiry:
         No answer within 3 s, an answer in another protocol version, or a link that was lost meanwhile.
     """
     try:
-        return _Inquirer(link, blink=blink).run()
+        return _Probe(link, blink=blink).run()
     except LinkLostError as error:
         raise NoBoardError(f"the link was lost before the board had answered: {error}") from error
 
@@ -86,7 +86,7 @@ def _round_trip_ns(exchange: Exchange) -> int:
     return exchange.received_monotonic_ns - exchange.sent_monotonic_ns
 
 
-class _Inquirer:
+class _Probe:
     def __init__(self, link: Link, *, blink: bool) -> None:
         self._link = link
         self._session = HostSession()
@@ -98,7 +98,7 @@ class _Inquirer:
         self._blink_answered = not blink
         self._refused_to_blink: str | None = None
 
-    def run(self) -> Inquiry:
+    def run(self) -> ProbeResult:
         begun = time.monotonic()
         last_said, next_ping = begun, begun
         while self._described is None or self._pings < _PINGS or not self._blink_answered:
@@ -120,10 +120,10 @@ class _Inquirer:
             received = self._link.read(_POLL_S)
             received_ns = time.monotonic_ns()
             for event in self._session.receive(received):
-                self._take(event, received_ns)
+                self._handle(event, received_ns)
         if self._described is None:
             raise self._no_board()
-        return Inquiry(
+        return ProbeResult(
             self._described,
             tuple(_round_trip_ns(exchange) * 1e-9 for exchange in self._exchanges),
             tick_rate(self._exchanges, self._described.description.reference_millihertz),
@@ -138,7 +138,7 @@ class _Inquirer:
         if self._session.ping(opaque):
             self._sent = (opaque, sent_ns)
 
-    def _take(self, event: HostEvent, received_ns: int) -> None:
+    def _handle(self, event: HostEvent, received_ns: int) -> None:
         match event:
             case Described():
                 self._described = event
@@ -178,7 +178,7 @@ class _Inquirer:
         return f"{received} bytes came and no packet among them; is it a board of this kind, and the baud rate right?"
 
 
-def round_trip_s(inquiry: Inquiry) -> tuple[float, float] | None:
+def round_trip_s(inquiry: ProbeResult) -> tuple[float, float] | None:
     """Return the shortest and the median round trip; None where no ping was answered."""
     if not inquiry.round_trips_s:
         return None

@@ -35,7 +35,7 @@ class Lines(NamedTuple):
     most_rate: float
 
 
-class BoundsStanding(NamedTuple):
+class BoundsSnapshot(NamedTuple):
     """All that bounds know: the vertices of both hulls, and what `TickBounds` derives from them."""
 
     rates: tuple[float, float]
@@ -64,16 +64,16 @@ class TickBounds:
         self.count = 1
 
     @property
-    def standing(self) -> BoundsStanding:
+    def snapshot(self) -> BoundsSnapshot:
         """What is known now, for `resumed`."""
-        return BoundsStanding(self._rates, tuple(self._floor), tuple(self._ceiling), self.lines, self.count)
+        return BoundsSnapshot(self._rates, tuple(self._floor), tuple(self._ceiling), self.lines, self.count)
 
     @classmethod
-    def resumed(cls, standing: BoundsStanding) -> Self:
+    def resumed(cls, snapshot: BoundsSnapshot) -> Self:
         """Return bounds that know what others knew."""
-        bounds = cls(standing.rates, *standing.floor[-1], standing.ceiling[-1].excess_ns)
-        bounds._floor, bounds._ceiling = list(standing.floor), list(standing.ceiling)
-        bounds.lines, bounds.count = standing.lines, standing.exchanges
+        bounds = cls(snapshot.rates, *snapshot.floor[-1], snapshot.ceiling[-1].excess_ns)
+        bounds._floor, bounds._ceiling = list(snapshot.floor), list(snapshot.ceiling)
+        bounds.lines, bounds.count = snapshot.lines, snapshot.exchanges
         return bounds
 
     def add(self, nominal_ns: int, least_ns: int, most_ns: int) -> bool:

@@ -21,7 +21,7 @@ from resonator_daemon.record import NoBoardError, RecordOptions, record
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.link_events import Closed, Goodbye, Received, Said
+from resonator_daemon.session.link_events import Closed, Received, StateAnnounced, StopRequested
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -56,7 +56,7 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
         events = list(recording.events())
         assert recording.header["link"] == f"serial:{port}?baud=4000000"
         assert recording.damage is None
-    assert isinstance(events[0], Said)
+    assert isinstance(events[0], StateAnnounced)
     assert isinstance(events[-1], Closed)
     assert sum(len(event.data) for event in events if isinstance(event, Received)) == told["bytes_received"]
     # Nothing is overwritten, and a program is told so as well.
@@ -67,8 +67,8 @@ def test_a_second_of_a_board_is_recorded(tmp_path: Path) -> None:
 
 def stop_late(reader: BoardReader, stop: Callable[[BoardReader], None] = BoardReader.stop) -> None:
     """Frames come while the reader is about to stop."""
-    wanted = reader.account().frames + 100
-    while reader.account().frames < wanted:
+    wanted = reader.counters().frames + 100
+    while reader.counters().frames < wanted:
         threading.Event().wait(0.01)
     stop(reader)
 
@@ -155,7 +155,7 @@ def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
     with open_recording(str(output), load_plate("quartz16")) as recording:
         kinds = [type(event) for event in recording.events()]
         assert recording.damage is None
-    assert Goodbye in kinds
+    assert StopRequested in kinds
     assert kinds[-1] is Closed
 
 

@@ -21,7 +21,7 @@ from typing import Final
 from resonator_daemon.config import Measurement, parse_link
 from resonator_daemon.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.errors import OperatorError
-from resonator_daemon.pipeline.control_requests import MeasureOver, Order, Tare
+from resonator_daemon.pipeline.control_requests import Control, MeasureOver, Tare
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
@@ -90,7 +90,7 @@ class Case:
     plate: str = "quartz16"
     begin_s: float = 0.0
     marked: bool = False
-    orders: tuple[Order, ...] = ()  # one after the other
+    orders: tuple[Control, ...] = ()  # one after the other
 
 
 CASES: Final = {
@@ -161,13 +161,13 @@ def record(case: Case, path: Path, folder: Path) -> None:
     config = config_of(used, load_settings_text(SETTINGS, scenario), link)
     origin = Origin(used, str(link), "left-index", BOOT_ID, None, plate_text(used), settings_text(config))
     switch = RecordingSwitch()
-    reader = BoardReader(link, used, lambda: None, tap=switch.tap)
+    reader = BoardReader(link, used, lambda: None, on_event=switch.put)
 
     def follow(seconds: float) -> None:
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s:
             time.sleep(0.02)
-            for arrival in reader.take():
+            for arrival in reader.pop_arrivals():
                 if isinstance(arrival, BoardOnline):
                     switch.name_board(arrival)
 
@@ -181,7 +181,7 @@ def record(case: Case, path: Path, folder: Path) -> None:
             switch.start(path, origin)
         for order in case.orders:
             follow(case.seconds / 4)
-            reader.steer("key", order.model_dump_json())
+            reader.request_control("key", order.model_dump_json())
         follow(case.seconds / 2)
         if case.marked:
             switch.mark("half time")

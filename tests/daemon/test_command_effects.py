@@ -118,7 +118,7 @@ async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquit
     )
     again = Service(ConfigStore(replayed, bench.folder / "last-good"))
     async with observe(mosquitto.url) as heard, bench.running(again) as service:
-        await heard.until(lambda: service.link_account.frames >= 400)
+        await heard.until(lambda: service.link_counters.frames >= 400)
         await heard.until_count("resonator/again/forces", 60)
         again = heard.payloads("resonator/again/forces")
     same = [message for message in again if message["board_ticks"] in live]
@@ -145,7 +145,7 @@ async def test_a_hundred_at_once_are_not_obeyed(
         )
         await heard.until_count("resonator/hand/health", len(heard.raw("resonator/hand/health")) + 2)
         health = json.loads(heard.raw("resonator/hand/health")[-1])
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
     assert sum(health["commands"].values()) == 100
     assert health["commands"]["too_many"] + health["commands"]["unanswered"] >= 50
     assert caplog.text.count("commands come faster") == 1

@@ -98,7 +98,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert snapshot["messages"]["info"] == heard.payloads(INFO)[-1]
         assert snapshot["messages"]["state/sensor"]["state"] == "online"
         assert snapshot["left_out"] == []
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
 
 
 async def test_without_permission_nothing_is_changed(bench: Bench) -> None:

@@ -20,7 +20,7 @@ from firmware_protocol.packets import encode_packet
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import Arrival, BoardSays
+from resonator_daemon.session.frames import Arrival, BoardLogLine
 from simulators.faults import parse_faults
 
 IDEAL = "[plate]\nideal = true\n"
@@ -53,7 +53,7 @@ async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker:
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         onset, release = events(heard)
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
     assert (onset["event"], release["event"]) == ("onset", "release")
     assert onset["contact"]["site"] == release["contact"]["site"] == 7
     assert onset["contact"]["id"] == release["contact"]["id"]
@@ -139,7 +139,7 @@ async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosq
         await heard.until_last("resonator/hand/state/link", state="online")
         count = len(heard.raw("resonator/hand/forces"))
         await heard.until_count("resonator/hand/forces", count + 60)
-        lost = service.link_account.lost
+        lost = service.link_counters.lost
     forces = heard.payloads("resonator/hand/forces")
     assert lost.link_gap == lost.total >= 500
     assert forces[-1]["lost"]["link_gap"] == lost.link_gap
@@ -162,8 +162,8 @@ async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
                 await heard.until_last("resonator/hand/state/daemon", state="online")
                 await heard.until_count("resonator/hand/forces", 20)
             await broker.kill()
-        await asyncio.to_thread(wait_for_frames, service, service.link_account.frames + 200)
-        assert service.link_account.lost.total == 0
+        await asyncio.to_thread(wait_for_frames, service, service.link_counters.frames + 200)
+        assert service.link_counters.lost.total == 0
     account = service.message_account
     dropped = sum(account.dropped.values())
     known = account.acknowledged + account.handed_to_socket + dropped + account.unknown_at_disconnect
@@ -174,19 +174,19 @@ async def test_the_broker_may_come_late_and_die(tmp_path: Path) -> None:
 
 def wait_for_frames(service: Service, count: int) -> None:
     deadline = time.monotonic() + 30
-    while service.link_account.frames < count and time.monotonic() < deadline:
+    while service.link_counters.frames < count and time.monotonic() < deadline:
         threading.Event().wait(0.01)
-    assert service.link_account.frames >= count
+    assert service.link_counters.frames >= count
 
 
 async def test_a_stalled_event_loop_loses_no_frame(bench: Bench, mosquitto: Mosquitto) -> None:
     async with bench.emulated(scenario="still"), observe(mosquitto.url) as heard:
         async with bench.running(bench.service()) as service:
             await heard.until_count("resonator/hand/forces", 20)
-            before = service.link_account.frames
+            before = service.link_counters.frames
             wait_for_frames(service, before + 1000)  # blocks the event loop for a second
             await heard.until_count("resonator/hand/forces", len(heard.raw("resonator/hand/forces")) + 250)
-            assert service.link_account.lost.total == 0
+            assert service.link_counters.lost.total == 0
         forces = heard.payloads("resonator/hand/forces")
     steps = {int(b["board_ticks"]) - int(a["board_ticks"]) for a, b in pairwise(forces)}
     assert max(steps) <= 5_000_000 * 260  # dropped streams are counted; measured frames are not among them
@@ -309,7 +309,7 @@ class BusyReader(BoardReader):
     def __init__(self, target: Any, plate: Any, wake: Callable[[], None], **options: Any) -> None:
         super().__init__(target, plate, wake, **options)
         self._wake_consumer = wake
-        self._batches: list[list[Arrival]] = [[BoardSays(INFO, str(number)) for number in range(60)]]
+        self._batches: list[list[Arrival]] = [[BoardLogLine(INFO, str(number)) for number in range(60)]]
 
     def start(self) -> None:
         self._wake_consumer()
@@ -317,7 +317,7 @@ class BusyReader(BoardReader):
     def take(self) -> list[Arrival]:
         batch = self._batches.pop() if self._batches else []
         if len(batch) > 1:
-            self._batches.append([BoardSays(INFO, "meanwhile")])
+            self._batches.append([BoardLogLine(INFO, "meanwhile")])
             self._wake_consumer()
         return batch
 

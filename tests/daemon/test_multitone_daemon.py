@@ -54,7 +54,7 @@ async def test_a_touch_between_sites_becomes_a_contact_with_place_and_force(benc
         await heard.until(lambda: len(events(heard)) == 2)
         sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
         info = heard.payloads("resonator/hand/info")[-1]
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
     onset, release = events(heard)
     assert (onset["event"], release["event"]) == ("onset", "release")
     assert onset["contact"]["id"] == release["contact"]["id"]

@@ -51,7 +51,7 @@ async def test_a_pressed_skin_becomes_traction(tmp_path: Path, broker: Mosquitto
     ):
         await heard.until(lambda: len([1 for summary in summaries(heard) if summary["patches"]]) >= 20)
         sensor = await heard.until_last("resonator/hand/state/sensor", state="online")
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
     assert sensor["reason"] == "all sites are read"
     truth = {line["board_ticks"]: line["contacts"] for line in bench.truth()}
     peak_seen = 0.0
@@ -90,7 +90,7 @@ async def test_a_sheared_press_on_a_skin_becomes_a_contact_with_its_events(bench
         # Touches repeat, for as long as it takes: the decoder is set up while the first ones pass.
         await heard.until(lambda: {"onset", "incipient_slip", "release"} <= {event["event"] for event in events(heard)})
         await heard.until_last("resonator/hand/state/sensor", state="online", reason="all sites are read")
-        assert service.link_account.lost.total == 0
+        assert service.link_counters.lost.total == 0
     reasons = [message["reason"] for message in heard.payloads("resonator/hand/state/sensor")]
     assert any("decoder is being set up: contact physics" in reason for reason in reasons)
     by_contact: dict[int, list[str]] = {}

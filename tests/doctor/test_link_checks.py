@@ -11,7 +11,7 @@ from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.link_checks import check_inquiry
 from resonator_daemon.links.opening import open_link
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.session.probe import Inquiry, TickRate, inquire
+from resonator_daemon.session.probe import ProbeResult, TickRate, probe
 from simulators.emulator import EmulatorOptions
 
 UNCALIBRATED = {"board.unit"}  # what a plate file without a calibration leaves unchecked
@@ -23,28 +23,28 @@ def quartz16() -> Plate:
 
 
 @pytest.fixture(scope="module")
-def answers(tmp_path_factory: pytest.TempPathFactory) -> Inquiry:
+def answers(tmp_path_factory: pytest.TempPathFactory) -> ProbeResult:
     port = tmp_path_factory.mktemp("asked") / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)):
         link = open_link(SerialLink(str(port), 4_000_000))
         try:
-            inquiry = inquire(link)
+            inquiry = probe(link)
         finally:
             link.close()
     return inquiry._replace(round_trips_s=(0.001,) * 20, tick_rate=TickRate(2.0, 100.0))
 
 
-def describing(inquiry: Inquiry, **change: object) -> Inquiry:
+def describing(inquiry: ProbeResult, **change: object) -> ProbeResult:
     description: Description = dataclasses.replace(inquiry.described.description, **change)
     return inquiry._replace(described=inquiry.described._replace(description=description))
 
 
-def identifying(inquiry: Inquiry, **change: object) -> Inquiry:
+def identifying(inquiry: ProbeResult, **change: object) -> ProbeResult:
     identity: Identity = dataclasses.replace(inquiry.described.identity, **change)
     return inquiry._replace(described=inquiry.described._replace(identity=identity))
 
 
-def judged(inquiry: Inquiry, plate: Plate | None, busy: str = "") -> dict[str, Finding]:
+def judged(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> dict[str, Finding]:
     return {finding.id: finding for finding in check_inquiry(inquiry, plate, busy)}
 
 
@@ -52,7 +52,7 @@ def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
     return {name: f.outcome for name, f in findings.items() if f.outcome in (Outcome.WARNING, Outcome.FAULT)}
 
 
-def test_a_board_that_is_well_has_nothing_wrong(answers: Inquiry, quartz16: Plate) -> None:
+def test_a_board_that_is_well_has_nothing_wrong(answers: ProbeResult, quartz16: Plate) -> None:
     findings = judged(answers, quartz16)
     assert bad(findings) == {}
     assert {name for name, f in findings.items() if f.outcome is Outcome.NOT_CHECKED} == UNCALIBRATED
@@ -61,12 +61,12 @@ def test_a_board_that_is_well_has_nothing_wrong(answers: Inquiry, quartz16: Plat
 
 @pytest.mark.parametrize("change", [{"channels": 0}, {"channels": 5}, {"plate": "quartz17"}])
 def test_a_board_without_its_channels_or_of_another_plate_does_not_fit(
-    answers: Inquiry, quartz16: Plate, change: dict[str, object]
+    answers: ProbeResult, quartz16: Plate, change: dict[str, object]
 ) -> None:
     assert bad(judged(describing(answers, **change), quartz16)) == {"board.fits": Outcome.FAULT}
 
 
-def test_a_board_with_which_the_plate_was_not_calibrated_is_a_fault(answers: Inquiry, quartz16: Plate) -> None:
+def test_a_board_with_which_the_plate_was_not_calibrated_is_a_fault(answers: ProbeResult, quartz16: Plate) -> None:
     for unit, expected in (("EMU-0001", {}), ("EMU-0002", {"board.unit": Outcome.FAULT})):
         record = quartz16.calibration.model_copy(update={"unit": unit})
         assert bad(judged(answers, quartz16.model_copy(update={"calibration": record}))) == expected
@@ -74,19 +74,19 @@ def test_a_board_with_which_the_plate_was_not_calibrated_is_a_fault(answers: Inq
 
 @pytest.mark.parametrize(("ppm", "outcome"), [(3000.0, Outcome.FAULT), (-3000.0, Outcome.FAULT), (1050.0, Outcome.OK)])
 def test_a_reference_that_must_be_off_is_a_fault(
-    answers: Inquiry, quartz16: Plate, ppm: float, outcome: Outcome
+    answers: ProbeResult, quartz16: Plate, ppm: float, outcome: Outcome
 ) -> None:
     off = answers._replace(tick_rate=TickRate(ppm, 100.0))
     assert judged(off, quartz16)["board.reference"].outcome is outcome
     assert judged(answers._replace(tick_rate=None), None)["board.reference"].outcome is Outcome.NOT_CHECKED
 
 
-def test_answers_that_are_late_now_and_then_are_no_trouble(answers: Inquiry) -> None:
+def test_answers_that_are_late_now_and_then_are_no_trouble(answers: ProbeResult) -> None:
     seldom = answers._replace(round_trips_s=(0.001, 0.0045, 0.016))
     assert judged(seldom, None)["link.round_trip"].outcome is Outcome.OK
 
 
-def test_answers_that_wait_for_a_latency_timer_are_a_warning_unless_this_computer_is_busy(answers: Inquiry) -> None:
+def test_answers_that_wait_for_a_latency_timer_are_a_warning_unless_this_computer_is_busy(answers: ProbeResult) -> None:
     late = answers._replace(round_trips_s=tuple(0.0005 + 0.016 * step / 20 for step in range(20)))
     assert judged(late, None)["link.round_trip"].outcome is Outcome.WARNING
     assert judged(late, None, "this computer is busy")["link.round_trip"].outcome is Outcome.NOT_CHECKED
@@ -103,5 +103,5 @@ def test_answers_that_wait_for_a_latency_timer_are_a_warning_unless_this_compute
         (250, Outcome.OK),
     ],
 )
-def test_a_reset_that_nobody_wanted_is_a_warning(answers: Inquiry, cause: int, outcome: Outcome) -> None:
+def test_a_reset_that_nobody_wanted_is_a_warning(answers: ProbeResult, cause: int, outcome: Outcome) -> None:
     assert judged(identifying(answers, reset_cause=cause), None)["board.reset"].outcome is outcome

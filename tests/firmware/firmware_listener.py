@@ -26,5 +26,5 @@ class FirmwareListener(Listener):
         self.wait_for_frames(len(self.frames) + more)
 
     def check_accounts(self) -> None:
-        check_bytes(self.reader.account())
+        check_bytes(self.reader.counters())
         check_indices(self.arrivals)

@@ -14,7 +14,7 @@ GATE_TICKS = 1_000_000
 def test_frames_are_in_order_and_their_ticks_even(switch: Switch) -> None:
     with FirmwareListener(switch.link) as it:
         it.wait_for_more_frames(1500)
-        account = it.reader.account()
+        account = it.reader.counters()
         it.check_accounts()
     assert it.boards[0].identity.serial_number == "FW-0001"
     assert account.bytes_discarded == 0
@@ -32,7 +32,7 @@ def test_a_board_that_is_switched_off_and_on_is_another_boot_and_an_outage(switc
         switch.board.power_on()
         it.wait_for_more_frames(300)
         it.check_accounts()
-        account = it.reader.account()
+        account = it.reader.counters()
     first, second = it.boards
     assert first.boot_id != second.boot_id
     assert first.identity == second.identity
@@ -65,6 +65,6 @@ def test_a_second_daemon_after_the_first(switch: Switch) -> None:
     with FirmwareListener(switch.link) as second:
         second.wait_for_more_frames(100)
         second.check_accounts()
-        assert second.reader.account().lost.link_gap == 0
+        assert second.reader.counters().lost.link_gap == 0
     assert first.boards[0].boot_id == second.boards[0].boot_id
     assert second.frames[0].board_ticks > first.frames[-1].board_ticks

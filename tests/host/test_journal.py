@@ -16,7 +16,7 @@ import logging, sys
 from pathlib import Path
 from resonator_daemon.host import journal
 journal.set_up_logging(logging.INFO, Path(sys.argv[1]))
-journal.name_lines("left-index")
+journal.tag_log("left-index")
 logging.getLogger("somewhere").warning("link %s", "lost", extra={"resonatord_link_state": "lost"})
 logging.getLogger("somewhere").debug("unseen")
 sys.stderr.write(journal.error_prefix() + "end\\n")

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from resonator_daemon.links import host_lookup as port_lookup
-from resonator_daemon.links.host_lookup import look_up
+from resonator_daemon.links.host_lookup import resolve_host
 
 AMPLE_S = 20.0
 
@@ -40,17 +40,17 @@ def resolver(monkeypatch: pytest.MonkeyPatch) -> Iterator[Resolver]:
 
 def test_families_and_addresses_are_returned(resolver: Resolver) -> None:
     resolver.go_on.set()
-    assert look_up("board.local", 5000, AMPLE_S) == [(socket.AF_INET6, ("fe80::1", 5000, 0, 3))]
+    assert resolve_host("board.local", 5000, AMPLE_S) == [(socket.AF_INET6, ("fe80::1", 5000, 0, 3))]
 
 
 def test_an_answer_that_is_late_serves_the_next_question(resolver: Resolver) -> None:
     for _ in range(3):
         with pytest.raises(TimeoutError, match=r"its name was not found within 0\.01 s"):
-            look_up("slow.local", 5000, 0.01)
+            resolve_host("slow.local", 5000, 0.01)
     resolver.go_on.set()
-    assert look_up("slow.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"
+    assert resolve_host("slow.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"
     assert resolver.asked == ["slow.local"]
-    look_up("slow.local", 5000, AMPLE_S)  # answers are not kept: an address may change
+    resolve_host("slow.local", 5000, AMPLE_S)  # answers are not kept: an address may change
     assert resolver.asked == ["slow.local"] * 2
 
 
@@ -62,10 +62,10 @@ def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error
     resolver.go_on.set()
     resolver.error = error
     with pytest.raises(type(error)) as raised:
-        look_up("none.local", 5000, AMPLE_S)
+        resolve_host("none.local", 5000, AMPLE_S)
     assert raised.value is error
     resolver.error = None
-    look_up("none.local", 5000, AMPLE_S)
+    resolve_host("none.local", 5000, AMPLE_S)
 
 
 def test_a_name_that_no_thread_could_look_up_is_asked_anew(resolver: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,5 +76,5 @@ def test_a_name_that_no_thread_could_look_up_is_asked_anew(resolver: Resolver, m
     with monkeypatch.context() as full:
         full.setattr(threading.Thread, "start", no_more)
         with pytest.raises(RuntimeError, match="can't start new thread"):
-            look_up("board.local", 5000, AMPLE_S)
-    assert look_up("board.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"
+            resolve_host("board.local", 5000, AMPLE_S)
+    assert resolve_host("board.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"

@@ -369,14 +369,14 @@ def test_a_port_that_is_not_permitted_names_the_group_to_join(
 def test_a_group_that_nobody_should_join_asks_for_a_rule(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
 ) -> None:
-    def look_up(number: int) -> SimpleNamespace:
+    def resolve_host(number: int) -> SimpleNamespace:
         if group is None:
             raise KeyError(f"getgrgid(): gid not found: {number}")
         return SimpleNamespace(gr_name=group)
 
     path = tmp_path / "ttyACM0"
     path.touch()
-    monkeypatch.setattr(grp, "getgrgid", look_up)
+    monkeypatch.setattr(grp, "getgrgid", resolve_host)
     said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
     assert said.endswith("give it to a group of this user with a udev rule (docs/links.md)")
 

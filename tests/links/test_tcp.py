@@ -177,7 +177,7 @@ def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(tcp_link, "time", SimpleNamespace(monotonic=lambda: next(instants)))
     monkeypatch.setattr(
-        tcp_link, "look_up", lambda _host, _port, _timeout_s: [(socket.AF_INET, ("192.0.2.1", 5000))] * 2
+        tcp_link, "resolve_host", lambda _host, _port, _timeout_s: [(socket.AF_INET, ("192.0.2.1", 5000))] * 2
     )
     monkeypatch.setattr(tcp_link, "_connect", connect)
     with pytest.raises(LinkUnavailableError, match=r"192\.0\.2\.1: no answer in time; 192"):
@@ -188,9 +188,9 @@ def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPat
 def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
     port = target(listener).port
     addresses = [(socket.AF_INET, ("127.0.0.2", 1)), (socket.AF_INET, ("127.0.0.1", port))]
-    monkeypatch.setattr(tcp_link, "look_up", lambda _host, _port, _timeout_s: addresses)
+    monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses)
     open_tcp(TcpLink("board.local", port)).close()
-    monkeypatch.setattr(tcp_link, "look_up", lambda _host, _port, _timeout_s: addresses[:1] * 2)
+    monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses[:1] * 2)
     with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"):
         open_tcp(TcpLink("board.local", port))
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from resonator_daemon.links import tty_settings as port_settings
-from resonator_daemon.links.tty_settings import hasten
+from resonator_daemon.links.tty_settings import set_low_latency
 
 TIOCGSERIAL, TIOCSSERIAL = 0x541E, 0x541F
 FLAGS_AT, LOW_LATENCY = 16, 0x2000
@@ -51,7 +51,7 @@ def test_the_driver_is_asked_for_low_latency_and_for_nothing_else(monkeypatch: p
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", driver)
-    hasten(0, PATH)
+    set_low_latency(0, PATH)
     struct.pack_into("@i", settings, FLAGS_AT, 0x10 | LOW_LATENCY)
     assert given == [bytes(settings)]
 
@@ -59,7 +59,7 @@ def test_the_driver_is_asked_for_low_latency_and_for_nothing_else(monkeypatch: p
 def test_a_timer_that_the_driver_left_is_shortened(timer: Path, caplog: pytest.LogCaptureFixture) -> None:
     master, slave = os.openpty()  # has no such flag
     caplog.set_level(logging.INFO)
-    hasten(slave, PATH)
+    set_low_latency(slave, PATH)
     os.close(master)
     os.close(slave)
     assert timer.read_text() == "1"
@@ -74,8 +74,8 @@ def test_a_timer_that_may_not_be_shortened_is_said_once_with_the_rule(
 
     monkeypatch.setattr(Path, "write_text", refuse)
     caplog.set_level(logging.INFO)
-    hasten(no_terminal, PATH)
-    hasten(no_terminal, PATH)
+    set_low_latency(no_terminal, PATH)
+    set_low_latency(no_terminal, PATH)
     (record,) = caplog.records
     assert record.levelno == logging.INFO
     assert f"{PATH} hands bytes on only every 16 ms" in record.getMessage()
@@ -88,6 +88,6 @@ def test_a_timer_that_is_short_or_unreadable_is_left_alone(
 ) -> None:
     timer.write_text(text)
     caplog.set_level(logging.INFO)
-    hasten(no_terminal, PATH)
+    set_low_latency(no_terminal, PATH)
     assert timer.read_text() == text
     assert not caplog.records

@@ -176,7 +176,7 @@ transfer, reader._buffers[0][:4] = reader._transfers[0].contents, b"part"
 transfer.status, transfer.actual_length, reader._in_flight = int({status}), 4, 1
 reader._ended(reader._transfers[0])
 """)
-    assert host.value("reader.take(), reader._in_flight") == (b"part", 0)
+    assert host.value("reader.pop_received(), reader._in_flight") == (b"part", 0)
 
 
 def test_a_device_without_a_configuration_is_given_one(board: UsbBoardEnd, host: UsbHost) -> None:

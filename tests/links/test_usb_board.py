@@ -21,7 +21,7 @@ frames, missing, out_of_place, states = 0, 0, [], []
 
 def take():
     global frames, missing
-    for arrival in reader.take():
+    for arrival in reader.pop_arrivals():
         if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
             if arrival.index != frames + missing:
                 out_of_place.append((arrival.index, frames, missing))
@@ -47,7 +47,7 @@ def stop():
     global account
     reader.stop()
     take()
-    account = reader.account()
+    account = reader.counters()
 
 def in_bins(account):
     return (account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction

@@ -16,7 +16,7 @@ from resonator_daemon.monitoring import health
 from resonator_daemon.monitoring.health import HealthMonitor, Vitals
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost, MessageAccount, RecordingInfo
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = MessageAccount(
     made=28,
@@ -72,7 +72,7 @@ class Machine:
         self.now_s = 5000.0
 
     def vitals(self, monitor: HealthMonitor, **link: int) -> Vitals:
-        return monitor.vitals(LinkAccount(**link), MESSAGES, 1.5, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
+        return monitor.vitals(LinkCounters(**link), MESSAGES, 1.5, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -136,7 +136,7 @@ async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None
     monitor = HealthMonitor()
     machine.now_s += 1.0
     vitals = monitor.vitals(
-        LinkAccount(frames=1000, parts_lost=4), MESSAGES, math.nan, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS
+        LinkCounters(frames=1000, parts_lost=4), MESSAGES, math.nan, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS
     )
     message = Health(
         seq=0, daemon_boot_id="9f3c", board_boot_id=None, t_ns=1, t_unc_ns=0, lost=Lost(damaged=9), **vitals
@@ -210,4 +210,4 @@ def resident_mb() -> float:
 
 
 def vitals_of_now() -> dict[str, Any]:
-    return dict(HealthMonitor().vitals(LinkAccount(), MESSAGES, 0.0, 0, {}, {}, None, {}))
+    return dict(HealthMonitor().vitals(LinkCounters(), MESSAGES, 0.0, 0, {}, {}, None, {}))

@@ -13,7 +13,7 @@ from resonator_daemon.pipeline.board_pipeline import BoardCourse
 from resonator_daemon.pipeline.control_requests import MeasureOver, Tare
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.session.counters import FrameLoss
-from resonator_daemon.session.frames import Arrival, BoardSays, Gap, LinkChange, Outage, Steering
+from resonator_daemon.session.frames import Arrival, BoardLogLine, ControlRequest, Gap, LinkChange, Outage
 
 T0_NS = 1_789_000_000_000_000_000
 S = 10**9
@@ -118,17 +118,17 @@ def test_an_expired_calibration_is_told_by_the_day_of_what_arrives(tmp_path: Pat
 def test_orders_are_obeyed_in_their_turn_or_refused_with_a_reason(tmp_path: Path) -> None:
     course = Course(tmp_path)
     order = MeasureOver(measurement=Measurement(window_ms=20, step_ms=10)).model_dump_json()
-    assert course.course.steer(order) == ""
+    assert course.course.apply_control(order) == ""
     assert course.course.reporter.measurement.step_ms == 10
-    assert course.course.steer(Tare().model_dump_json()) == "no force sites are being measured"
-    assert "no order of this version" in course.course.steer(json.dumps({"verb": "fly"}))
+    assert course.course.apply_control(Tare().model_dump_json()) == "no force sites are being measured"
+    assert "no order of this version" in course.course.apply_control(json.dumps({"verb": "fly"}))
 
 
 def test_a_refused_order_of_a_recording_and_words_of_the_board_go_to_the_log(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     course = Course(tmp_path)
-    course.take(Steering("key", Tare().model_dump_json()), BoardSays(90, "hot"))
+    course.take(ControlRequest("key", Tare().model_dump_json()), BoardLogLine(90, "hot"))
     assert [(record.levelname, record.getMessage()) for record in caplog.records] == [
         ("WARNING", "no force sites are being measured"),
         ("ERROR", "board: hot"),

@@ -5,7 +5,7 @@ import asyncio
 import pytest
 
 from resonator_daemon.config import Measurement
-from resonator_daemon.pipeline.control_requests import MeasureOver, Steering, Tare, parse_order
+from resonator_daemon.pipeline.control_requests import ControlRequests, MeasureOver, Tare, parse_control
 
 
 async def test_each_order_gets_its_own_answer_whatever_comes_between() -> None:
@@ -17,18 +17,18 @@ async def test_each_order_gets_its_own_answer_whatever_comes_between() -> None:
         if len(sent) == 2:
             both.set()
 
-    steering = Steering(send)
-    first = asyncio.create_task(steering.order(Tare()))
-    second = asyncio.create_task(steering.order(MeasureOver(measurement=Measurement(window_ms=20, step_ms=10))))
+    requests = ControlRequests(send)
+    first = asyncio.create_task(requests.request(Tare()))
+    second = asyncio.create_task(requests.request(MeasureOver(measurement=Measurement(window_ms=20, step_ms=10))))
     await both.wait()
-    steering.obeyed("of a recording", "")
+    requests.applied("of a recording", "")
     (first_key, tare), (second_key, window) = sent
-    steering.obeyed(second_key, "")
-    steering.obeyed(first_key, "touched")
+    requests.applied(second_key, "")
+    requests.applied(first_key, "touched")
     assert (await first, await second) == ("touched", "")
-    steering.obeyed(first_key, "again")
-    assert parse_order(tare) == Tare()
-    assert parse_order(window) == MeasureOver(measurement=Measurement(window_ms=20, step_ms=10))
+    requests.applied(first_key, "again")
+    assert parse_control(tare) == Tare()
+    assert parse_control(window) == MeasureOver(measurement=Measurement(window_ms=20, step_ms=10))
 
 
 @pytest.mark.parametrize(
@@ -36,4 +36,4 @@ async def test_each_order_gets_its_own_answer_whatever_comes_between() -> None:
 )
 def test_what_is_no_order_is_refused(text: str) -> None:
     with pytest.raises(ValueError, match="validation error"):
-        parse_order(text)
+        parse_control(text)

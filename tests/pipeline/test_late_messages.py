@@ -11,8 +11,8 @@ from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.replay.source import open_playback
 from resonator_daemon.session.clock import Instant
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 
@@ -25,15 +25,17 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
     undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
     config = config.model_copy(update={"decoding": undecoded})
     messages: list[tuple[str, Any]] = []
-    course = BoardCourse(config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late)
-    ring = Ring(1 << 30, lambda: None, ())
+    machine = BoardCourse(
+        config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late
+    )
+    queue = FrameQueue(1 << 30, lambda: None, ())
     with open_recording(str(path)) as recording:
-        replay = Replay(recording, LinkCourse(config.plate, ring, lambda _: None))
+        replay = Replay(recording, LinkStateMachine(config.plate, queue, lambda _: None))
         for entry in recording.entries():
             if not isinstance(entry, Mark):
                 replay.apply(entry)
-            for arrival in ring.take():
-                course.take(arrival)
+            for arrival in queue.pop_all():
+                machine.take(arrival)
     return messages
 
 

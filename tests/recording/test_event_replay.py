@@ -16,7 +16,7 @@ from resonator_daemon.recording.event_replay import Pace
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     Arrival,
     BoardRefused,
@@ -28,16 +28,16 @@ from resonator_daemon.session.frames import (
 )
 from resonator_daemon.session.link_events import (
     Closed,
-    Goodbye,
     Lost,
     Opened,
     Overrun,
     Received,
     Refused,
-    Said,
     Sent,
     Skipped,
-    Tended,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
     WireEvent,
 )
 from simulators.emulator import EmulatorOptions
@@ -54,9 +54,9 @@ class Sitting:
     def __init__(self, link: LinkTarget, plate: Plate, path: Path) -> None:
         self._woken = threading.Event()
         self.recorder = Recorder(path, Origin(plate, str(link)))
-        self.reader = BoardReader(link, plate, self._woken.set, tap=self.recorder.put)
+        self.reader = BoardReader(link, plate, self._woken.set, on_event=self.recorder.put)
         self.arrivals: list[Arrival] = []
-        self.account = LinkAccount()
+        self.counters = LinkCounters()
 
     def __enter__(self) -> "Sitting":
         self.reader.start()
@@ -65,8 +65,8 @@ class Sitting:
     def __exit__(self, *_: object) -> None:
         self.reader.stop()
         self.recorder.close()
-        self.arrivals += self.reader.take()
-        self.account = self.reader.account()
+        self.arrivals += self.reader.pop_arrivals()
+        self.counters = self.reader.counters()
 
     def wait_for(self, kind: type[Arrival], count: int) -> None:
         deadline = time.monotonic() + DEADLINE_S
@@ -74,11 +74,11 @@ class Sitting:
             assert time.monotonic() < deadline, self.arrivals[-5:]
             self._woken.wait(1.0)
             self._woken.clear()
-            self.arrivals += self.reader.take()
+            self.arrivals += self.reader.pop_arrivals()
 
 
 def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
-    arrivals, account, differences = replayed(path, plate)
+    arrivals, counters, differences = replayed(path, plate)
     assert differences == 0
     end = arrivals[-1]
     assert isinstance(end, LinkChange)
@@ -86,7 +86,7 @@ def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
     assert len(arrivals) == len(sitting.arrivals) + 1
     for live, again in zip(sitting.arrivals, arrivals, strict=False):
         assert same(live, again), (live, again)
-    assert account == sitting.account
+    assert counters == sitting.counters
     return arrivals
 
 
@@ -101,9 +101,9 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
         sitting.wait_for(SingleToneFrame, sum(isinstance(a, SingleToneFrame) for a in sitting.arrivals) + 200)
     arrivals = check_same(sitting, path, PLATE)
     assert {SingleToneFrame, Gap, LinkChange, Outage} <= {type(arrival) for arrival in arrivals}
-    assert sitting.account.connections > 1
-    assert len(sitting.account.boots) == 2
-    assert sitting.account.bytes_discarded > 0
+    assert sitting.counters.connections > 1
+    assert len(sitting.counters.boots) == 2
+    assert sitting.counters.bytes_discarded > 0
 
 
 def test_channelised_frames_are_replayed_to_the_bit(tmp_path: Path) -> None:
@@ -124,7 +124,7 @@ def test_a_refused_board_is_refused_again(tmp_path: Path) -> None:
 
 def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Said(at(0), "starting", "first"), Said(at(300), "waiting", "second")])
+    record(path, [StateAnnounced(at(0), "starting", "first"), StateAnnounced(at(300), "waiting", "second")])
     woken = threading.Event()
     reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
     reader.start()
@@ -132,7 +132,7 @@ def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
     while len(arrivals) < 3:
         assert woken.wait(DEADLINE_S)
         woken.clear()
-        arrivals += reader.take()
+        arrivals += reader.pop_arrivals()
     reader.stop()
     assert arrivals == [
         LinkChange("starting", "first", at(0).utc_ns, at(0).utc_ns),
@@ -154,13 +154,13 @@ def test_recorded_time_passes_as_fast_as_it_did() -> None:
 
 def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Opened(at(0)), Said(at(0), "stalled", "first"), Tended(at(3_600_000), idle=True)])
+    record(path, [Opened(at(0)), StateAnnounced(at(0), "stalled", "first"), TimersRun(at(3_600_000), idle=True)])
     woken = threading.Event()
     reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
-    assert reader.take() == [LinkChange("stalled", "first", at(0).utc_ns, at(0).utc_ns)]
+    assert reader.pop_arrivals() == [LinkChange("stalled", "first", at(0).utc_ns, at(0).utc_ns)]
 
 
 def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) ->
     assert woken.wait(DEADLINE_S)
     reader.stop()
     sentence = f"recording {tmp_path / 'none.mcap'}: No such file or directory"
-    change, refused = reader.take()
+    change, refused = reader.pop_arrivals()
     assert isinstance(change, LinkChange)
     assert (change.state, change.reason) == ("refused", sentence)
     assert refused == BoardRefused((sentence,))
@@ -187,7 +187,7 @@ def identify() -> bytes:
 
 
 BEGUN = [Opened(at(0)), Sent(at(0), identify())]
-NO_ANSWER = Tended(at(4000), idle=False)  # after which the connection gives up
+NO_ANSWER = TimersRun(at(4000), idle=False)  # after which the connection gives up
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ NO_ANSWER = Tended(at(4000), idle=False)  # after which the connection gives up
     [
         ([BEGUN[0], Sent(at(1), b"\x07"), Closed(at(2))], "0.001 s after its beginning: 07 was sent, now "),
         ([BEGUN[0], Received(at(2), b"\0"), Closed(at(3))], "0.002 s after its beginning: nothing was sent, now "),
-        ([BEGUN[0], Tended(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
+        ([BEGUN[0], TimersRun(at(2), idle=True), Closed(at(3))], "nothing was sent, now "),
         ([*BEGUN, Skipped(at(5), 3, 400), Closed(at(6))], "0.005 s after its beginning: 3 events with 400 bytes are"),
         ([*BEGUN, Refused(at(5), ("old",), other_protocol=False), Closed(at(6))], "closed, old; now: nothing is wrong"),
         ([*BEGUN, Opened(at(5))], "0.005 s after its beginning: the link is opened twice"),
@@ -218,7 +218,7 @@ def test_an_order_of_events_that_no_daemon_has_is_a_difference(tmp_path: Path) -
         plate = load_plate_text(recording.plate_text or "", Path("plate.toml"))
         events = list(recording.events())
     place = next(i for i, event in enumerate(events) if isinstance(event, Received) and len(event.data) > 100)
-    bent = [*events[:place], Goodbye(events[place].now), *events[place:]]
+    bent = [*events[:place], StopRequested(events[place].now), *events[place:]]
     path = tmp_path / "run.mcap"
     record(path, bent, plate)
     arrivals, _, differences = replayed(path, plate)
@@ -231,23 +231,23 @@ def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
     record(
         path,
         [
-            Said(at(0), "starting", "the link is being opened"),
+            StateAnnounced(at(0), "starting", "the link is being opened"),
             Opened(at(0)),
             Sent(at(0), identify()),
-            Tended(at(1), idle=True),
+            TimersRun(at(1), idle=True),
             Overrun(at(1)),
             Lost(at(2), "unplugged"),
             Closed(at(2)),
             Opened(at(10)),
             Sent(at(10), identify()),
-            Tended(at(4000), idle=False),
+            TimersRun(at(4000), idle=False),
             Lost(at(4000), "no board answers"),
             Closed(at(4000)),
         ],
     )
-    arrivals, account, differences = replayed(path)
+    arrivals, counters, differences = replayed(path)
     assert differences == 0
-    assert (account.connections, account.host_overruns) == (2, 1)
+    assert (counters.connections, counters.host_overruns) == (2, 1)
     assert LinkChange("waiting", "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
     assert last_reason(arrivals) == f"the recording {path.name} is over"
 
@@ -261,15 +261,15 @@ def test_an_empty_recording_is_over_at_once(tmp_path: Path) -> None:
 
 def test_a_replay_that_is_stopped_leaves_the_link_closed(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Opened(at(0)), Sent(at(0), identify()), Tended(at(1), idle=True), Tended(at(2), idle=True)])
-    arrivals, account, _ = replayed(path, pace=lambda now: now.monotonic_ns < at(2).monotonic_ns)
+    record(path, [Opened(at(0)), Sent(at(0), identify()), TimersRun(at(1), idle=True), TimersRun(at(2), idle=True)])
+    arrivals, counters, _ = replayed(path, pace=lambda now: now.monotonic_ns < at(2).monotonic_ns)
     assert arrivals == []
-    assert account.connections == 1
+    assert counters.connections == 1
 
 
 def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Said(at(0), "starting", "first"), Opened(at(1))])
+    record(path, [StateAnnounced(at(0), "starting", "first"), Opened(at(1))])
     path.write_bytes(path.read_bytes()[:-8])  # its last magic
     arrivals, _, differences = replayed(path)
     assert differences == 0

@@ -33,32 +33,32 @@ from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
     Closed,
-    Goodbye,
     Lost,
     Opened,
     Overrun,
     Received,
     Refused,
-    Said,
     Sent,
     Skipped,
-    Tended,
+    StateAnnounced,
+    StopRequested,
+    TimersRun,
     WireEvent,
     decode,
     encode,
 )
 
 EVENTS: list[WireEvent] = [
-    Said(at(0), "starting", "the link is being opened"),
-    Said(at(1), "waiting", "/dev/ttyÿ: no such file — yet"),
+    StateAnnounced(at(0), "starting", "the link is being opened"),
+    StateAnnounced(at(1), "waiting", "/dev/ttyÿ: no such file — yet"),
     Opened(at(2)),
     Sent(at(3), b"\x01\0"),
     Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),
     Received(at(5), b""),
-    Tended(at(5), idle=False),
-    Tended(at(6), idle=True),
+    TimersRun(at(5), idle=False),
+    TimersRun(at(6), idle=True),
     Overrun(at(7)),
-    Goodbye(at(8)),
+    StopRequested(at(8)),
     Lost(at(9), "unplugged (hung up)"),
     Refused(at(10), ("one", "two"), other_protocol=True),
     Refused(at(10), (), other_protocol=False),
@@ -91,7 +91,7 @@ def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
 
 @given(host_times, st.binary(max_size=300), st.booleans())
 def test_every_time_and_byte_comes_back(now: HostTime, data: bytes, flag: bool) -> None:
-    for event in (Received(now, data), Sent(now, data), Tended(now, flag), Opened(now)):
+    for event in (Received(now, data), Sent(now, data), TimersRun(now, flag), Opened(now)):
         again = decode(encode(event), now.monotonic_ns, now.utc_ns)
         assert (type(again), again) == (type(event), event)
 

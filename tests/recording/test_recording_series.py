@@ -12,7 +12,7 @@ from random import Random
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import PLATE, at, made, read, record, standing
+from recording_bench import PLATE, at, made, read, record, snapshot
 
 from resonator_daemon.errors import OperatorError
 from resonator_daemon.recording import file_series as recording_budget
@@ -22,7 +22,7 @@ from resonator_daemon.recording.file_series import NoRoomError, Series
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Opened, Received, Skipped, Standing, Tended, WireEvent
+from resonator_daemon.session.link_events import Opened, Received, Skipped, SnapshotTaken, TimersRun, WireEvent
 
 DEADLINE_S = 30.0
 MINUTE_NS = 60 * 10**9
@@ -59,15 +59,15 @@ def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(
     series = Series(tmp_path, "left", file_max_ns=1_000_000_000)
     with Recorder(series, LEFT) as recorder:
         for ms in range(0, 3000, 100):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), bytes([ms // 100])))
-            recorder.put(Tended(at(ms + 1), idle=False))
-    assert [[event.now for event in events if isinstance(event, Standing)] for events in contents(tmp_path)] == [
+            recorder.put(TimersRun(at(ms + 1), idle=False))
+    assert [[event.now for event in events if isinstance(event, SnapshotTaken)] for events in contents(tmp_path)] == [
         [at(0)],
         [at(1000)],
         [at(2000)],
     ]
-    assert all(isinstance(events[0], Standing) for events in contents(tmp_path))
+    assert all(isinstance(events[0], SnapshotTaken) for events in contents(tmp_path))
     received = [event.data for events in contents(tmp_path) for event in events if isinstance(event, Received)]
     assert received == [bytes([number]) for number in range(30)]
     assert (recorder.events, recorder.counts.files, recorder.skipped_events) == (63, 3, 0)
@@ -78,7 +78,7 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     random = Random(1)
     with Recorder(series, LEFT) as recorder:
         for ms in range(0, 1000, 10):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), random.randbytes(20_000)))
     sizes = [path.stat().st_size for path in series.files()]
     assert len(sizes) >= 3
@@ -101,7 +101,7 @@ def test_each_file_says_the_same_of_its_origin(tmp_path: Path) -> None:
     origin = Origin(PLATE, "tcp://board:1", "left", "b00t", "5ha", "name = 'quartz16'\n", "[measurement]\n")
     with Recorder(Series(tmp_path, "left", "press", file_max_ns=1), origin) as recorder:
         for ms in range(2):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
     files = Series(tmp_path, "left").files()
     assert len(files) == 2
     for path in files:
@@ -214,18 +214,18 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         assert contents(tmp_path) == [[Opened(at(0))]]  # and it has its end
         free_bytes.append(109)  # not enough to begin anew
         for ms in (1, 2):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
         wait_until(lambda: recorder.skipped_events == 2)
         assert recorder.failure is not None
         free_bytes.append(200)
         recorder.put(Received(at(3), b"x"))
-        recorder.put(standing(at(4)))
+        recorder.put(snapshot(at(4)))
         recorder.put(Received(at(4), b"y"))
         wait_until(lambda: recorder.events + recorder.skipped_events == (6 if resumes else 5))
     if resumes:
         assert recorder.failure is None
-        assert contents(tmp_path)[1:] == [[standing(at(4)), Received(at(4), b"y")]]
+        assert contents(tmp_path)[1:] == [[snapshot(at(4)), Received(at(4), b"y")]]
         assert recorder.skipped_events == 3
         assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
         assert said[0][1].endswith(": it is tried again every 0 s; what was written stays")
@@ -244,13 +244,13 @@ def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path, monkeypatch:
     with Recorder(Series(blocked, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
         assert recorder.failure is not None
         for ms in range(3):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
         wait_until(lambda: recorder.skipped_events == 3)
         blocked.unlink()
-        recorder.put(standing(at(9)))
+        recorder.put(snapshot(at(9)))
         wait_until(lambda: recorder.failure is None)
-    assert contents(blocked) == [[standing(at(9))]]
+    assert contents(blocked) == [[snapshot(at(9))]]
     assert len(said) == 2  # however often it was tried
 
 
@@ -264,16 +264,16 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path, monkey
         shutil.rmtree(tmp_path)
         recorder.put(Received(at(1), Random(1).randbytes(600_000)))
         wait_until(lambda: recorder.failure is not None)
-        recorder.put(standing(at(2)))
+        recorder.put(snapshot(at(2)))
         wait_until(lambda: recorder.failure is None)
-    assert contents(tmp_path) == [[standing(at(2))]]
+    assert contents(tmp_path) == [[snapshot(at(2))]]
 
 
 def test_events_that_did_not_fit_are_told_before_a_standing_that_begins(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Received(at(0), bytes(50_000)), standing(at(1)), Tended(at(2), idle=True)], queue_bytes=40_000)
+    record(path, [Received(at(0), bytes(50_000)), snapshot(at(1)), TimersRun(at(2), idle=True)], queue_bytes=40_000)
     events, _ = read(path)
-    assert events == [Skipped(at(1), 1, 50_000), standing(at(1)), Tended(at(2), idle=True)]
+    assert events == [Skipped(at(1), 1, 50_000), snapshot(at(1)), TimersRun(at(2), idle=True)]
 
 
 def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -281,7 +281,7 @@ def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(os, "fsync", lambda number: synchronised.append(os.readlink(f"/proc/self/fd/{number}")))
     with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
         for ms in range(3):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
     assert sorted(synchronised) == [str(path) for path in Series(tmp_path, "left").files()]
     assert len(synchronised) == 3
 
@@ -295,7 +295,7 @@ def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, m
     monkeypatch.setattr(recording_writer, "encode", broken)
     with Recorder(Series(tmp_path, "left"), LEFT) as recorder:
         recorder.put(Opened(at(0)))
-        recorder.put(standing(at(1)))
+        recorder.put(snapshot(at(1)))
     assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
     assert len(Series(tmp_path, "left").files()) == 1
 
@@ -305,7 +305,7 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
     with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
-        recorder.put(standing(at(0)))
+        recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         first = recorder.path
         if how == "removed":
@@ -316,13 +316,13 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
             directory.mkdir()
             first.write_bytes(b"theirs")
         wait_until(lambda: recorder.failure is not None)
-        recorder.put(standing(at(1)))
+        recorder.put(snapshot(at(1)))
         wait_until(lambda: recorder.failure is None)
         second = recorder.path
         recorder.put(Opened(at(2)))
-    assert read(second) == ([standing(at(1)), Opened(at(2))], None)
+    assert read(second) == ([snapshot(at(1)), Opened(at(2))], None)
     if how == "moved":
-        assert read(tmp_path / "elsewhere" / first.name) == ([standing(at(0))], None)
+        assert read(tmp_path / "elsewhere" / first.name) == ([snapshot(at(0))], None)
     if how == "replaced":
         assert first.read_bytes() == b"theirs"
     gone = f"{first} was removed, moved or replaced: a new file is begun as soon as that can be"
@@ -336,17 +336,17 @@ def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
     with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
-        recorder.put(standing(at(0)))
+        recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         directory.rename(tmp_path / "elsewhere")
         directory.touch()
         wait_until(lambda: recorder.failure is not None)
         for ms in (1, 2):
-            recorder.put(standing(at(ms)))
+            recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
         wait_until(lambda: recorder.skipped_events == 2)
         directory.unlink()
-        recorder.put(standing(at(3)))
+        recorder.put(snapshot(at(3)))
         wait_until(lambda: recorder.failure is None)
     assert [level for level, _ in said] == [logging.WARNING, logging.WARNING, logging.INFO]
     assert said[1][1].startswith(f"{directory} cannot be used: ")
@@ -355,7 +355,7 @@ def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
 def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:
     said: list[tuple[int, str]] = []
     with Recorder(Series(tmp_path, "left"), LEFT, say=lambda *line: said.append(line)) as recorder:
-        recorder.put(standing(at(0)))
+        recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         path = recorder.path
         path.unlink()
@@ -368,7 +368,7 @@ def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None
     begun = [at(0), HostTime(2 * 10**9, back_ns, 0), HostTime(3 * 10**9, back_ns, 0)]
     with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
         for now in begun:
-            recorder.put(standing(now))
+            recorder.put(snapshot(now))
     assert [events[0].now for events in contents(tmp_path)] == begun
 
 
@@ -378,7 +378,7 @@ def test_between_tries_there_is_a_pause(tmp_path: Path, monkeypatch: pytest.Monk
     blocked.touch()
     with Recorder(Series(blocked, "left", resumes=True), LEFT) as recorder:
         blocked.unlink()
-        recorder.put(standing(at(1)))
+        recorder.put(snapshot(at(1)))
         recorder.put(Received(at(1), b"x"))
         wait_until(lambda: recorder.skipped_events == 1)
         assert recorder.failure is not None

@@ -14,7 +14,7 @@ from connection_bench import DESCRIPTION, IDENTITY
 from emulation import emulated
 from listener import DEADLINE_S, Listener, frames, gaps
 from mcap.reader import make_reader
-from recording_bench import PLATE, at, marks, read, replayed, same, standing
+from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
 from resonator_daemon.config import LinkTarget, SerialLink, parse_link
@@ -31,7 +31,15 @@ from resonator_daemon.recording.switch import (
     RecordingSwitch,
 )
 from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
-from resonator_daemon.session.link_events import Closed, Opened, Received, Said, Skipped, Standing, Tended
+from resonator_daemon.session.link_events import (
+    Closed,
+    Opened,
+    Received,
+    Skipped,
+    SnapshotTaken,
+    StateAnnounced,
+    TimersRun,
+)
 from simulators.emulator import Emulator, EmulatorOptions
 from simulators.faults import parse_faults
 from simulators.faults.script import Script
@@ -44,7 +52,7 @@ ORIGIN = Origin(PLATE, "tcp://board:1")
 @contextmanager
 def listening(link: LinkTarget, plate: Plate = PLATE) -> Iterator[tuple[Listener, RecordingSwitch]]:
     switch = RecordingSwitch()
-    with Listener(link, plate, tap=switch.tap) as it:
+    with Listener(link, plate, on_event=switch.put) as it:
         yield it, switch
     it.take_the_rest()
     switch.close()
@@ -59,16 +67,16 @@ def wait_for_frames(it: Listener, more: int) -> None:
     it.wait_for_frames(len(frames(it.arrivals)) + more)
 
 
-def last_standing(folder: Path) -> Standing:
+def last_standing(folder: Path) -> SnapshotTaken:
     """How the link to a board stood while it was open."""
-    standings: list[Standing] = []
+    standings: list[SnapshotTaken] = []
     options, link = pseudo_terminal(folder / "board")
 
     def collect(event: object) -> None:
-        if isinstance(event, Standing) and event.course.running is not None:
+        if isinstance(event, SnapshotTaken) and event.snapshot.running is not None:
             standings.append(event)
 
-    with emulated(options), Listener(link, PLATE, tap=collect) as it:
+    with emulated(options), Listener(link, PLATE, on_event=collect) as it:
         it.wait_for_frames(100)
     return standings[-1]
 
@@ -82,7 +90,7 @@ def board_of(path: Path) -> str | None:
 
 def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[Arrival]:
     """Check that a replay gives the frames and gaps of the live run to the bit, from its first frame to its last."""
-    arrivals, account, differences = replayed(path, plate)
+    arrivals, counters, differences = replayed(path, plate)
     assert differences == 0, arrivals[-1].reason  # type: ignore[union-attr]
     again = frames(arrivals)
     by_index = {frame.index: frame for frame in frames(live)}
@@ -90,8 +98,8 @@ def check_replay(live: list[Arrival], path: Path, plate: Plate = PLATE) -> list[
     assert [frame.index for frame in again] == [index for index in by_index if first <= index <= last]
     assert all(same(frame, by_index[frame.index]) for frame in again)
     assert gaps(arrivals) == [gap for gap in gaps(live) if first < gap.first_index < last]
-    assert account.frames == len(again)
-    assert account.lost.total == sum(gap.loss.total for gap in gaps(arrivals))
+    assert counters.frames == len(again)
+    assert counters.lost.total == sum(gap.loss.total for gap in gaps(arrivals))
     return arrivals
 
 
@@ -118,8 +126,8 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     assert all(frame.gate_middle.uncertainty_ns < 10_000_000 for frame in again)
     events, damage = read(path)
     assert damage is None
-    assert isinstance(events[0], Standing)
-    assert isinstance(events[0], Standing)
+    assert isinstance(events[0], SnapshotTaken)
+    assert isinstance(events[0], SnapshotTaken)
     assert summary is not None
     assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
     assert 1.0 < summary.seconds < DEADLINE_S
@@ -198,9 +206,9 @@ def test_a_recording_begun_during_an_outage_goes_on_with_the_numbers(tmp_path: P
         wait_for_frames(it, 200)
         switch.stop()
         it.take_the_rest()
-    arrivals, account, differences = replayed(path)
+    arrivals, counters, differences = replayed(path)
     assert differences == 0
-    assert account.connections >= 1
+    assert counters.connections >= 1
     again = frames(arrivals)
     (gap,) = gaps(arrivals)
     assert gaps(it.arrivals) == [gap]
@@ -234,10 +242,10 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     caplog.set_level("INFO")
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
-    switch.tap(Said(at(0), "starting", "first"))
+    switch.put(StateAnnounced(at(0), "starting", "first"))
     switch.start(path, ORIGIN)
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
-    switch.tap(Said(at(1), "waiting", "second"))
+    switch.put(StateAnnounced(at(1), "waiting", "second"))
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (2, 0)
@@ -261,10 +269,10 @@ def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> N
         switch.start(path, ORIGIN)
         while (now := switch.current) is not None and now.failure is None:
             assert time.monotonic() < deadline
-            switch.tap(Received(at(put), random.randbytes(100_000)))
+            switch.put(Received(at(put), random.randbytes(100_000)))
             put += 1
             threading.Event().wait(0.005)
-        switch.tap(Closed(at(put)))
+        switch.put(Closed(at(put)))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     said = f"{path}: File too large: nothing more is recorded; what was written stays"
@@ -301,7 +309,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
     starter.start()
     try:
         assert making.wait(DEADLINE_S)
-        switch.tap(Opened(at(0)))
+        switch.put(Opened(at(0)))
         assert switch.current is None
     finally:
         made.set()
@@ -313,48 +321,48 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 
 def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    standing = last_standing(tmp_path)
+    snapshot = last_standing(tmp_path)
     switch = RecordingSwitch(kept_bytes=5_500)
     for number in range(4):
-        switch.tap(Received(at(number), bytes(1_000)))
+        switch.put(Received(at(number), bytes(1_000)))
     assert switch._kept is not None
-    switch.tap(Received(at(4), bytes(1_000)))
+    switch.put(Received(at(4), bytes(1_000)))
     assert switch._kept is None
     switch.start(path, ORIGIN)
-    switch.tap(Received(at(5), bytes(7)))
-    switch.tap(standing)
-    switch.tap(Tended(at(6), idle=True))
+    switch.put(Received(at(5), bytes(7)))
+    switch.put(snapshot)
+    switch.put(TimersRun(at(6), idle=True))
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (2, 1)
     events, _ = read(path)
-    assert events == [Skipped(standing.now, 1, 7), standing, Tended(at(6), idle=True)]
+    assert events == [Skipped(snapshot.now, 1, 7), snapshot, TimersRun(at(6), idle=True)]
 
 
 def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
-    standing = last_standing(tmp_path)
+    snapshot = last_standing(tmp_path)
     switch = RecordingSwitch(kept_bytes=5_500)
     received = [Received(at(number), bytes(1_000)) for number in range(3)]
     for _ in range(4):
-        switch.tap(standing)
+        switch.put(snapshot)
         for event in received:
-            switch.tap(event)
+            switch.put(event)
     path = tmp_path / "run.mcap"
     switch.start(path, ORIGIN)
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (4, 0)
-    assert read(path) == ([standing, *received], None)
+    assert read(path) == ([snapshot, *received], None)
 
 
 def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
-    standing = last_standing(tmp_path)
-    away = standing._replace(course=standing.course._replace(running=None))
+    snapshot = last_standing(tmp_path)
+    away = snapshot._replace(snapshot=snapshot.snapshot._replace(running=None))
     switch = RecordingSwitch()
     board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
     switch.name_board(board)
-    for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", standing)):
-        switch.tap(before)
+    for name, before in (("nothing", Opened(at(0))), ("away", away), ("there", snapshot)):
+        switch.put(before)
         switch.start(tmp_path / name, ORIGIN)
         switch.stop()
     assert {name: board_of(tmp_path / name) for name in ("nothing", "away", "there")} == {
@@ -368,7 +376,7 @@ def test_a_board_that_comes_while_it_is_recorded_is_named(tmp_path: Path) -> Non
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
     switch.start(path, ORIGIN)
-    switch.tap(Opened(at(0)))
+    switch.put(Opened(at(0)))
     switch.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
     switch.stop()
     assert board_of(path) == "T-1"
@@ -388,8 +396,8 @@ def test_each_file_names_the_board_that_sends_and_has_the_last_states(
     switch.put_message("forces", 7, b'{"count":3}', SCHEMA)
     switch.name_board(board)
     for ms in range(2):
-        switch.tap(there._replace(now=at(ms)))
-    switch.tap(standing(at(2)))
+        switch.put(there._replace(now=at(ms)))
+    switch.put(snapshot(at(2)))
     switch.stop()
     seen = []
     for path in Series(tmp_path, "left").files():
@@ -423,7 +431,7 @@ def test_a_recording_goes_from_file_to_file_without_a_frame_twice_or_missing(tmp
     for path in series.files():
         arrivals, _, differences = replayed(path)
         assert differences == 0
-        assert isinstance(read(path)[0][0], Standing)
+        assert isinstance(read(path)[0][0], SnapshotTaken)
         seen += frames(arrivals)
     assert len(series.files()) >= 4
     assert all(same(frame, by_index[frame.index]) for frame in seen)

@@ -107,7 +107,7 @@ def test_a_link_of_it_has_the_plate_of_the_configuration(
     reader = BoardReader(parse_link(f"replay:{path}"), load_config(config).plate, woken.set)
     reader.start()
     try:
-        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.take()):
+        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.pop_arrivals()):
             assert woken.wait(30.0)
             woken.clear()
     finally:

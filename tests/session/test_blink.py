@@ -13,13 +13,13 @@ from firmware_protocol.layouts import Capability
 from resonator_daemon.config import ReplayLink, SerialLink
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
-from resonator_daemon.session.frames import Arrival, BoardLocated
+from resonator_daemon.session.frames import Arrival, BlinkAnswered
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
 
 def located(arrivals: list[Arrival]) -> list[str | None]:
-    return [arrival.refused for arrival in arrivals if isinstance(arrival, BoardLocated)]
+    return [arrival.refused for arrival in arrivals if isinstance(arrival, BlinkAnswered)]
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def answers_of(it: Listener, count: int) -> list[str | None]:
         threads.append(threading.get_ident())
 
     for _ in range(count):
-        asking = threading.Thread(target=it.reader.locate, args=(done,))
+        asking = threading.Thread(target=it.reader.blink, args=(done,))
         asking.start()
         asking.join()
     it.wait_for(lambda _: len(answers) >= count)
@@ -51,11 +51,11 @@ def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
         it.wait_for_frames(100)
         assert answers_of(it, 3) == [None] * 3
         it.wait_for_frames(len(frames(it.arrivals)) + 200)
-        account = it.reader.account()
+        counters = it.reader.counters()
     assert emulator._board.times_located >= 1
     check_indices(it.arrivals)
     assert gaps(it.arrivals) == []
-    assert (account.connections, account.messages_stale, account.messages_unknown) == (1, 0, 0)
+    assert (counters.connections, counters.messages_stale, counters.messages_unknown) == (1, 0, 0)
     assert {state for state, _ in it.states} == {"starting", "online"}
 
 
@@ -68,7 +68,7 @@ def test_nobody_there_is_an_answer(tmp_path: Path) -> None:
 
 def test_a_board_that_cannot_says_so() -> None:
     bench = online(capabilities=0)
-    bench.connection.locate(bench.host_time())
+    bench.connection.blink(bench.host_time())
     bench.run(10)
     (refused,) = located(bench.arrivals)
     assert refused is not None
@@ -77,7 +77,7 @@ def test_a_board_that_cannot_says_so() -> None:
 
 def test_a_request_that_is_lost_is_repeated(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     deafen(bench.board, monkeypatch)
-    bench.connection.locate(bench.host_time())
+    bench.connection.blink(bench.host_time())
     bench.run(200)
     assert located(bench.arrivals) == []
     monkeypatch.undo()
@@ -93,7 +93,7 @@ def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     deafen(bench.board, monkeypatch)
-    bench.connection.locate(bench.host_time())
+    bench.connection.blink(bench.host_time())
     bench.run(2990)
     assert located(bench.arrivals) == []
     bench.run(20)
@@ -106,7 +106,7 @@ def test_a_board_that_does_not_hear_is_an_answer_and_no_reason_to_stop(
 
 def test_a_link_that_is_closed_before_the_answer_is_an_answer(bench: Bench) -> None:
     bench.board.frozen = True
-    bench.connection.locate(bench.host_time())
+    bench.connection.blink(bench.host_time())
     bench.close()
     assert located(bench.arrivals) == ["the link was closed before the board had answered"]
 
@@ -137,7 +137,7 @@ def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
     switch = RecordingSwitch()
     link = SerialLink(str(port), 4000000)
-    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, tap=switch.tap) as it:
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, on_event=switch.put) as it:
         if midway:
             it.wait_for_frames(300)
         switch.start(path, Origin(PLATE, str(link)))
@@ -153,7 +153,7 @@ def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway:
     after = [type(arrival) for arrival in arrivals]
     live = [type(arrival) for arrival in it.arrivals]
     # Among the same frames as it was.
-    assert len(after) - after.index(BoardLocated) == len(live) - live.index(BoardLocated) + 1
+    assert len(after) - after.index(BlinkAnswered) == len(live) - live.index(BlinkAnswered) + 1
 
 
 def deafen(board: SimulatedBoard, monkeypatch: pytest.MonkeyPatch) -> None:

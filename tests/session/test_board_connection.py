@@ -12,8 +12,8 @@ from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.links.link import LinkLostError
-from resonator_daemon.session.counters import FrameLoss, LinkAccount
-from resonator_daemon.session.frames import Arrival, BoardOnline, BoardSays, Gap, Outage
+from resonator_daemon.session.counters import FrameLoss, LinkCounters
+from resonator_daemon.session.frames import Arrival, BoardLogLine, BoardOnline, Gap, Outage
 
 
 def test_a_board_is_identified_configured_started_and_read() -> None:
@@ -25,7 +25,7 @@ def test_a_board_is_identified_configured_started_and_read() -> None:
     assert not news.continues
     assert len(bench.frames) > 150
     bench.check_indices()
-    assert bench.account.lost == FrameLoss()
+    assert bench.counters.lost == FrameLoss()
 
 
 def test_frames_carry_the_middle_of_their_gate() -> None:
@@ -59,7 +59,7 @@ def cut_up(bench: Bench, cuts: Iterable[int]) -> list[Arrival]:
         size = next(sizes)
         bench.connection.receive(stream[at : at + size], bench.host_time())
         at += size
-    return bench.ring.take()
+    return bench.queue.pop_all()
 
 
 @pytest.mark.parametrize("size", [1, 203, 204, 1020, 7000])
@@ -70,7 +70,7 @@ def test_pieces_of_any_size_make_the_same_frames_and_gaps(size: int) -> None:
     assert [(gap.loss.link_gap, gap.loss.damaged) for gap in gaps] == [(1, 0), (0, 2), (1, 1)]
     check_indices([*whole.arrivals, *arrivals])
     assert cut_up(pieces, repeat(size)) == arrivals
-    assert pieces.account == whole.account
+    assert pieces.counters == whole.counters
 
 
 def test_silence_is_noticed_asked_about_and_then_the_end() -> None:
@@ -98,7 +98,7 @@ def test_a_board_that_was_only_late_is_online_again_with_its_outage_told() -> No
     assert outage.start_utc_ns == last.gate_middle.utc_ns
     assert outage.end_utc_ns - outage.start_utc_ns == pytest.approx(201 * MS, abs=MS)
     bench.check_indices()
-    assert bench.account.connections == 0  # the reader counts these
+    assert bench.counters.connections == 0  # the reader counts these
 
 
 def test_a_board_that_answers_pings_and_counts_nothing_is_asked_to_go_on() -> None:
@@ -117,10 +117,10 @@ def test_a_late_reader_does_not_call_the_board_silent() -> None:
         bench.now_ns += MS // 2
         data += bench.board.step(b"", bench.now_ns)
     bench.connection.receive(data, bench.host_time())
-    bench.connection.tend(bench.host_time(), idle=False)
+    bench.connection.run_timers(bench.host_time(), idle=False)
     bench.run(20)
     assert len(bench.states) == said
-    assert bench.account.lost.total == 0
+    assert bench.counters.lost.total == 0
 
 
 @pytest.mark.parametrize("idle", [True, False])
@@ -129,7 +129,7 @@ def test_bytes_that_are_no_frames_are_silence_too(idle: bool) -> None:
     for _ in range(1200):  # garbage at every turn
         bench.now_ns += MS // 2
         bench.connection.receive(b"no frame", bench.host_time())
-        bench.connection.tend(bench.host_time(), idle=idle)
+        bench.connection.run_timers(bench.host_time(), idle=idle)
     bench.run(0)
     assert bench.states[-1][0] == "stalled"
 
@@ -145,7 +145,7 @@ def test_a_stalled_link_is_not_looked_after_all_the_time() -> None:
         turns += 1
         bench.now_ns = max(bench.now_ns + MS // 100, min(bench.connection.due_ns(), end_ns))
         bench.connection.data_to_send()
-        bench.connection.tend(bench.host_time(), idle=True)
+        bench.connection.run_timers(bench.host_time(), idle=True)
     assert turns < 300  # pings among them
 
 
@@ -166,8 +166,8 @@ def test_a_late_answer_with_older_ticks_than_the_newest_frame_is_an_answer() -> 
     bench.run(3000)
     assert bench.states[-1][0] == "online"
     assert len(bench.states) == 2
-    assert bench.account.lost.total == 0
-    assert bench.account.clock_restarts == 0
+    assert bench.counters.lost.total == 0
+    assert bench.counters.clock_restarts == 0
 
 
 def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_forgotten() -> None:
@@ -180,7 +180,7 @@ def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_
     del bench.board.session.receive
     bench.run(3000)
     assert "no ping" not in bench.states[-1][1]
-    assert bench.account.lost.total == 0
+    assert bench.counters.lost.total == 0
 
 
 def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
@@ -188,13 +188,13 @@ def test_a_flood_of_log_lines_is_cut_and_counted() -> None:
     line = bench.board.session.log(BoardLog(20, "again"), 0)
     bench.connection.receive(line * 500, bench.host_time())
     bench.run(1)
-    said = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardSays)]
+    said = [arrival for arrival in bench.arrivals if isinstance(arrival, BoardLogLine)]
     assert len(said) == 20
-    assert bench.account.log_lines_dropped == 480
+    assert bench.counters.log_lines_dropped == 480
     bench.run(1000)
     bench.connection.receive(line, bench.host_time())
     bench.run(1)
-    assert sum(isinstance(arrival, BoardSays) for arrival in bench.arrivals) == 21
+    assert sum(isinstance(arrival, BoardLogLine) for arrival in bench.arrivals) == 21
 
 
 def test_boots_that_take_turns_keep_their_own_accounts() -> None:
@@ -203,21 +203,21 @@ def test_boots_that_take_turns_keep_their_own_accounts() -> None:
         bench.board.boot(boot_id, bench.now_ns)
         bench.board._boot_ns -= 1000 * MS * boot_id  # so that no ticks repeat
         bench.run(600)
-    boots = {boot.boot_id: boot for boot in bench.account.boots}
+    boots = {boot.boot_id: boot for boot in bench.counters.boots}
     assert boots.keys() == {7, 8}
-    assert bench.account.boots[-1].boot_id == 7
+    assert bench.counters.boots[-1].boot_id == 7
     assert boots[7].connections == 3
     assert boots[8].connections == 2
     assert boots[7].frames > 500
     assert boots[8].frames > 500
-    assert sum(boot.frames for boot in boots.values()) == bench.account.frames
+    assert sum(boot.frames for boot in boots.values()) == bench.counters.frames
 
 
 def test_only_so_many_boots_are_remembered() -> None:
-    account = LinkAccount()
+    counters = LinkCounters()
     for boot_id in range(20):
-        account.boot(boot_id).frames += 1
-    assert [boot.boot_id for boot in account.boots] == list(range(12, 20))
+        counters.boot(boot_id).frames += 1
+    assert [boot.boot_id for boot in counters.boots] == list(range(12, 20))
 
 
 def test_what_the_clock_set_aside_is_counted_beyond_its_boot() -> None:
@@ -227,7 +227,7 @@ def test_what_the_clock_set_aside_is_counted_beyond_its_boot() -> None:
     bench.board.boot(8, bench.now_ns)
     bench.run(500)
     assert bench.states[-1][0] == "online"
-    assert (bench.account.clock_outliers, bench.account.clock_restarts) == (3, 2)
+    assert (bench.counters.clock_outliers, bench.counters.clock_restarts) == (3, 2)
 
 
 def test_a_host_that_slept_asks_at_once_and_goes_on() -> None:
@@ -260,10 +260,10 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
     outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
     assert outage.reason == "the board started anew after a brown-out: look at its supply"
     assert outage.frames_lost == gap.loss.total == pytest.approx((outage.end_utc_ns - outage.start_utc_ns) / MS, abs=3)
-    boots = bench.account.boots
+    boots = bench.counters.boots
     assert [boot.boot_id for boot in boots] == [7, 8]
     assert [boot.connections for boot in boots] == [1, 1]
-    assert sum(boot.frames for boot in boots) == bench.account.frames
+    assert sum(boot.frames for boot in boots) == bench.counters.frames
     assert boots[1].lost == gap.loss
     assert not [arrival for arrival in bench.arrivals if isinstance(arrival, BoardOnline)][-1].continues
 
@@ -271,7 +271,7 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
 def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
     bench = online()
     bench.close()
-    bench.state.say("lost", "unplugged (Input/output error)", bench.host_time().utc_ns)
+    bench.state.announce("lost", "unplugged (Input/output error)", bench.host_time().utc_ns)
     for _ in range(2000):
         bench.now_ns += MS // 2
         bench.board.step(b"", bench.now_ns)
@@ -284,8 +284,8 @@ def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
     assert (last.board_ticks - first.board_ticks) / GATE_TICKS == pytest.approx(last.index - first.index, abs=1)
     outage = next(arrival for arrival in bench.arrivals if isinstance(arrival, Outage))
     assert outage.reason == "unplugged (Input/output error)"
-    assert 1000 <= outage.frames_lost == bench.account.lost.link_gap < 1100
-    assert bench.account.boots[0].connections == 2
+    assert 1000 <= outage.frames_lost == bench.counters.lost.link_gap < 1100
+    assert bench.counters.boots[0].connections == 2
 
 
 def test_a_step_of_the_wall_clock_bends_no_sample() -> None:
@@ -304,7 +304,7 @@ def test_a_step_of_the_wall_clock_bends_no_sample() -> None:
 def test_the_books_of_a_connection_are_kept_when_it_ends(lose: Callable[[object], None]) -> None:
     bench = online()
     bench.connection.receive(b"\xa5\x5a\x01", bench.host_time())
-    before = bench.account
+    before = bench.counters
     bench.close()
     after = bench.total
     assert before.bytes_waiting == 3

@@ -51,8 +51,8 @@ def test_another_board_on_the_link_is_refused_with_both_named() -> None:
     with pytest.raises(BoardRefusedError, match="another board is on this link: T-2; T-1 was here before"):
         bench.run(200)
     bench.close()
-    assert bench.account.boots[0].boot_id == 7
-    assert len(bench.account.boots) == 1
+    assert bench.counters.boots[0].boot_id == 7
+    assert len(bench.counters.boots) == 1
 
 
 @pytest.mark.parametrize(

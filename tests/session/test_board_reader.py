@@ -40,10 +40,10 @@ def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
         it.wait_for_frames(300)
-        account = it.reader.account()
-    check_bytes(account)
-    assert account.bytes_discarded == 0
-    assert account.lost.total == 0
+        counters = it.reader.counters()
+    check_bytes(counters)
+    assert counters.bytes_discarded == 0
+    assert counters.lost.total == 0
     check_indices(it.arrivals)
     kinds = [type(arrival) for arrival in it.arrivals if not isinstance(arrival, LinkChange)]
     assert kinds[0] is BoardOnline
@@ -64,9 +64,9 @@ def test_channelised_frames_over_tcp() -> None:
         link = parse_link(emulator.link.address)
         with Listener(link, SKIN) as it:
             it.wait_for_frames(30)
-            account = it.reader.account()
-    check_bytes(account)
-    assert account.lost.total == account.parts_lost == 0
+            counters = it.reader.counters()
+    check_bytes(counters)
+    assert counters.lost.total == counters.parts_lost == 0
     frame = frames(it.arrivals)[0]
     assert isinstance(frame, ChannelisedFrame)
     assert frame.offset_hz16.shape == (4, 3072)
@@ -79,12 +79,12 @@ def test_damage_is_found_to_the_frame(tmp_path: Path) -> None:
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
         with Listener(SerialLink(str(port), 4000000)) as it:
             it.wait_for(lambda arrivals: len(frames(arrivals)) + sum(gap.loss.total for gap in gaps(arrivals)) > 1500)
-            account = it.reader.account()
+            counters = it.reader.counters()
         it.take_the_rest()
         last = frames(it.arrivals)[-1].index
-    check_bytes(account)
+    check_bytes(counters)
     check_indices(it.arrivals)
-    assert account.bytes_discarded > 0
+    assert counters.bytes_discarded > 0
     hit = emulator.report()["faults"]["frame_sequences_hit"]
     arrived = {frame.index for frame in frames(it.arrivals)}
     # The run may have been started twice where an answer was hit; then numbers begin again, and only counts compare.
@@ -102,13 +102,13 @@ def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
         Listener(SerialLink(str(port), 4000000)) as it,
     ):
         it.wait_for(lambda arrivals: len(gaps(arrivals)) == 1 and len(frames(arrivals[-200:])) == 200)
-        account = it.reader.account()
+        counters = it.reader.counters()
     states = [state for state, _ in it.states]
     assert "lost" in states
     assert states[-1] == "online"
     assert states.index("lost") < len(states) - 1
     check_indices(it.arrivals)
-    check_bytes(account)
+    check_bytes(counters)
     (gap,) = gaps(it.arrivals)
     assert gap.loss.link_gap == gap.loss.total >= 500
     before, after = (
@@ -116,7 +116,7 @@ def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
     )
     assert after.board_ticks - before.board_ticks == pytest.approx((gap.loss.total + 1) * 1_000_000, abs=500_000)
     assert (after.gate_middle.utc_ns - before.gate_middle.utc_ns) == pytest.approx((gap.loss.total + 1) * 1e6, abs=2e6)
-    assert account.connections >= 2
+    assert counters.connections >= 2
 
 
 def test_a_reboot_is_told_from_an_unplugging(tmp_path: Path) -> None:
@@ -137,30 +137,30 @@ def test_a_brown_out_within_a_channelised_frame_costs_that_frame() -> None:
     with emulated(options) as emulator, Listener(parse_link(emulator.link.address), SKIN) as it:
         it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
         it.wait_for(lambda arrivals: len(frames(arrivals[-20:])) == 20)
-        account = it.reader.account()
+        counters = it.reader.counters()
     check_indices(it.arrivals)
     (half,) = (frame for frame in frames(it.arrivals) if isinstance(frame, ChannelisedFrame) and not frame.known.all())
     assert half.known.any()
-    assert account.frames_incomplete == 1
-    assert 9 <= account.parts_lost <= 11  # of 20
-    assert account.lost.total < 200
-    assert account.messages_stale == 0
+    assert counters.frames_incomplete == 1
+    assert 9 <= counters.parts_lost <= 11  # of 20
+    assert counters.lost.total < 200
+    assert counters.messages_stale == 0
 
 
 def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with (
         emulated(EmulatorOptions("quartz16", pty=port)),
-        Listener(SerialLink(str(port), 4000000), ring_bytes=100 * FRAME_BYTES) as it,
+        Listener(SerialLink(str(port), 4000000), frame_queue_bytes=100 * FRAME_BYTES) as it,
     ):
         deadline = time.monotonic() + DEADLINE_S
-        while it.reader.account().frames < 400 and time.monotonic() < deadline:
+        while it.reader.counters().frames < 400 and time.monotonic() < deadline:
             threading.Event().wait(0.01)
         it.take_the_rest()
-        account = it.reader.account()
+        counters = it.reader.counters()
     kept = frames(it.arrivals)
     assert len(kept) == 100
-    assert account.lost.ring_overflow >= 300
+    assert counters.lost.ring_overflow >= 300
     assert kept[0].index == kept[-1].index - 99
 
 
@@ -202,9 +202,9 @@ def tcp_server(greeting: bytes) -> Iterator[TcpLink]:
 def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> None:
     with tcp_server(b"+OK ready\r\n" * 100) as link, Listener(link) as it:
         it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "stalled" for a in arrivals))
-        account = it.reader.account()
-    check_bytes(account)
-    assert account.bytes_accepted == 0
+        counters = it.reader.counters()
+    check_bytes(counters)
+    assert counters.bytes_accepted == 0
     assert "1100 bytes came and no answer" in it.states[-1][1]
 
 
@@ -251,8 +251,8 @@ def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, mo
     port = tmp_path / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000)) as it:
         it.wait_for_frames(100)
-        account = it.reader.account()
-    assert account.messages_malformed >= 20
+        counters = it.reader.counters()
+    assert counters.messages_malformed >= 20
     check_indices(it.arrivals)
     assert all(abs(frame.gate_middle.utc_ns - time.time_ns()) < 60e9 for frame in frames(it.arrivals))
 
@@ -325,13 +325,13 @@ def test_what_ended_the_frames_is_told_with_the_outage(tmp_path: Path, faults: s
                 any(reason in outage.reason for outage in outages(arrivals)) and len(frames(arrivals[-100:])) == 100
             )
         )
-        account = it.reader.account()
-    check_bytes(account)
+        counters = it.reader.counters()
+    check_bytes(counters)
     check_indices(it.arrivals)
     assert any(said == state and reason in why for said, why in it.states)
     assert it.states[-1][0] == "online"
     lost = sum(gap.loss.total for gap in gaps(it.arrivals))
-    assert account.lost.total == lost
+    assert counters.lost.total == lost
     seen = frames(it.arrivals)
     # Whatever happened, numbers go on as the time did.
     elapsed_ns = seen[-1].gate_middle.monotonic_ns - seen[0].gate_middle.monotonic_ns
@@ -377,11 +377,11 @@ def test_a_slow_reader_makes_the_board_overflow_and_every_frame_is_put_down_to_i
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
         with Listener(SerialLink(str(port), 4000000)) as it:
             it.wait_for(lambda arrivals: sum(gap.loss.board_overflow for gap in gaps(arrivals)) > 300)
-            account = it.reader.account()
+            counters = it.reader.counters()
         it.take_the_rest()
     check_indices(it.arrivals)
-    assert account.lost.total == account.lost.board_overflow
-    assert account.lost.board_overflow <= emulator.report()["frames_dropped"]
+    assert counters.lost.total == counters.lost.board_overflow
+    assert counters.lost.board_overflow <= emulator.report()["frames_dropped"]
 
 
 def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> None:
@@ -394,11 +394,11 @@ def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> 
     faults = parse_faults("split_bytes=1")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialLink(str(port), 4000000), tap=tap) as it,
+        Listener(SerialLink(str(port), 4000000), on_event=tap) as it,
     ):
         it.wait_for_frames(300)
-        account = it.reader.account()
-    assert account.lost.damaged == account.lost.link_gap == 0
+        counters = it.reader.counters()
+    assert counters.lost.damaged == counters.lost.link_gap == 0
     assert sum(reads) / len(reads) > 10
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from firmware_protocol.messages import Description
 from resonator_daemon.plate import load_plate
-from resonator_daemon.session.compatibility import gate_ticks, misfits, oscillator_hz
+from resonator_daemon.session.compatibility import gate_ticks, incompatibilities, oscillator_hz
 
 QUARTZ, SKIN = load_plate("quartz16"), load_plate("skin32")
 
@@ -44,8 +44,8 @@ def test_oscillators_lie_on_a_comb() -> None:
 
 
 def test_boards_of_the_shipped_plates_fit() -> None:
-    assert misfits(QUARTZ_BOARD, QUARTZ) == ()
-    assert misfits(SKIN_BOARD, SKIN) == ()
+    assert incompatibilities(QUARTZ_BOARD, QUARTZ) == ()
+    assert incompatibilities(SKIN_BOARD, SKIN) == ()
 
 
 @pytest.mark.parametrize(
@@ -59,28 +59,28 @@ def test_boards_of_the_shipped_plates_fit() -> None:
     ],
 )
 def test_what_does_not_fit_is_said_with_both_sides(change: dict[str, object], words: tuple[str, ...]) -> None:
-    (sentence,) = misfits(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
+    (sentence,) = incompatibilities(replace(QUARTZ_BOARD, **change), QUARTZ)  # type: ignore[arg-type]
     for word in words:
         assert word in sentence
 
 
 def test_everything_that_does_not_fit_is_said_at_once() -> None:
-    sentences = misfits(QUARTZ_BOARD, SKIN)
+    sentences = incompatibilities(QUARTZ_BOARD, SKIN)
     assert [sentence.split(":")[0] for sentence in sentences] == ["plate", "counter kind", "reference_hz", "tones"]
 
 
 def test_tones_must_agree_only_where_they_are_numbered() -> None:
-    (sentence,) = misfits(replace(SKIN_BOARD, tones=3071), SKIN)
+    (sentence,) = incompatibilities(replace(SKIN_BOARD, tones=3071), SKIN)
     assert "tones" in sentence
     assert "3071" in sentence
     assert "3072" in sentence
-    assert misfits(replace(QUARTZ_BOARD, tones=16), QUARTZ) == ()
+    assert incompatibilities(replace(QUARTZ_BOARD, tones=16), QUARTZ) == ()
 
 
 @pytest.mark.parametrize(("error", "fits"), [(0.9e-6, True), (-0.9e-6, True), (1.1e-6, False), (-1.1e-6, False)])
 def test_nominal_clocks_may_differ_by_their_rounding_alone(error: float, fits: bool) -> None:
     board = replace(QUARTZ_BOARD, reference_millihertz=round(10**12 * (1 + error)))
-    assert (misfits(board, QUARTZ) == ()) == fits
+    assert (incompatibilities(board, QUARTZ) == ()) == fits
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_nominal_clocks_may_differ_by_their_rounding_alone(error: float, fits: b
     ],
 )
 def test_the_frame_rate_must_be_one_that_the_board_makes(lowest: int, highest: int, rates: str | None) -> None:
-    said = misfits(replace(QUARTZ_BOARD, gate_ticks_min=lowest, gate_ticks_max=highest), QUARTZ)
+    said = incompatibilities(replace(QUARTZ_BOARD, gate_ticks_min=lowest, gate_ticks_max=highest), QUARTZ)
     if rates is None:
         assert said == ()
     else:
@@ -104,16 +104,16 @@ def test_the_frame_rate_must_be_one_that_the_board_makes(lowest: int, highest: i
 @pytest.mark.parametrize("sign", [1, -1])
 def test_oscillators_must_be_within_reach_of_the_tones(sign: int) -> None:
     just_within = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_767_000)
-    assert misfits(just_within, SKIN) == ()
+    assert incompatibilities(just_within, SKIN) == ()
     beyond = replace(SKIN_BOARD, oscillator_millihertz=10**11 + sign * 32_768_000)
-    (sentence,) = misfits(beyond, SKIN)
+    (sentence,) = incompatibilities(beyond, SKIN)
     assert "32768 Hz" in sentence
     assert "32767 Hz" in sentence
 
 
 def test_the_worst_oscillator_is_named() -> None:
     # 3071 steps that are 11 Hz too wide: only the last tones are beyond reach.
-    (sentence,) = misfits(replace(SKIN_BOARD, oscillator_spacing_millihertz=3_261_000), SKIN)
+    (sentence,) = incompatibilities(replace(SKIN_BOARD, oscillator_spacing_millihertz=3_261_000), SKIN)
     assert "tone 3071" in sentence
     assert "33781 Hz" in sentence
 

@@ -70,7 +70,7 @@ def test_flagged_tones_are_unknown() -> None:
 def test_parts_beyond_the_plate_are_counted() -> None:
     assembler = FrameAssembler(TONES)
     assembler.add([part(1, 0, 0, first=4)])
-    assert assembler.misfits == 1
+    assert assembler.unplaced_parts == 1
     (frame,) = assembler.flush()
     assert not known_tones(frame.tones).any()
 
@@ -80,5 +80,5 @@ def test_a_repeated_part_does_not_complete_a_frame() -> None:
     parts = all_parts(1)
     done = assembler.add([*parts[:6], parts[5], parts[0]])
     assert done == []
-    assert assembler.misfits == 2
+    assert assembler.unplaced_parts == 2
     assert [frame.parts_seen for frame in assembler.add(parts[6:])] == [8]

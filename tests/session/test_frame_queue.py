@@ -8,8 +8,8 @@ import pytest
 from resonator_daemon.session.clock import Instant, Line, TickScale
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frame_assembly import TONE
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.frames import BoardSays, ChannelisedFrame, Gap, SingleToneFrame
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.frames import BoardLogLine, ChannelisedFrame, Gap, SingleToneFrame
 
 SCALE = TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0)
 FRAME_BYTES = SingleToneFrame(0, 0, 0, SCALE, b"").memory_bytes
@@ -21,63 +21,63 @@ def frame(index: int) -> SingleToneFrame:
 
 def test_takes_in_order_and_wakes_for_news_and_whole_steps() -> None:
     wakes = []
-    ring = Ring(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=(3,))
+    queue = FrameQueue(10 * FRAME_BYTES, lambda: wakes.append(1), step_frames=(3,))
     for index in range(2):
-        ring.put_frames([frame(index)])
+        queue.put_frames([frame(index)])
     assert wakes == []
-    ring.put_frames([frame(2)])
+    queue.put_frames([frame(2)])
     assert len(wakes) == 1
-    assert ring.take() == [frame(0), frame(1), frame(2)]
-    assert ring.take() == []
-    ring.put(BoardSays(20, "news"))
+    assert queue.pop_all() == [frame(0), frame(1), frame(2)]
+    assert queue.pop_all() == []
+    queue.put(BoardLogLine(20, "news"))
     assert len(wakes) == 2
-    ring.put_frames([frame(3)])
+    queue.put_frames([frame(3)])
     assert len(wakes) == 2
-    assert ring.take() == [BoardSays(20, "news"), frame(3)]
+    assert queue.pop_all() == [BoardLogLine(20, "news"), frame(3)]
 
 
 def test_when_full_the_oldest_frames_give_way_to_a_gap_and_news_stays() -> None:
-    ring = Ring(3 * FRAME_BYTES, lambda: None)
-    news = [BoardSays(20, "first"), BoardSays(20, "second")]
-    ring.put(news[0])
-    ring.put_frames([frame(0)])
-    ring.put(news[1])
+    queue = FrameQueue(3 * FRAME_BYTES, lambda: None)
+    news = [BoardLogLine(20, "first"), BoardLogLine(20, "second")]
+    queue.put(news[0])
+    queue.put_frames([frame(0)])
+    queue.put(news[1])
     for index in range(1, 6):
-        ring.put_frames([frame(index)])
-    assert ring.loss == FrameLoss(ring_overflow=3)
+        queue.put_frames([frame(index)])
+    assert queue.loss == FrameLoss(ring_overflow=3)
     given_up = [Gap(0, FrameLoss(ring_overflow=1)), Gap(1, FrameLoss(ring_overflow=2))]
-    assert ring.take() == [news[0], given_up[0], news[1], given_up[1], frame(3), frame(4), frame(5)]
-    ring.put_frames([frame(6)])
-    assert ring.take() == [frame(6)]
-    assert ring.loss == FrameLoss(ring_overflow=3)
+    assert queue.pop_all() == [news[0], given_up[0], news[1], given_up[1], frame(3), frame(4), frame(5)]
+    queue.put_frames([frame(6)])
+    assert queue.pop_all() == [frame(6)]
+    assert queue.loss == FrameLoss(ring_overflow=3)
 
 
 def test_gaps_that_adjoin_become_one() -> None:
-    ring = Ring(2 * FRAME_BYTES, lambda: None)
-    ring.put_frames([frame(0)])
-    ring.put(Gap(1, FrameLoss(damaged=4)))
+    queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
+    queue.put_frames([frame(0)])
+    queue.put(Gap(1, FrameLoss(damaged=4)))
     for index in range(5, 9):
-        ring.put_frames([frame(index)])
-    assert ring.take() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
+        queue.put_frames([frame(index)])
+    assert queue.pop_all() == [Gap(0, FrameLoss(damaged=4, ring_overflow=3)), frame(7), frame(8)]
 
 
 def test_gaps_apart_stay_apart() -> None:
-    ring = Ring(2 * FRAME_BYTES, lambda: None)
-    ring.put_frames([frame(0)])
-    ring.put_frames([frame(5)])
+    queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
+    queue.put_frames([frame(0)])
+    queue.put_frames([frame(5)])
     for index in range(6, 8):
-        ring.put_frames([frame(index)])
-    assert ring.take()[:2] == [Gap(0, FrameLoss(ring_overflow=1)), Gap(5, FrameLoss(ring_overflow=1))]
+        queue.put_frames([frame(index)])
+    assert queue.pop_all()[:2] == [Gap(0, FrameLoss(ring_overflow=1)), Gap(5, FrameLoss(ring_overflow=1))]
 
 
 def test_news_before_frames_that_gave_way_stay_before_what_comes_later() -> None:
-    ring = Ring(2 * FRAME_BYTES, lambda: None)
+    queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
     for index in range(1000):
-        ring.put(BoardSays(20, str(index)))
-        ring.put_frames([frame(index)])
-    taken = ring.take()
-    assert [news.text for news in taken if isinstance(news, BoardSays)] == [str(index) for index in range(1000)]
-    assert taken[-3:] == [frame(998), BoardSays(20, "999"), frame(999)]
+        queue.put(BoardLogLine(20, str(index)))
+        queue.put_frames([frame(index)])
+    taken = queue.pop_all()
+    assert [news.text for news in taken if isinstance(news, BoardLogLine)] == [str(index) for index in range(1000)]
+    assert taken[-3:] == [frame(998), BoardLogLine(20, "999"), frame(999)]
 
 
 def fresh_single_tone(index: int) -> SingleToneFrame:
@@ -99,26 +99,26 @@ def fresh_channelised(index: int) -> ChannelisedFrame:
 @pytest.mark.parametrize("fresh", [fresh_single_tone, fresh_channelised])
 def test_the_bound_is_one_of_memory(fresh: object) -> None:
     limit_bytes = 1_000_000
-    ring = Ring(limit_bytes, lambda: None)
+    queue = FrameQueue(limit_bytes, lambda: None)
     tracemalloc.start()
     try:
         before, _ = tracemalloc.get_traced_memory()
         for index in range(4000):
-            ring.put_frames([fresh(index)])  # type: ignore[operator]
+            queue.put_frames([fresh(index)])  # type: ignore[operator]
         after, _ = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert ring.loss.total > 0
+    assert queue.loss.total > 0
     assert 0.7 * limit_bytes < after - before <= 1.05 * limit_bytes
 
 
 def test_ends_of_several_steps_wake_and_may_be_replaced() -> None:
     wakes: list[int] = []
-    ring = Ring(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
+    queue = FrameQueue(100 * FRAME_BYTES, lambda: wakes.append(index + 1), step_frames=(2, 5))
     for index in range(10):
-        ring.put_frames([frame(index)])
+        queue.put_frames([frame(index)])
     assert wakes == [2, 4, 5, 6, 8, 10]
-    ring.step_frames = (7,)
+    queue.step_frames = (7,)
     for index in range(10, 30):
-        ring.put_frames([frame(index)])
+        queue.put_frames([frame(index)])
     assert wakes[6:] == [14, 21, 28]

@@ -4,7 +4,16 @@ import struct
 import pytest
 
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Lost, Refused, Said, Skipped, Standing, Steered, decode, encode
+from resonator_daemon.session.link_events import (
+    ControlRequested,
+    Lost,
+    Refused,
+    Skipped,
+    SnapshotTaken,
+    StateAnnounced,
+    decode,
+    encode,
+)
 
 NOW = HostTime(5, 7, 3)
 
@@ -37,7 +46,7 @@ def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_standing_in_an_unknown_state_is_damage(told_standing: Standing) -> None:
+def test_a_standing_in_an_unknown_state_is_damage(told_standing: SnapshotTaken) -> None:
     data = encode(told_standing)
     assert decode(data, 5, 12) == told_standing
     with pytest.raises(ValueError, match=r"'tired\.\.' is no state of a link"):
@@ -45,22 +54,24 @@ def test_a_standing_in_an_unknown_state_is_damage(told_standing: Standing) -> No
 
 
 @pytest.fixture
-def told_standing() -> Standing:
-    from recording_bench import standing
+def told_standing() -> SnapshotTaken:
+    from recording_bench import snapshot
 
-    return standing(NOW)
+    return snapshot(NOW)
 
 
 @pytest.mark.parametrize(
     "event",
     [
-        Said(NOW, "lost", "/dev/tty\udcff is gone"),
+        StateAnnounced(NOW, "lost", "/dev/tty\udcff is gone"),
         Lost(NOW, "/dev/tty\udcff is gone"),
         Refused(NOW, ("a", "/dev/tty\udcff"), False),
-        Steered(NOW, "\udcff", "{}"),
+        ControlRequested(NOW, "\udcff", "{}"),
         Skipped(NOW, 0, 2**63 - 1),
     ],
 )
-def test_a_path_that_is_no_text_is_written_as_one_that_is(event: Said | Lost | Refused | Steered | Skipped) -> None:
+def test_a_path_that_is_no_text_is_written_as_one_that_is(
+    event: StateAnnounced | Lost | Refused | ControlRequested | Skipped,
+) -> None:
     again = decode(encode(event), 5, 12)
     assert repr(again) == repr(event).replace("\\udcff", "?")

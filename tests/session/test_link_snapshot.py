@@ -13,12 +13,12 @@ from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.session.connection import Connection
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_numbers import FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
-from resonator_daemon.session.link_events import Received, Standing, WireEvent
+from resonator_daemon.session.frame_queue import FrameQueue
+from resonator_daemon.session.link_events import Received, SnapshotTaken, WireEvent
 from resonator_daemon.session.link_state import LinkState
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 from simulators.emulator import EmulatorOptions
 
 SKIN = load_plate("skin32")
@@ -27,15 +27,15 @@ SKIN = load_plate("skin32")
 def test_pings_on_their_way_teach_the_clock_of_whoever_joins() -> None:
     bench = Bench(board(), delay_ns=5 * MS)
     bench.run(300)
-    while (running := bench.connection.standing()) is None or not running.pings:
+    while (running := bench.connection.snapshot()) is None or not running.pings:
         bench.run(0.5)
     bench.board.session.receive = lambda _data, _ticks: b""  # type: ignore[method-assign]  # these are the last
-    ring = Ring(64 << 20, lambda: None)
+    queue = FrameQueue(64 << 20, lambda: None)
     numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
-    numbering.join(bench.numbering.standing)
-    state = LinkState(ring.put)
-    state.join(bench.state.standing, bench.host_time().utc_ns)
-    other = Connection(PLATE, None, numbering, ring, LinkAccount(), state, bench.host_time())
+    numbering.join(bench.numbering.snapshot)
+    state = LinkState(queue.put)
+    state.join(bench.state.snapshot, bench.host_time().utc_ns)
+    other = Connection(PLATE, None, numbering, queue, LinkCounters(), state, bench.host_time())
     other.join(running)
     before = running.clock
     for _, data in bench._on_the_way:
@@ -43,38 +43,38 @@ def test_pings_on_their_way_teach_the_clock_of_whoever_joins() -> None:
         bench.connection.receive(data, bench.host_time())
     assert bench.connection.clock is not None
     assert other.clock is not None
-    assert other.clock.standing == bench.connection.clock.standing != before
-    arrivals = bench.ring.take()
+    assert other.clock.snapshot == bench.connection.clock.snapshot != before
+    arrivals = bench.queue.pop_all()
     assert len(frames(arrivals)) > 2
-    assert frames(ring.take()) == frames(arrivals)
+    assert frames(queue.pop_all()) == frames(arrivals)
 
 
 def test_no_link_is_told_to_stand_in_the_middle_of_a_frame(tmp_path: Path) -> None:
     whole: list[WireEvent] = []
     with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
         link = parse_link(emulator.link.address)
-        with Listener(link, SKIN, tap=whole.append) as it:
+        with Listener(link, SKIN, on_event=whole.append) as it:
             it.wait_for_frames(80)
-    ring = Ring(64 << 20, lambda: None)
+    queue = FrameQueue(64 << 20, lambda: None)
     switch = RecordingSwitch()
-    course = LinkCourse(SKIN, ring, switch.tap)
-    course._standing_due_ns = 0
+    machine = LinkStateMachine(SKIN, queue, switch.put)
+    machine._snapshot_due_ns = 0
     path = tmp_path / "run.mcap"
     decoder = PacketDecoder(from_board=True)
     started = False
-    for event in in_packets([event for event in whole if not isinstance(event, Standing)], decoder):
-        course.apply(event)
-        if not started and (course.account().frames == 40 and course.account().bytes_waiting == 0):
+    for event in in_packets([event for event in whole if not isinstance(event, SnapshotTaken)], decoder):
+        machine.apply(event)
+        if not started and (machine.counters().frames == 40 and machine.counters().bytes_waiting == 0):
             switch.start(path, Origin(SKIN, str(link)))
             started = True
-        course._standing_due_ns = 0  # at every packet, where it may be
+        machine._snapshot_due_ns = 0  # at every packet, where it may be
     switch.close()
-    arrivals, account, differences = replayed(path, SKIN)
+    arrivals, counters, differences = replayed(path, SKIN)
     assert differences == 0
-    live = {frame.index: frame for frame in frames(ring.take())}
+    live = {frame.index: frame for frame in frames(queue.pop_all())}
     assert len(frames(arrivals)) > 30
     assert all(same(frame, live[frame.index]) for frame in frames(arrivals))
-    assert account.parts_lost == 0
+    assert counters.parts_lost == 0
 
 
 def in_packets(events: list[WireEvent], decoder: PacketDecoder) -> list[WireEvent]:

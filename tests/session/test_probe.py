@@ -6,7 +6,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import Capability
 from firmware_protocol.messages import CounterKind, Description, Identity
 from resonator_daemon.session.clock import BoardClock, Exchange
-from resonator_daemon.session.probe import TickRate, inquire, tick_rate
+from resonator_daemon.session.probe import TickRate, probe, tick_rate
 
 IDENTITY = Identity("board", "0042", "1.0", 0)
 
@@ -42,7 +42,7 @@ class LossyLink:
 @pytest.mark.parametrize("lost", [set(), {0}, {1}, {2}, {3, 4}])
 def test_what_is_lost_is_asked_again(lost: set[int]) -> None:
     link = LossyLink(lost)
-    found = inquire(link, blink=True)
+    found = probe(link, blink=True)
     assert found.described.identity == IDENTITY
     assert found.refused_to_blink is None
     assert link.board.located
@@ -50,8 +50,8 @@ def test_what_is_lost_is_asked_again(lost: set[int]) -> None:
 
 
 def test_a_board_that_cannot_blink_says_so() -> None:
-    assert "unknown message 0x07" in str(inquire(LossyLink(set(), capabilities=0), blink=True).refused_to_blink)
-    assert inquire(LossyLink(set(), capabilities=0)).refused_to_blink is None
+    assert "unknown message 0x07" in str(probe(LossyLink(set(), capabilities=0), blink=True).refused_to_blink)
+    assert probe(LossyLink(set(), capabilities=0)).refused_to_blink is None
 
 
 def test_the_rate_is_that_between_the_quickest_exchanges_of_both_halves() -> None:

@@ -19,7 +19,7 @@ from wire_host import WAIT_S, Host, opened, truths, wait_for
 
 from firmware_protocol.host import Described, FramePart
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.session.compatibility import misfits
+from resonator_daemon.session.compatibility import incompatibilities
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
 from simulators.links import PtyLink
@@ -134,8 +134,8 @@ def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other
             host = Host(client.fileno(), gate_ticks=1_000_000)
             host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 10 * 20)
     (described,) = (event for event in host.events if isinstance(event, Described))
-    assert misfits(described.description, at_rate(skin, 250.0)) == ()
-    assert misfits(described.description, skin) == (
+    assert incompatibilities(described.description, at_rate(skin, 250.0)) == ()
+    assert incompatibilities(described.description, skin) == (
         "frame rate: the board makes 250 to 250 Hz, the plate file has 100 Hz",
     )
     ticks = sorted({event.board_ticks for event in host.events if isinstance(event, FramePart)})

@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist, squareform
 from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.sensors.skin_signals import ToneArray
-from resonator_daemon.session.compatibility import misfits, oscillator_hz
+from resonator_daemon.session.compatibility import incompatibilities, oscillator_hz
 from simulators.scenario import Scenario, Touch
 from simulators.skin_plate import SkinPlate
 
@@ -80,7 +80,7 @@ def test_it_loads_in_less_than_a_third_of_a_second() -> None:
 def signals_of(plate: Plate, *touches: Touch, frames: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Mean signals (3, n), as the daemon computes them from the records, and their standard deviation in one frame."""
     emulated = SkinPlate(plate, Scenario(touches, None, plate), seed=4)
-    assert misfits(emulated.description, plate) == ()
+    assert incompatibilities(emulated.description, plate) == ()
     counted = emulated.count(0, 250_000_000, GATE_TICKS, frames)
     rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
     assert not (rows["f4"] & ToneFlag.OUT_OF_BAND).any()

@@ -14,9 +14,9 @@ from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_numbers import FrameNumbering
-from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, Gap, LinkChange, SingleToneFrame
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_state import LinkState
@@ -93,10 +93,10 @@ class Bench:
         self.step_ns = step_ns
         self.now_ns = 10_000 * MS
         self.utc_step_ns = self.slept_ns = 0
-        self.ring = Ring(64 << 20, lambda: None)
+        self.queue = FrameQueue(64 << 20, lambda: None)
         self.numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
-        self.total = LinkAccount()
-        self.state = LinkState(self.ring.put)
+        self.total = LinkCounters()
+        self.state = LinkState(self.queue.put)
         self.known: Described | None = None
         self.arrivals: list[Arrival] = []
         self.connection: Connection
@@ -105,14 +105,14 @@ class Bench:
     def open(self) -> None:
         self._on_the_way: deque[tuple[int, bytes]] = deque()
         self.connection = Connection(
-            PLATE, self.known, self.numbering, self.ring, self.total, self.state, self.host_time()
+            PLATE, self.known, self.numbering, self.queue, self.total, self.state, self.host_time()
         )
 
     def close(self) -> None:
         if self.connection.was_online:
             self.known = self.connection.described
         self.connection.close()
-        self.arrivals += self.ring.take()
+        self.arrivals += self.queue.pop_all()
 
     def reopen(self, after_ms: float = 0.0) -> None:
         self.close()
@@ -134,14 +134,14 @@ class Bench:
                 data += self._on_the_way.popleft()[1]
             if data:
                 self.connection.receive(data, self.host_time())
-            self.connection.tend(self.host_time(), idle=not data)
-        self.arrivals += self.ring.take()
+            self.connection.run_timers(self.host_time(), idle=not data)
+        self.arrivals += self.queue.pop_all()
 
     @property
-    def account(self) -> LinkAccount:
-        account = self.total.copy()
-        self.connection.add_to(account)
-        return account
+    def counters(self) -> LinkCounters:
+        counters = self.total.copy()
+        self.connection.add_to(counters)
+        return counters
 
     @property
     def frames(self) -> list[SingleToneFrame]:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from resonator_daemon.config import LinkTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.counters import LinkAccount
+from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, LinkChange, Outage, SingleToneFrame
 
 QUARTZ = load_plate("quartz16")
@@ -36,11 +36,11 @@ class Listener:
             assert time.monotonic() < deadline, self.states
             self._woken.wait(1.0)
             self._woken.clear()
-            self.arrivals += self.reader.take()
+            self.arrivals += self.reader.pop_arrivals()
         return self.arrivals
 
     def take_the_rest(self) -> None:
-        self.arrivals += self.reader.take()
+        self.arrivals += self.reader.pop_arrivals()
 
     def wait_for_frames(self, count: int) -> None:
         self.wait_for(lambda arrivals: len(frames(arrivals)) >= count)
@@ -58,9 +58,9 @@ def gaps(arrivals: list[Arrival]) -> list[Gap]:
     return [arrival for arrival in arrivals if isinstance(arrival, Gap)]
 
 
-def check_bytes(account: LinkAccount) -> None:
-    by_fate = account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction
-    assert account.bytes_received == by_fate + account.bytes_discarded + account.bytes_waiting
+def check_bytes(counters: LinkCounters) -> None:
+    by_fate = counters.bytes_accepted + counters.bytes_other_version + counters.bytes_own_direction
+    assert counters.bytes_received == by_fate + counters.bytes_discarded + counters.bytes_waiting
 
 
 def check_indices(arrivals: list[Arrival]) -> None:

@@ -15,13 +15,13 @@ from resonator_daemon.recording.event_replay import replay
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.session.board_reader import RING_BYTES
-from resonator_daemon.session.counters import LinkAccount
-from resonator_daemon.session.frame_queue import Ring
+from resonator_daemon.session.board_reader import FRAME_QUEUE_BYTES
+from resonator_daemon.session.counters import LinkCounters
+from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Received, Said, Standing, WireEvent
-from resonator_daemon.session.link_state_machine import LinkCourse
+from resonator_daemon.session.link_events import Received, SnapshotTaken, StateAnnounced, WireEvent
+from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 PLATE = load_plate("quartz16")
 
@@ -44,13 +44,13 @@ def read(path: Path, plate: Plate = PLATE) -> tuple[list[WireEvent], str | None]
 
 def replayed(
     path: Path, plate: Plate = PLATE, pace: Callable[[HostTime], bool] = lambda _: True
-) -> tuple[list[Arrival], LinkAccount, int]:
+) -> tuple[list[Arrival], LinkCounters, int]:
     """Return what arrives, the account and how many differences there were."""
-    ring = Ring(RING_BYTES, lambda: None)
-    course = LinkCourse(plate, ring, lambda _: None)
+    queue = FrameQueue(FRAME_QUEUE_BYTES, lambda: None)
+    machine = LinkStateMachine(plate, queue, lambda _: None)
     with open_recording(str(path), plate) as recording:
-        differences = replay(recording, course, pace)
-    return ring.take(), course.account(), differences
+        differences = replay(recording, machine, pace)
+    return queue.pop_all(), machine.counters(), differences
 
 
 def same(one: object, other: object) -> bool:
@@ -75,11 +75,13 @@ def marks(path: Path) -> list[tuple[int, str]]:
         ]
 
 
-def standing(now: HostTime) -> Standing:
+def snapshot(now: HostTime) -> SnapshotTaken:
     """How a link stands that was never open."""
     told: list[WireEvent] = []
-    LinkCourse(PLATE, Ring(RING_BYTES, lambda: None), told.append).apply(Said(now, "waiting", "no port"))
-    assert isinstance(told[-1], Standing)
+    LinkStateMachine(PLATE, FrameQueue(FRAME_QUEUE_BYTES, lambda: None), told.append).apply(
+        StateAnnounced(now, "waiting", "no port")
+    )
+    assert isinstance(told[-1], SnapshotTaken)
     return told[-1]
 
 
