@@ -10,7 +10,7 @@ from typing import Any
 from resonator_daemon.config import Config, Measurement
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.forces.readings import Compensation
 from resonator_daemon.pipeline import control_requests
 from resonator_daemon.publishing.message_examples import EXAMPLES
@@ -68,7 +68,7 @@ class StandIn:
             raise ValueError(f"{path} is no place for a recording")
         self.acts.append(("start", path))
         if self.disk_problem:
-            raise OperatorError(f"{path} cannot be written: {self.disk_problem}")
+            raise UserError(f"{path} cannot be written: {self.disk_problem}")
         self.current = RecordingNow(path, 1789000000000000000, None)
 
     def stop(self) -> RecordingSummary | None:

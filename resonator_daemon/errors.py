@@ -1,6 +1,6 @@
-"""Who must act on a failure, the exit code that says so, and the object that tells programs.
+"""Errors that end a command, with exit code and JSON object; classes by who can resolve them.
 
-A programmer's mistake is a ValueError; noise on the wire is a counted value; neither is here.
+A programmer's mistake is a ValueError and noise on the wire a counted value: neither is here.
 """
 
 import json
@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 
 class ExitCode(IntEnum):
-    """What a verb returns to the shell; the systemd unit does not restart on UNAVAILABLE or CONFIG."""
+    """Exit codes of all commands; the systemd unit does not restart on UNAVAILABLE or CONFIG."""
 
     DONE = 0
     FAILED = 1
@@ -21,15 +21,15 @@ class ExitCode(IntEnum):
     CONFIG = 78  # EX_CONFIG of sysexits.h
 
 
-class OperatorError(Exception):
-    """Something the operator must mend; each message is one line with quantity, value, limit and remedy.
+class UserError(Exception):
+    """Error that the user can resolve; each message is one line with quantity, value, limit and remedy.
 
     Attributes
     ----------
     code, hint
-        For programs: a word that stays, and where to read more.
+        Of the JSON error: a stable identifier, and where to read more.
     so_far
-        Keys of the object for programs beside the failure.
+        Keys of the JSON object beside the error.
     """
 
     exit_code = ExitCode.CONFIG
@@ -42,8 +42,8 @@ class OperatorError(Exception):
         self.so_far: Mapping[str, Any] = {}
 
 
-class InterruptedVerbError(OperatorError):
-    """Somebody ended a verb before it came to its end; `so_far` is what it had by then."""
+class InterruptedCommandError(UserError):
+    """Command that was interrupted before its end; `so_far` holds its partial result."""
 
     exit_code = ExitCode.FAILED
     code = "interrupted"
@@ -53,12 +53,12 @@ class InterruptedVerbError(OperatorError):
         self.so_far = so_far or {}
 
 
-class ConfigError(OperatorError):
-    """The configuration or the plate file cannot be used; carries every finding at once."""
+class ConfigurationError(UserError):
+    """Invalid configuration or plate file; one message for each finding."""
 
 
-class IncompatibleBoardError(OperatorError):
-    """The board on the link can never serve this configuration."""
+class IncompatibleBoardError(UserError):
+    """Board on the link that can never serve this configuration."""
 
     exit_code = ExitCode.UNAVAILABLE
     code = "refused"
@@ -69,7 +69,7 @@ def failure_told(verb: str, *, as_json: bool) -> Iterator[None]:
     """Have a failure of a verb printed as one object on stdout, too, where objects are asked for."""
     try:
         yield
-    except OperatorError as error:
+    except UserError as error:
         if as_json:
             failure = {"code": error.code, "message": str(error), "hint": error.hint}
             told = {"verb": verb, "ok": False, "error": failure}

@@ -10,7 +10,7 @@ from typing import Any
 from firmware_protocol.layouts import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from firmware_protocol.messages import CounterKind, Description, ResetCause
 from resonator_daemon.config import LinkTarget, load_config
-from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, UserError, failure_told
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.opening import open_link
 from resonator_daemon.session.compatibility import incompatibilities
@@ -20,7 +20,7 @@ _KINDS = {int(CounterKind.SINGLE_TONE): "single-tone", int(CounterKind.CHANNELIS
 _CAPABILITIES = {Capability.TEMPERATURE: "temperature", Capability.LOCATE: "locate"}
 
 
-class NoAnswerError(OperatorError):
+class NoAnswerError(UserError):
     """No board answers on the link."""
 
     exit_code = ExitCode.UNAVAILABLE
@@ -37,7 +37,7 @@ def identify(target: LinkTarget | None, config_path: Path | None, *, blink: bool
 
     Raises
     ------
-    OperatorError
+    UserError
         The configuration cannot be used, the port cannot be opened, or no board answers.
     ValueError
         Neither was named.

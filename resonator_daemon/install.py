@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.config import example_config
-from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, UserError, failure_told
 from resonator_daemon.host.printable import printable
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
@@ -39,7 +39,7 @@ _COMMANDS: tuple[tuple[tuple[str, ...], Path | None], ...] = (
 _COMMAND_S = 60.0
 
 
-class InstallError(OperatorError):
+class InstallError(UserError):
     """Something could not be put in its place."""
 
     exit_code = ExitCode.FAILED

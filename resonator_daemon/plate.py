@@ -30,7 +30,7 @@ from pydantic_core import InitErrorDetails
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats, Integers
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files.reading import (
     Count,
     Number,
@@ -360,7 +360,7 @@ def load_plate(name_or_path: str, *, relative_to: Path | None = None) -> Plate:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         Neither a shipped name nor a readable file, or a file with findings: all of them.
     """
     shipped = shipped_plates()
@@ -368,7 +368,9 @@ def load_plate(name_or_path: str, *, relative_to: Path | None = None) -> Plate:
         return load_model(Plate, read_toml(_SHIPPED / f"{name_or_path}.toml"))
     path = (relative_to or Path()) / name_or_path
     if not os.path.exists(path):  # Path.exists raises on names that are too long
-        raise ConfigError(f"no shipped plate and no file is named {name_or_path!r}; {nearest(name_or_path, shipped)}")
+        raise ConfigurationError(
+            f"no shipped plate and no file is named {name_or_path!r}; {nearest(name_or_path, shipped)}"
+        )
     return load_model(Plate, read_toml(path))
 
 

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, Final
 from resonator_daemon.config import Config, ReplayLink, load_config
 from resonator_daemon.daemon.recording_commands import origin
 from resonator_daemon.errors import (
-    ConfigError,
+    ConfigurationError,
     ExitCode,
     IncompatibleBoardError,
-    InterruptedVerbError,
-    OperatorError,
+    InterruptedCommandError,
+    UserError,
     failure_told,
 )
 from resonator_daemon.recording.file_series import Series
@@ -44,14 +44,14 @@ _TURN_S: Final = 0.2
 _PROGRESS_S: Final = 1.0
 
 
-class NoBoardError(OperatorError):
+class NoBoardError(UserError):
     """No board counts on the link."""
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_board"
 
 
-class RecordingEndedError(OperatorError):
+class RecordingEndedError(UserError):
     """The file takes no more, or the reader failed."""
 
     exit_code = ExitCode.FAILED
@@ -97,15 +97,15 @@ def record(config_path: Path, options: RecordOptions, *, as_json: bool) -> None:
 
     Raises
     ------
-    InterruptedVerbError
+    InterruptedCommandError
         One of them came before the time was over.
-    OperatorError
+    UserError
         The configuration cannot be used, the file cannot be made or takes no more, or no board counts.
     """
     with failure_told("record", as_json=as_json):
         config = load_config(config_path)
         if isinstance(config.link, ReplayLink):
-            raise ConfigError(f"link: {config.link} is a recording already; copy the file")
+            raise ConfigurationError(f"link: {config.link} is a recording already; copy the file")
         sitting = _Sitting(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
         with sitting.open() as arrived:
             sitting.wait(arrived, options.seconds)
@@ -177,9 +177,9 @@ class _Sitting:
         told = self.result()
         if seconds is not None and self._stopped and told["seconds"] < seconds:
             if not told["frames"]:
-                raise InterruptedVerbError("interrupted before a frame came; no file is kept")
+                raise InterruptedCommandError("interrupted before a frame came; no file is kept")
             words = f"{told['seconds']:.1f} of {seconds:g} s are recorded, which stay"
-            raise InterruptedVerbError(f"interrupted: {words}", told)
+            raise InterruptedCommandError(f"interrupted: {words}", told)
         if not told["frames"]:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 

@@ -24,7 +24,7 @@ from mcap.records import (
 from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, UserError, failure_told
 from resonator_daemon.host.new_file import NewFile, interruptible
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
@@ -47,7 +47,7 @@ _CRC_BYTES: Final = 4
 _PIECE_BYTES: Final = 1 << 20
 
 
-class RepairError(OperatorError):
+class RepairError(UserError):
     """Nothing of the recording can be read, or its copy cannot be written."""
 
     exit_code = ExitCode.FAILED
@@ -94,7 +94,7 @@ def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
     ------
     RepairError
         It is no recording of this format, has no event, is being written, or the copy cannot be made.
-    InterruptedVerbError
+    InterruptedCommandError
         Somebody ended it before.
     """
     copy = output or path.parent / f"{path.stem}-repaired.mcap"
@@ -133,7 +133,7 @@ def repaired(path: Path, copy: Path) -> Repaired:
             raise RepairError(f"{copy} is there already, and nothing is overwritten; name another file with --output")
         try:
             new = NewFile(copy)
-        except OperatorError as error:
+        except UserError as error:
             raise RepairError(str(error)) from error
         try:
             done = _copy(file, new.file)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.config import Client, load_client, parse_link
-from resonator_daemon.errors import ConfigError, ExitCode, OperatorError, failure_told
+from resonator_daemon.errors import ConfigurationError, ExitCode, UserError, failure_told
 from resonator_daemon.host.printable import printable
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.requests import reach, request
@@ -19,7 +19,7 @@ LOOK_S: Final = 3.0
 OTHERS_S: Final = 0.5  # for another daemon of the same link, where one of them is offline
 
 
-class NoDaemonError(OperatorError):
+class NoDaemonError(UserError):
     """No daemon is there to be asked."""
 
     exit_code = ExitCode.FAILED
@@ -31,13 +31,15 @@ def tare(config_path: Path, *, as_json: bool) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         The configuration cannot be used; no broker, no daemon, or no answer.
     """
     with failure_told("tare", as_json=as_json):
         config = load_client(config_path)
         if config.name is None and config.link is None:
-            raise ConfigError("name: missing; give the name that the daemon publishes under, or the link it reads")
+            raise ConfigurationError(
+                "name: missing; give the name that the daemon publishes under, or the link it reads"
+            )
         answer = asyncio.run(_ask(config))
     done = answer.get("ok") is True
     if as_json:

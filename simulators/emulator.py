@@ -68,7 +68,7 @@ def run(options: EmulatorOptions) -> None:
     ------
     ValueError
         Options that contradict each other, or a scenario that does not fit the plate.
-    ConfigError
+    ConfigurationError
         A plate that cannot be loaded.
     OSError
         The link or the truth file cannot be opened.

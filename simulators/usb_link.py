@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 
 _PYTHON = "/usr/bin/python3"
 _GADGET = Path(__file__).with_name("usb_gadget.py")
@@ -38,7 +38,7 @@ class UsbLink:
 
     Raises
     ------
-    OperatorError
+    UserError
         umockdev, or the system's Python with its bindings, is missing.
     """
 
@@ -67,7 +67,7 @@ class UsbLink:
                 )
             except OSError as error:
                 self._close_files()
-                raise OperatorError(f"{_PYTHON} cannot be started ({error.strerror}); {_INSTALL}") from error
+                raise UserError(f"{_PYTHON} cannot be started ({error.strerror}); {_INSTALL}") from error
         self.environment = {"LD_PRELOAD": _PRELOAD, "UMOCKDEV_DIR": self._wait_until_ready()}
         self._board.setblocking(False)
 
@@ -150,7 +150,7 @@ class UsbLink:
         said = self._said.read()
         self._close_files()
         reason = said.decode(errors="replace").strip().rpartition("\n")[2] or f"no word from it for {_START_S:g} s"
-        raise OperatorError(f"no USB device can be emulated: {reason}; {_INSTALL}")
+        raise UserError(f"no USB device can be emulated: {reason}; {_INSTALL}")
 
     def _close_files(self) -> None:
         for file in (self._board, self._control, self._said):

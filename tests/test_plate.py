@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from resonator_daemon import plate as plate_module
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 
 SHIPPED = Path(__file__).parents[1] / "resonator_daemon" / "plates"
@@ -93,7 +93,7 @@ def written(tmp_path: Path, text: str) -> str:
 
 def refusals(tmp_path: Path, text: str) -> list[str]:
     path = written(tmp_path, text)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         load_plate(path)
     assert all(message.startswith(f"{path}:") and "\n" not in message for message in caught.value.messages)
     return [message.removeprefix(f"{path}:") for message in caught.value.messages]
@@ -223,13 +223,13 @@ def test_a_path_is_relative_to_the_file_that_names_it(tmp_path: Path) -> None:
 
 
 def test_an_unknown_plate_is_told_the_shipped_ones() -> None:
-    with pytest.raises(ConfigError, match=r"'quarz16'.*quartz16, skin32.*did you mean quartz16\?"):
+    with pytest.raises(ConfigurationError, match=r"'quarz16'.*quartz16, skin32.*did you mean quartz16\?"):
         load_plate("quarz16")
 
 
 @pytest.mark.parametrize("name", ["", "a\0b", "x" * 5000, "no/such/plate.toml"])
 def test_a_name_that_is_none_is_an_operators_error(name: str) -> None:
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigurationError):
         load_plate(name)
 
 

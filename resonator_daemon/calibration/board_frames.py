@@ -9,7 +9,7 @@ from typing import Final
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.config import Config
-from resonator_daemon.errors import ConfigError, IncompatibleBoardError
+from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import (
     BoardOnline,
@@ -61,7 +61,7 @@ def _arrivals(reader: BoardReader, arrived: threading.Event, timeout_s: float) -
                     online = True
                     yield arrival
                 case BoardRefused():
-                    raise (IncompatibleBoardError if arrival.other_protocol else ConfigError)(*arrival.problems)
+                    raise (IncompatibleBoardError if arrival.other_protocol else ConfigurationError)(*arrival.problems)
                 case LinkChange():
                     state = arrival
                     if arrival.state == "waiting" and not online:

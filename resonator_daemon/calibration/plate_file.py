@@ -153,7 +153,7 @@ def write_plate_file(text: str, target: Path) -> None:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         The text is no plate file that can be used; nothing was written.
     """
     with tempfile.NamedTemporaryFile("w", suffix=".toml", encoding="utf-8", newline="") as checked:

@@ -1,21 +1,21 @@
 """How a calibration ends without a result."""
 
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 
 
-class CalibrationRefusedError(OperatorError):
+class CalibrationRefusedError(UserError):
     """The plate, its surroundings or who loads it do not allow a calibration; nothing was changed."""
 
     exit_code = ExitCode.FAILED
 
 
-class CalibrationUsageError(OperatorError):
+class CalibrationUsageError(UserError):
     """What was asked for contradicts itself or the plate; one message for each finding."""
 
     exit_code = ExitCode.USAGE
 
 
-class LinkBusyError(OperatorError):
+class LinkBusyError(UserError):
     """The port cannot be opened now, as while the daemon runs on it."""
 
     exit_code = ExitCode.UNAVAILABLE

@@ -27,7 +27,7 @@ from resonator_daemon.calibration.session import Recording, Session
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
 from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.plate import FORCE_SIGNAL
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, SingleToneFrame
@@ -49,12 +49,12 @@ def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         What was asked for, the link, the plate or its loads do not allow it; the plate file is as before.
     """
     config = load_config(config_path)
     if FORCE_SIGNAL not in config.plate.signals:
-        raise ConfigError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
+        raise ConfigurationError(f"plate {config.plate.name!r} has no force sites; use: resonatord calibrate skin")
     steps = plan_steps(wanted, config.plate)
     file = PlateFile.of(config_path, ending.output)
     session = Session(config_path)

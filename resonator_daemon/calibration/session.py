@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 
 
 def sessions_directory() -> Path:
@@ -35,7 +35,7 @@ class Session:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             stream = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
-            raise OperatorError(f"{self.path}: cannot be written ({error.strerror}); set XDG_STATE_HOME") from None
+            raise UserError(f"{self.path}: cannot be written ({error.strerror}); set XDG_STATE_HOME") from None
         with stream:
             yield Recording(stream)
 

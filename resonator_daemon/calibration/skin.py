@@ -15,7 +15,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.decoding.open_plane.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.plate import Plate, Skin
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.requests import reach
@@ -44,7 +44,9 @@ class Capture:
         frame = message.signals.reshape(3, -1).astype(np.float64)
         noise = _median_noise(message.noise_std.reshape(3, -1).astype(np.float64))
         if frame.shape[1] != count:
-            raise ConfigError(f"plate {self.plate!r} publishes {frame.shape[1]} sites, the plate file has {count}")
+            raise ConfigurationError(
+                f"plate {self.plate!r} publishes {frame.shape[1]} sites, the plate file has {count}"
+            )
         if not ((noise > 0.0) & np.isfinite(noise)).all():
             return
         self.frames.append(frame)
@@ -57,13 +59,13 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
 
     Raises
     ------
-    OperatorError
+    UserError
         The configuration cannot be used or its plate has no skin; no broker can be reached.
     """
     config = load_config(config_path)
     skin = config.plate.skin
     if skin is None:
-        raise ConfigError(f"plate {config.plate.name!r} has no [skin]: there is nothing to calibrate")
+        raise ConfigurationError(f"plate {config.plate.name!r} has no [skin]: there is nothing to calibrate")
     capture = asyncio.run(_capture(config, seconds, _tell))
     found: PriorFit | None = None
     if capture.loaded >= FEWEST_FRAMES:
@@ -126,7 +128,7 @@ def _fit(plate: Plate, skin: Skin, capture: Capture) -> PriorFit:
             progress=progress,
         )
     except ValueError as error:  # the plate file's skin is none that signals can come from
-        raise ConfigError(f"plate {plate.name!r}: {error}") from error
+        raise ConfigurationError(f"plate {plate.name!r}: {error}") from error
 
 
 def _as_json(found: PriorFit) -> dict[str, float | None]:

@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from resonator_daemon.commands.arguments import Verb, make_parser
-from resonator_daemon.errors import ExitCode, InterruptedVerbError, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError, failure_told
 from resonator_daemon.host.journal import error_prefix, set_up_logging
 from resonator_daemon.host.printable import printable
 
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = make_parser(_VERBS).parse_args(arguments)  # which may print help and end
         _set_up_output()
         return _run_verb(options)
-    except OperatorError as error:
+    except UserError as error:
         for message in error.messages:
             sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
         return error.exit_code
@@ -69,7 +69,7 @@ def _run_verb(options: argparse.Namespace) -> ExitCode:
             return ExitCode.DONE
         name = next(name for name, function in _VERBS.items() if function is verb)
         with failure_told(name, as_json=options.json):
-            raise InterruptedVerbError("interrupted") from None
+            raise InterruptedCommandError("interrupted") from None
 
 
 def _run(options: argparse.Namespace) -> None:
@@ -91,7 +91,7 @@ def _check(options: argparse.Namespace) -> ExitCode:
             notes = load_decoder_config(options.file).mqtt.notes
         else:
             notes = load_checked(options.file).notes
-    except OperatorError as error:
+    except UserError as error:
         findings = error.messages
     if options.json:
         _print_json(
@@ -160,9 +160,9 @@ def _emulate(options: argparse.Namespace) -> None:
             )
         )
     except ValueError as error:
-        raise OperatorError(*str(error).split("\n")) from error  # a line for each mistake
+        raise UserError(*str(error).split("\n")) from error  # a line for each mistake
     except OSError as error:
-        raise OperatorError(str(error)) from error
+        raise UserError(str(error)) from error
 
 
 def _ports(options: argparse.Namespace) -> None:

@@ -26,7 +26,7 @@ from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.config.link_targets import LinkTarget, ReplayLink, SerialLink, parse_link
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.toml_files.reading import Table, TomlFile, check_with, finding, load_model, read_toml
 
@@ -59,7 +59,7 @@ def _plate(value: object, info: ValidationInfo) -> Plate:
         raise ValueError("must be a string: the name of a shipped plate or a path")
     try:
         return load_plate(value, relative_to=info.context)
-    except ConfigError as error:
+    except ConfigurationError as error:
         findings = [finding((), value, message) for message in error.messages]
         raise ValidationError.from_exception_data("plate", findings) from None
 
@@ -144,7 +144,7 @@ def load_config(path: Path) -> Config:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         One message for each finding, those of the plate file among them.
     """
     return config_from(read_toml(path), path.parent)
@@ -155,7 +155,7 @@ def config_from(file: TomlFile, directory: Path) -> Config:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         One message for each finding.
     """
     return load_model(Config, file, context=directory)
@@ -177,7 +177,7 @@ def load_client(path: Path) -> Client:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         One message for each finding.
     """
     return load_part(Client, path)
@@ -188,7 +188,7 @@ def load_part(model: type[_Part], path: Path) -> _Part:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         One message for each finding.
     """
     file = read_toml(path)

@@ -48,7 +48,7 @@ def load_decoder_config(path: Path) -> DecoderConfig:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         One message for each finding.
     """
     return load_part(DecoderConfig, path)
@@ -59,7 +59,7 @@ def is_decoders_own(path: Path) -> bool:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         It cannot be read.
     """
     keys = read_toml(path).content.keys()

@@ -36,7 +36,7 @@ def load_plate_text(text: str, origin: Path) -> Plate:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         No TOML, or findings: all of them.
     """
     return load_model(Plate, parse_toml(text, origin))
@@ -52,7 +52,7 @@ def load_settings_text(text: str, origin: Path) -> Settings:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         No TOML, or findings: all of them.
     """
     return load_model(Settings, parse_toml(text, origin))
@@ -65,7 +65,7 @@ def config_of(
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         The parts do not suit each other.
     """
     parts = {"name": name, "plate": plate, "link": link, "mqtt": mqtt or Mqtt(), **dict(settings)}

@@ -7,7 +7,7 @@ from resonator_daemon.config import Config
 from resonator_daemon.config.changes import Changes, applied, changes
 from resonator_daemon.daemon.config_store import ConfigStore, Loaded
 from resonator_daemon.daemon.recording_commands import as_json_text
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.monitoring.status import ConfigStatus
 
 log = logging.getLogger(__name__)
@@ -28,7 +28,7 @@ class ConfigInUse:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         Neither the file nor a copy can be used.
     """
 
@@ -68,7 +68,7 @@ class ConfigInUse:
         """Read the file again and take what needs no restart; None, and the log, where it cannot be used."""
         try:
             loaded: Loaded = await asyncio.to_thread(self._store.reload)
-        except ConfigError as error:
+        except ConfigurationError as error:
             self._problems = _told(error.messages)
             for message in error.messages:
                 log.error("%s", message)

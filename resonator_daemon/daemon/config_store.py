@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError
 
 from resonator_daemon.config import Config, config_from, load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.pipeline.code_check import findings
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 
@@ -71,12 +71,12 @@ class ConfigStore:
 
         Raises
         ------
-        ConfigError
+        ConfigurationError
             The file cannot be used, and no copy can; what is wrong with the file.
         """
         try:
             return self.reload()
-        except ConfigError as error:
+        except ConfigurationError as error:
             if not os.path.lexists(self.path):
                 raise
             loaded = self._last_good(error)
@@ -89,7 +89,7 @@ class ConfigStore:
 
         Raises
         ------
-        ConfigError
+        ConfigurationError
             The file cannot be used; every finding.
         """
         file = read_toml(self.path)
@@ -97,18 +97,20 @@ class ConfigStore:
         self._keep(file, config)
         return Loaded(config, "file", (), _sha256(file.text), time.time_ns())
 
-    def _last_good(self, refused: ConfigError) -> Loaded:
+    def _last_good(self, refused: ConfigurationError) -> Loaded:
         try:
             copy = self._read()
         except FileNotFoundError:
             raise refused from None
         except (OSError, ValidationError) as error:
-            raise ConfigError(*refused.messages, f"{named(self._copy)}: {_told(error)}; no last good copy") from None
+            raise ConfigurationError(
+                *refused.messages, f"{named(self._copy)}: {_told(error)}; no last good copy"
+            ) from None
         try:
             config = _checked(self._config_of(copy), self._copy)
-        except ConfigError as error:
+        except ConfigurationError as error:
             also = (f"the last good copy cannot be used either: {message}" for message in error.messages)
-            raise ConfigError(*refused.messages, *also) from None
+            raise ConfigurationError(*refused.messages, *also) from None
         saved = f"{datetime.fromtimestamp(copy.saved_utc_ns // 10**9, UTC):%Y-%m-%d %H:%M:%S}"
         log.error("%s cannot be used; running on the last good copy, of %s UTC", named(self.path), saved)
         return Loaded(config, "last_good", refused.messages, _sha256(copy.config), time.time_ns())
@@ -172,7 +174,7 @@ def load_checked(path: Path) -> Config:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         Every finding.
     """
     return _checked(load_config(path), path)
@@ -180,7 +182,7 @@ def load_checked(path: Path) -> Config:
 
 def _checked(config: Config, path: Path) -> Config:
     if overlapping := findings(config.plate):
-        raise ConfigError(*(f"{named(path)}: plate: {sentence}" for sentence in overlapping))
+        raise ConfigurationError(*(f"{named(path)}: plate: {sentence}" for sentence in overlapping))
     return config
 
 

@@ -23,7 +23,7 @@ from resonator_daemon.daemon.plate_publisher import Outlet
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.errors import ConfigError, IncompatibleBoardError, OperatorError
+from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.host.systemd import ServiceManager
@@ -74,7 +74,7 @@ async def serve(store: ConfigStore) -> None:
 
     Raises
     ------
-    OperatorError
+    UserError
         No configuration can be used, or the first board on the link can never serve it.
     """
     service = Service(store)
@@ -145,11 +145,11 @@ class Service:
         self._name = config.name
         self._reload_wanted = asyncio.Event()
         self._ready = False
-        self._fatal: OperatorError | None = None
+        self._fatal: UserError | None = None
         self._started_utc_ns = time.time_ns()
 
     async def run(self) -> None:
-        """Run until `stop`; raises what only the operator can mend."""
+        """Run until `stop`; raises UserError."""
         for note in self._config.notes:
             log.warning("%s", note)
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
@@ -253,7 +253,7 @@ class Service:
     async def _keep_recording(self, recordings: RecordingCommands) -> None:
         try:
             await recordings.keep_recording()
-        except OperatorError as error:
+        except UserError as error:
             log.error("nothing is recorded: %s", error)
 
     def _force_chain(self) -> ForceChain | None:
@@ -352,7 +352,7 @@ class Service:
         try:
             recordings = self._begin_publishing(plate_name(serial_number))
         except ValueError as error:
-            self._fatal = ConfigError(f"serial number {serial_number!r} {error}; set name in the configuration")
+            self._fatal = ConfigurationError(f"serial number {serial_number!r} {error}; set name in the configuration")
             self._end()
             return False
         self._tasks.create_task(self._keep_recording(recordings), name="recording")
@@ -361,7 +361,7 @@ class Service:
     def _refuse(self, refused: BoardRefused) -> None:
         if self._course.board is not None:
             return  # the right board was here before and may come back
-        error = IncompatibleBoardError if refused.other_protocol else ConfigError
+        error = IncompatibleBoardError if refused.other_protocol else ConfigurationError
         self._fatal = error(*refused.problems)
         self._end()
         self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())

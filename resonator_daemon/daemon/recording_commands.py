@@ -6,7 +6,7 @@ from typing import Final
 
 from resonator_daemon.config import Config, ReplayLink
 from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.commands import CommandRefusedError
 from resonator_daemon.publishing.payloads import RecordingInfo
 from resonator_daemon.publishing.verbs import (
@@ -75,7 +75,7 @@ class RecordingCommands:
                 return self._already(now, request.label)
             try:
                 await asyncio.to_thread(self._begin, request.label)
-            except (OperatorError, OSError) as error:
+            except (UserError, OSError) as error:
                 raise CommandRefusedError("recording_failed", str(error), _DIRECTORY_HINT) from None
             self._label, self._by_config = request.label, False
             if (now := self._switch.current) is None:

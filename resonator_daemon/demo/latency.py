@@ -22,7 +22,7 @@ from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, start_emulator, start_verb
-from resonator_daemon.errors import ExitCode, InterruptedVerbError, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError, failure_told
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -53,9 +53,9 @@ def bench_latency(options: LatencyOptions) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         A part does not start, or ends by itself.
-    InterruptedVerbError
+    InterruptedCommandError
         Somebody ended it before the time was over; what was measured by then is told.
     """
     with failure_told("bench latency", as_json=options.json):
@@ -71,7 +71,7 @@ def _bench_latency(options: LatencyOptions) -> ExitCode:
         sys.stdout.write(report.in_words())
     if bench.cut_short:
         words = f"interrupted: measured for {report.seconds:.1f} of {options.seconds:g} s"
-        raise InterruptedVerbError(words, report.as_json())
+        raise InterruptedCommandError(words, report.as_json())
     if options.json:
         sys.stdout.write(json.dumps(report.as_json()) + "\n")
     return ExitCode.FAILED if report.latency.missing else ExitCode.DONE
@@ -117,7 +117,7 @@ class _Bench:
         self._plate = load_plate(options.plate)
         self._topic = FORCES if self._plate.skin is None else DECODED
         if options.apart and self._plate.skin is None:
-            raise OperatorError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
+            raise UserError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
         self._ended = asyncio.Event()
         self.cut_short = False
 
@@ -147,7 +147,7 @@ class _Bench:
                 gates = read_gates(lines)
         if not subscriber.arrivals:
             self._refuse_to_go_on()
-            raise OperatorError(f"no message on {self._topic.path} within {seconds:.1f} s")
+            raise UserError(f"no message on {self._topic.path} within {seconds:.1f} s")
         rate_hz = self._plate.counter.frame_rate_hz
         gates_apart = round(Measurement().step_s * rate_hz) if self._topic is FORCES else 1
         return LatencyReport(
@@ -183,11 +183,11 @@ class _Bench:
                 await asyncio.sleep(_LOOK_S)
         self._refuse_to_go_on()
         if not subscriber.first_came.is_set():
-            raise OperatorError(f"no message on {self._topic.path} within {_START_S:g} s")
+            raise UserError(f"no message on {self._topic.path} within {_START_S:g} s")
 
     def _refuse_to_go_on(self) -> None:
         if self._ended.is_set():
-            raise InterruptedVerbError("interrupted before a message was measured")
+            raise InterruptedCommandError("interrupted before a message was measured")
 
     async def _measure(self, subscriber: _Subscriber, children: list[Child]) -> tuple[float, dict[str, float]]:
         """Count messages for the time asked for; return how long that was, and processor time by part."""
@@ -238,7 +238,7 @@ async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[Non
 def _complain_of_dead(children: list[Child]) -> None:
     for child in children:
         if complaint := child.complaint():
-            raise OperatorError(complaint)
+            raise UserError(complaint)
 
 
 async def _stop(children: list[Child]) -> None:

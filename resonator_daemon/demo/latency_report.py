@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.demo.latency_figures import LATE_MS, Latency
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.monitoring.latency import BOUNDS_MS
 from resonator_daemon.publishing.topics import DECODED
 
@@ -94,15 +94,13 @@ class LatencyReport:
 
         Raises
         ------
-        OperatorError
+        UserError
             matplotlib is not installed.
         """
         try:
             from matplotlib.figure import Figure
         except ModuleNotFoundError as error:
-            raise OperatorError(
-                f"--picture needs {error.name}, which is not installed: pip install matplotlib"
-            ) from error
+            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         came_ms = np.sort(self.latency.milliseconds)
         later = 1.0 - np.arange(len(came_ms)) / len(came_ms)
         figure = Figure(figsize=(6.0, 3.6), layout="constrained")

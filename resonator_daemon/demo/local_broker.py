@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from resonator_daemon.demo.processes import PYTHON, Child, start_child
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 
 BROKER_PART: Final = "broker"
 _START_S: Final = 5.0
@@ -36,7 +36,7 @@ async def local_broker(folder: Path) -> AsyncIterator[LocalBroker]:
 
     Raises
     ------
-    OperatorError
+    UserError
         Neither Mosquitto nor amqtt is installed, or the broker does not start.
     """
     program = shutil.which("mosquitto", path=os.environ.get("PATH", "") + MORE_PLACES)
@@ -74,5 +74,5 @@ async def _start_mosquitto(program: str, folder: Path) -> LocalBroker:
                     return LocalBroker("mosquitto", f"mqtt://127.0.0.1:{port}", child)
     except TimeoutError:
         await child.stop()
-        raise OperatorError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
-    raise OperatorError(f"{complaint}; is port {port} taken?")
+        raise UserError(f"Mosquitto does not listen on port {port} within {_START_S:g} s") from None
+    raise UserError(f"{complaint}; is port {port} taken?")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import psutil
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 
 PYTHON = (sys.executable, "-m")
 _RESONATORD = (*PYTHON, "resonator_daemon")
@@ -56,13 +56,13 @@ class Child:
 
         Raises
         ------
-        OperatorError
+        UserError
             It ended without output.
         """
         line = await self._process.stdout.readline() if self._process.stdout else b""
         if not line:
             await self._process.wait()
-            raise OperatorError(self.complaint() or f"{self.part} did not start")
+            raise UserError(self.complaint() or f"{self.part} did not start")
         return line
 
     async def stop(self) -> None:

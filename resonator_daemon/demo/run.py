@@ -26,7 +26,7 @@ from resonator_daemon.demo.results import delays, failures, in_words, percentile
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
@@ -185,7 +185,7 @@ class _Demo:
             if not silent:
                 return
             if time.monotonic() > deadline:
-                raise OperatorError(f"no frame of {' and '.join(silent)} within {_START_S:g} s")
+                raise UserError(f"no frame of {' and '.join(silent)} within {_START_S:g} s")
             await self._pause(_TURN_S)
 
     async def _wait_for_last_messages(self) -> None:
@@ -204,7 +204,7 @@ class _Demo:
     def _complain_of_dead_children(self) -> None:
         for child in self._children():
             if complaint := child.complaint():
-                raise OperatorError(complaint)
+                raise UserError(complaint)
 
     def _page(self, left_s: float) -> RenderableType:
         truths = {name: _truth_to_show(station) for name, station in self._stations.items()}

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Final
 from urllib.parse import urlsplit
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.embedded_delivery import packet_ends
 from resonator_daemon.publishing.receiver import Arrival
 
@@ -37,7 +37,7 @@ class Subscription:
 
     Raises
     ------
-    OperatorError
+    UserError
         The broker refuses the connection.
     """
 
@@ -48,7 +48,7 @@ class Subscription:
             self._socket = socket.create_connection((parts.hostname or "", parts.port or 1883), _TIMEOUT_S)
             self._subscribe(filters)
         except OSError as error:
-            raise OperatorError(f"the broker at {url} refuses the connection of the demo: {error}") from error
+            raise UserError(f"the broker at {url} refuses the connection of the demo: {error}") from error
         self._thread = threading.Thread(target=self._receive, name="subscription", daemon=True)
         self._thread.start()
 

@@ -51,10 +51,10 @@ def doctor_as_asked(options: argparse.Namespace) -> ExitCode:
 
 
 def _broker(url: str) -> object:
-    from resonator_daemon.errors import OperatorError
+    from resonator_daemon.errors import UserError
     from resonator_daemon.view.watch import broker_at
 
     try:
         return broker_at(url, "resonator")
-    except OperatorError as error:
+    except UserError as error:
         raise argparse.ArgumentTypeError(str(error).removeprefix("--url: ")) from None

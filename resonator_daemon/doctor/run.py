@@ -34,7 +34,7 @@ from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, wor
 from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError, failure_told
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, failure_told
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.opening import open_link
@@ -47,7 +47,7 @@ _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself
 _AFTER_INQUIRY: Final = (*link_checks.OF_AN_INQUIRY, *link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE)
 
 
-class UnusableConfigError(ConfigError):
+class UnusableConfigError(ConfigurationError):
     """The configuration cannot be used."""
 
     hint = "resonatord check"
@@ -72,7 +72,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
     ------
     UnusableConfigError
         The configuration cannot be used: there is nothing to hold the board against.
-    InterruptedVerbError
+    InterruptedCommandError
         Ctrl-C came before all was looked at; what was found by then is printed.
     """
     with failure_told("doctor", as_json=options.json):
@@ -82,7 +82,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
 def _doctor(options: DoctorOptions) -> ExitCode:
     try:
         examination = _Examination(options)
-    except ConfigError as error:
+    except ConfigurationError as error:
         bad_file = None if isinstance(error, _NoBoardError) else options.config_path
         runs = "" if bad_file is None else asyncio.run(works_by(bad_file))
         raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
@@ -94,13 +94,13 @@ def _doctor(options: DoctorOptions) -> ExitCode:
         if found and not options.json:
             sys.stdout.write(report.as_text(whole=False))
         words = f"interrupted: {len(found)} things were looked at, which is not all"
-        raise InterruptedVerbError(words, {"findings": report.as_json()["findings"]}) from None
+        raise InterruptedCommandError(words, {"findings": report.as_json()["findings"]}) from None
     report = Report(found)
     sys.stdout.write(json.dumps(report.as_json()) + "\n" if options.json else report.as_text())
     return report.exit_code
 
 
-class _NoBoardError(ConfigError):
+class _NoBoardError(ConfigurationError):
     """The configuration can be used, and there is nothing to look at."""
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, UsbLink, load_config, parse_link
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
@@ -75,7 +75,7 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
         if config_path is not None and file.samefile(config_path):
             return True
         return "link" not in config.get("needs_restart", ()) and same_link(load_config(file).link, link)
-    except (OSError, ValueError, OperatorError):
+    except (OSError, ValueError, UserError):
         return False  # its file is not for this user to read, or has changed since
 
 

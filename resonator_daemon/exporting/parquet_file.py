@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.exporting.columns import Column, Value
 from resonator_daemon.exporting.table_output import Batch
 from resonator_daemon.host.new_file import NewFile
@@ -19,7 +19,7 @@ try:
     import pyarrow as pa
     import pyarrow.parquet as pq
 except ImportError as error:
-    raise OperatorError("Parquet needs pyarrow: pip install pyarrow") from error
+    raise UserError("Parquet needs pyarrow: pip install pyarrow") from error
 
 _TYPES: Final = {
     "int64": pa.int64(),

@@ -6,7 +6,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.exporting.clouds import Clouds, Points
 from resonator_daemon.exporting.severity import severity
 from resonator_daemon.plate import Plate
@@ -24,7 +24,7 @@ from resonator_daemon.publishing.topics import Topic
 try:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 except ImportError as error:
-    raise OperatorError("messages of ROS 2 need rosbags: pip install rosbags") from error
+    raise UserError("messages of ROS 2 need rosbags: pip install rosbags") from error
 
 CONTACT, CONTACTS, EVENT = (f"resonator_msgs/msg/{name}" for name in ("Contact", "Contacts", "ContactEvent"))
 

@@ -13,7 +13,7 @@ from typing import Any, NoReturn, Protocol
 
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.errors import ExitCode, OperatorError, failure_told
+from resonator_daemon.errors import ExitCode, UserError, failure_told
 from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
 from resonator_daemon.exporting.target import Target, target
 from resonator_daemon.host.new_file import check_new, interruptible, takes_a_stream
@@ -27,14 +27,14 @@ from resonator_daemon.replay.source import open_playback
 from resonator_daemon.replay.span import Span, find_span
 
 
-class ExportFailedError(OperatorError):
+class ExportFailedError(UserError):
     """What is read could not be written."""
 
     exit_code = ExitCode.FAILED
     code = "output"
 
 
-class NotExportableError(OperatorError):
+class NotExportableError(UserError):
     """The file is no recording that can be replayed."""
 
     exit_code = ExitCode.UNAVAILABLE
@@ -67,7 +67,7 @@ def export_as_asked(options: argparse.Namespace) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         The recording, the configuration or the options cannot be used, or the files cannot be written.
     """
     asked = target(options)

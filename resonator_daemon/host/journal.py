@@ -26,7 +26,7 @@ def set_up_logging(level: int = logging.INFO, journal: Path = JOURNAL) -> None:
 
 
 def tag_log(name: str) -> None:
-    """Have all further lines in the journal carry the daemon's name."""
+    """Add the daemon's name to all further lines in the journal."""
     for handler in logging.getLogger().handlers:
         if isinstance(handler, JournalHandler):
             handler.tag_log(name)

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, TYPE_CHECKING, Final
 
-from resonator_daemon.errors import InterruptedVerbError, OperatorError
+from resonator_daemon.errors import InterruptedCommandError, UserError
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -24,7 +24,7 @@ _Handler = Callable[[int, FrameType | None], object] | int | None
 _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-class NoNewFileError(OperatorError):
+class NoNewFileError(UserError):
     """There is something of that name already, or nothing can be made there."""
 
     code = "output"
@@ -148,7 +148,7 @@ def interruptible(unfinished: str) -> Iterator[None]:
 
     Raises
     ------
-    InterruptedVerbError
+    InterruptedCommandError
         One of them came.
     """
     before: dict[int, _Handler] = {}
@@ -166,7 +166,7 @@ def interruptible(unfinished: str) -> Iterator[None]:
                     signal.signal(number, end)
         yield
     except KeyboardInterrupt as error:
-        raise InterruptedVerbError(f"interrupted: {unfinished}") from error
+        raise InterruptedCommandError(f"interrupted: {unfinished}") from error
     finally:
         for caught, handler in before.items():
             signal.signal(caught, handler)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import Plate
@@ -42,13 +42,13 @@ def read_layout(path: Path) -> Layout:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         No file that can be read, or lines that are no position: all of them.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+        raise ConfigurationError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     findings: list[str] = []
     places: dict[tuple[float, float], int] = {}
     for number, line in enumerate(lines, 1):
@@ -62,7 +62,7 @@ def read_layout(path: Path) -> Layout:
         else:
             places[place] = number
     if findings or not places:
-        raise ConfigError(*(findings or [f"{path}: no positions; give lines of x_mm,y_mm, as -6.1,4.2"]))
+        raise ConfigurationError(*(findings or [f"{path}: no positions; give lines of x_mm,y_mm, as -6.1,4.2"]))
     return _within_a_rectangle(np.array(list(places)) * 1e-3)
 
 
@@ -149,7 +149,7 @@ def planned_plate(text: str) -> Plate:
     """Return the plate that a text makes; PlanUsageError says what of it cannot be."""
     try:
         return load_model(Plate, TomlFile(Path("the planned plate"), text, tomllib.loads(text)))
-    except ConfigError as error:
+    except ConfigurationError as error:
         raise PlanUsageError(error.messages[0]) from None
 
 

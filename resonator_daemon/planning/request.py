@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR
@@ -170,7 +170,7 @@ def _named_plate(name: str | None) -> Plate | None:
         return None
     try:
         plate = load_plate(name)
-    except ConfigError as error:
+    except ConfigurationError as error:
         raise PlanUsageError(*(f"--plate: {message}" for message in error.messages)) from None
     if plate.signals != (FORCE_SIGNAL,) or plate.counter.kind != "single-tone":
         raise PlanUsageError(
@@ -188,7 +188,7 @@ def _layout(options: argparse.Namespace, plate: Plate | None) -> Layout:
         return grid_layout(columns, rows, 1e-3 * options.pitch_mm)
     try:
         return read_layout(options.sites)
-    except ConfigError as error:
+    except ConfigurationError as error:
         raise PlanUsageError(*(f"--sites: {message}" for message in error.messages)) from None
 
 

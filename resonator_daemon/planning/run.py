@@ -45,7 +45,7 @@ def plan_codes_as_asked(options: argparse.Namespace) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         Options that do not fit; a plan that cannot be fulfilled, after it was shown.
     """
     request = make_request(options)

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Final
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.embedded_delivery import Connection, StreamDelivery
 
 SHUTDOWN_TIMEOUT_S: Final = 2.0
@@ -20,14 +20,14 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
 
     Raises
     ------
-    OperatorError
+    UserError
         amqtt, which the broker is made of, is not installed.
     """
     try:
         from amqtt.adapters import StreamReaderAdapter
         from amqtt.broker import Broker
     except ImportError as error:
-        raise OperatorError("the embedded broker needs amqtt: pip install amqtt") from error
+        raise UserError("the embedded broker needs amqtt: pip install amqtt") from error
 
     for name in ("amqtt", "transitions"):
         logging.getLogger(name).setLevel(logging.CRITICAL)

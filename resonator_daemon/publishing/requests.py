@@ -8,7 +8,7 @@ from typing import Any, Final
 import aiomqtt
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import full_topic
@@ -17,21 +17,21 @@ REACH_S: Final = 5.0
 ANSWER_S: Final = 10.0
 
 
-class BrokerUnreachableError(OperatorError):
+class BrokerUnreachableError(UserError):
     """No broker listens where the configuration or the command line says."""
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_broker"
 
 
-class NoAnswerError(OperatorError):
+class NoAnswerError(UserError):
     """The daemon does not answer."""
 
     exit_code = ExitCode.FAILED
     code = "no_answer"
 
 
-class DeniedError(OperatorError):
+class DeniedError(UserError):
     """The broker's access rules do not let this user ask, or hear the answer."""
 
     exit_code = ExitCode.FAILED

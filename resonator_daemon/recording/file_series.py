@@ -14,7 +14,7 @@ from typing import Final
 
 from mcap.stream_reader import StreamReader
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.reader import MAX_RECORD_BYTES, Origin, read_header
 from resonator_daemon.recording.writer import RecordingWriter
@@ -34,7 +34,7 @@ def discard_line(_level: int, _text: str) -> None:
 _Version = tuple[int, int, int]
 
 
-class NoRoomError(OperatorError):
+class NoRoomError(UserError):
     """The disk has less room than is to be kept free."""
 
 
@@ -81,7 +81,7 @@ class Series:
 
         Raises
         ------
-        OperatorError
+        UserError
             It cannot be made.
         """
         try:
@@ -89,7 +89,7 @@ class Series:
             while os.path.lexists(path := self.path(utc_ns)):  # of a time before the host's clock was set back
                 utc_ns += _MS_NS
         except OSError as error:
-            raise OperatorError(f"{self.directory} cannot be made: {error.strerror}") from error
+            raise UserError(f"{self.directory} cannot be made: {error.strerror}") from error
         return RecordingWriter(path, origin, utc_ns)
 
     def files(self) -> list[Path]:
@@ -134,7 +134,7 @@ class Room:
         ------
         NoRoomError
             It is too little.
-        OperatorError
+        UserError
             The directory cannot be made.
         """
         directory, keep_bytes = self._series.directory, self._series.keep_free_bytes
@@ -142,7 +142,7 @@ class Room:
             directory.mkdir(parents=True, exist_ok=True)
             free_bytes = shutil.disk_usage(directory).free
         except OSError as error:
-            raise OperatorError(f"{directory} cannot be used: {error.strerror}") from error
+            raise UserError(f"{directory} cannot be used: {error.strerror}") from error
         if free_bytes < keep_bytes * (_AGAIN if again else 1.0):
             raise NoRoomError(
                 f"{directory} has {free_bytes / 1e6:.0f} MB left, and {keep_bytes / 1e6:.0f} MB are kept free "

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import Room, Say, Series, discard_line
 from resonator_daemon.recording.items import EVENT_BYTES, Item, State, size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
@@ -66,7 +66,7 @@ class Recorder:
 
     Raises
     ------
-    OperatorError
+    UserError
         The file cannot be made, or there is no room for it, and the series does not resume.
     """
 
@@ -100,7 +100,7 @@ class Recorder:
         self._file: RecordingWriter | None = None
         try:
             self._begin_file(read_host_time().utc_ns)
-        except OperatorError as error:
+        except UserError as error:
             if not self._resumes:
                 raise
             self._fail(str(error))
@@ -317,7 +317,7 @@ class Recorder:
             return
         try:
             self._begin_file(snapshot.now.utc_ns)
-        except OperatorError as error:
+        except UserError as error:
             self._fail(str(error))
             return
         if self._board is not None and snapshot.snapshot.running is not None and self._file is not None:
@@ -357,7 +357,7 @@ class Recorder:
             if self._room is not None:
                 self._room.keep_budget(self._file)
                 self._room.check(again=False)
-        except OperatorError as error:
+        except UserError as error:
             self._end_file(wait=False)
             self._fail(str(error))
         except Exception as error:  # noqa: BLE001 - as above

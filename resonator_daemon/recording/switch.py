@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder, RecordingCounts
@@ -22,11 +22,11 @@ KEPT_BYTES = 8 << 20  # half a second of a plate with 3072 tones and 100 frames/
 _EVENT_BYTES = 300  # of memory, beside its data
 
 
-class RecordingRunningError(OperatorError):
+class RecordingRunningError(UserError):
     """A recording runs already."""
 
 
-class NothingRecordedError(OperatorError):
+class NothingRecordedError(UserError):
     """No recording runs, or the one that did has failed."""
 
 
@@ -120,7 +120,7 @@ class RecordingSwitch:
         ------
         RecordingRunningError
             One runs.
-        OperatorError
+        UserError
             The file cannot be made, is there already, or there is no room for it, and the series does not resume.
         """
         with self._switching:

@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
 from resonator_daemon.recording.reader import (
@@ -60,7 +60,7 @@ class RecordingWriter:
 
     Raises
     ------
-    OperatorError
+    UserError
         It cannot be made, or is there already.
 
     Attributes
@@ -90,7 +90,7 @@ class RecordingWriter:
         except OSError as error:
             self.abandon()
             path.unlink(missing_ok=True)  # nothing is in it
-            raise OperatorError(f"{path} cannot be written: {error.strerror}") from error
+            raise UserError(f"{path} cannot be written: {error.strerror}") from error
 
     @property
     def size_bytes(self) -> int:

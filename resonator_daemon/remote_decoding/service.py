@@ -15,7 +15,7 @@ from urllib.parse import quote
 
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.health import ProcessUsage
@@ -47,7 +47,7 @@ _LAST_FRAME_S = 0.1  # to end a frame that is being decoded; a set-up takes long
 _ID_LENGTH_MAX = 80
 
 
-class CannotShareError(OperatorError):
+class CannotShareError(UserError):
     """The broker hands no frame to one of many."""
 
     exit_code = ExitCode.UNAVAILABLE
@@ -58,7 +58,7 @@ async def serve(config: DecoderConfig) -> None:
 
     Raises
     ------
-    OperatorError
+    UserError
         The broker cannot share plates among decoders.
     """
     process = DecoderProcess(config)
@@ -105,7 +105,7 @@ class DecoderProcess:
         )
         self._manager = ServiceManager()
         self._flow = FlowWatch()
-        self._fatal: OperatorError | None = None
+        self._fatal: UserError | None = None
         self._ending = asyncio.Event()
         self._state = (Condition.STARTING, "started")
         self._since_utc_ns = time.time_ns()
@@ -113,7 +113,7 @@ class DecoderProcess:
         self._process = ProcessUsage()
 
     async def run(self) -> None:
-        """Run until `stop`; raises what only the operator can mend."""
+        """Run until `stop`; raises UserError."""
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
         log.info("decoder %s takes %s", self.decoder_id, self._mode.topic_filter)
         self._say(*self._state)

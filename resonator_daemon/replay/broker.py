@@ -8,7 +8,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.publishing.codec import encode
@@ -28,7 +28,7 @@ WAITING_MAX: Final = 500  # messages; far below what would be dropped
 _TURN_S: Final = 1e-3
 
 
-class NameTakenError(OperatorError):
+class NameTakenError(UserError):
     """A daemon publishes under that name."""
 
     exit_code = ExitCode.UNAVAILABLE

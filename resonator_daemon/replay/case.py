@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field, NonNegativeInt, PositiveInt, ValidationError
 
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
 from resonator_daemon.replay.lines import payload_json
 from resonator_daemon.replay.outputs import OutputFailedError
@@ -124,7 +124,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
 
     Raises
     ------
-    LinkUnavailableError, ConfigError
+    LinkUnavailableError, ConfigurationError
         The recording cannot be replayed with what it carries.
     NoNewFileError
         The directory is there already.
@@ -214,7 +214,7 @@ def read_expected(directory: Path) -> Expected:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         There is no such case, or its file cannot be read.
     """
     path = directory / EXPECTED_FILE
@@ -222,18 +222,20 @@ def read_expected(directory: Path) -> Expected:
         lines = _objects(path)
         told = next(lines)
         if told["format"] != FORMAT:
-            raise ConfigError(f"{path} has format {told['format']!r}, this version reads {FORMAT}; save the case anew")
+            raise ConfigurationError(
+                f"{path} has format {told['format']!r}, this version reads {FORMAT}; save the case anew"
+            )
         head = _Head.model_validate(told)
         summary = {key: value for key, value in told.items() if key not in ("format", "sha256")}
         return Expected(summary, head.sha256, [ExpectedMessage.model_validate(line) for line in lines])
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "line"
-        raise ConfigError(f"{path} cannot be read ({key}: {first['msg']}); save the case anew") from error
+        raise ConfigurationError(f"{path} cannot be read ({key}: {first['msg']}); save the case anew") from error
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror or error}; cases are made by replay --save-case") from error
+        raise ConfigurationError(f"{path}: {error.strerror or error}; cases are made by replay --save-case") from error
     except (ValueError, EOFError, KeyError, TypeError, StopIteration, RecursionError) as error:
-        raise ConfigError(f"{path} cannot be read ({error}); save the case anew") from error
+        raise ConfigurationError(f"{path} cannot be read ({error}); save the case anew") from error
 
 
 def _objects(path: Path) -> Iterator[dict[str, Any]]:

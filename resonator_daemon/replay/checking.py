@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.publishing.topics import DECODED
@@ -70,9 +70,9 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         What is named is no case, or what it expects cannot be read.
-    InterruptedVerbError
+    InterruptedCommandError
         Ctrl-C came before the last one was checked.
     """
     verdicts: list[Verdict] = []
@@ -86,7 +86,7 @@ def check_cases(directories: Sequence[Path], *, as_json: bool) -> ExitCode:
     except KeyboardInterrupt:
         words = f"{len(verdicts)} of {len(set(directories))} cases checked, {_bad(verdicts)} differ"
         so_far = {"cases": [verdict.as_json() for verdict in verdicts]}
-        raise InterruptedVerbError(f"interrupted: {words}", so_far) from None
+        raise InterruptedCommandError(f"interrupted: {words}", so_far) from None
     bad = _bad(verdicts)
     if as_json:
         cases = [verdict.as_json() for verdict in verdicts]
@@ -105,7 +105,7 @@ def check_case(directory: Path, expected: Expected) -> Verdict:
     try:
         with open_playback(directory / RECORDING_FILE) as playback:
             outcome = play_whole(playback, expected.every)
-    except (LinkUnavailableError, ConfigError) as error:
+    except (LinkUnavailableError, ConfigurationError) as error:
         finding = Finding("recording", None, Difference("replay", "possible", str(error)))
         return Verdict(directory.name, 0, to_the_bit=False, differences=1, first=(finding,))
     findings = _findings(expected, outcome)

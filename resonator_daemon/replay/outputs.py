@@ -6,13 +6,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Literal, Protocol, Self, TextIO
 
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.new_file import NoNewFileError, check_new, takes_a_stream
 from resonator_daemon.replay.lines import line
 from resonator_daemon.replay.recorded_pipeline import Published
 
 
-class OutputFailedError(OperatorError):
+class OutputFailedError(UserError):
     """What the messages go to takes no more."""
 
     exit_code = ExitCode.FAILED

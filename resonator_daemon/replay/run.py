@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.config import Config, Mqtt, load_config, plate_name
-from resonator_daemon.errors import ConfigError, ExitCode, InterruptedVerbError, OperatorError, failure_told
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError, failure_told
 from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
@@ -33,7 +33,7 @@ from resonator_daemon.replay.span import Span, find_span
 from resonator_daemon.view.watch import broker_at
 
 
-class NotReplayableError(OperatorError):
+class NotReplayableError(UserError):
     """The file is no recording that can be replayed."""
 
     exit_code = ExitCode.UNAVAILABLE
@@ -59,7 +59,7 @@ def replay_as_asked(options: argparse.Namespace) -> ExitCode:
 
     Raises
     ------
-    OperatorError
+    UserError
         The file, the configuration or the options cannot be used; the broker or the file takes nothing.
     """
     check_options(options)
@@ -117,7 +117,7 @@ def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
     except KeyboardInterrupt:
         words = f"{tally.messages.total()} messages were played out, {tally.recorded_s:.1f} s of the recording"
         so_far = {"messages": dict(tally.messages), "seconds": round(tally.recorded_s, 3)}
-        raise InterruptedVerbError(f"interrupted: {words}", so_far) from None
+        raise InterruptedCommandError(f"interrupted: {words}", so_far) from None
 
 
 async def _play_out(
@@ -203,11 +203,11 @@ def _recorded_name(path: Path, config: Config | None) -> str:
             for published in moment.messages:
                 if isinstance(published.message, Info) and published.message.serial_number:
                     return published.message.serial_number
-    raise ConfigError(f"{path} tells neither the name of a daemon nor the serial number of a board; give --name")
+    raise ConfigurationError(f"{path} tells neither the name of a daemon nor the serial number of a board; give --name")
 
 
 def _sound(name: str) -> str:
     try:
         return plate_name(name)
     except ValueError as error:
-        raise ConfigError(f"name {name!r} {error}; give another by --name") from error
+        raise ConfigurationError(f"name {name!r} {error}; give another by --name") from error

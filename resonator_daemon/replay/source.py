@@ -8,7 +8,7 @@ from typing import Final, TypeVar
 
 from resonator_daemon.config import Config, parse_link
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
 from resonator_daemon.replay.recorded_pipeline import Playback
@@ -28,7 +28,7 @@ def open_playback(path: Path, config: Config | None = None, daemon_boot_id: str 
     ------
     LinkUnavailableError
         No such file, no recording, of another format, or of a plate whose frames are others.
-    ConfigError
+    ConfigurationError
         What it carries is damaged or does not suit this version, or a configuration is missing and it carries none.
     """
     with open_recording(str(path), config.plate if config else None) as recording:
@@ -42,11 +42,11 @@ def recorded_config(recording: Recording) -> Config:
     if recording.plate_text is None or recording.settings_text is None:
         if recording.damaged_attachments:
             raise _damaged(path, recording.damaged_attachments[0])
-        raise ConfigError(f"{path} does not carry its plate file and settings; give --config FILE")
+        raise ConfigurationError(f"{path} does not carry its plate file and settings; give --config FILE")
     try:
         link = parse_link(recording.header.get("link"))
     except ValueError as error:
-        raise ConfigError(f"{path}: link: {error}") from error
+        raise ConfigurationError(f"{path}: link: {error}") from error
     plate = _loaded(load_plate_text, recording.plate_text, path, PLATE_FILE)
     settings = _loaded(load_settings_text, recording.settings_text, path, SETTINGS_FILE)
     return config_of(plate, settings, link, name=recording.header.get("name"))
@@ -56,15 +56,15 @@ def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: s
     """Load a text that nobody can mend in its place, since it lies in the recording."""
     try:
         return load(text, path / name)
-    except ConfigError as error:
+    except ConfigurationError as error:
         try:
             tomllib.loads(text)
         except (ValueError, RecursionError):
             raise _damaged(path, name) from error
-        raise ConfigError(*error.messages, f"{path}: its {name} cannot be used; give --config FILE") from error
+        raise ConfigurationError(*error.messages, f"{path}: its {name} cannot be used; give --config FILE") from error
 
 
-def _damaged(path: Path, name: str) -> ConfigError:
-    return ConfigError(
+def _damaged(path: Path, name: str) -> ConfigurationError:
+    return ConfigurationError(
         f"{path}: its attachment {printable(name)} is damaged; give plate and settings with --config FILE"
     )

@@ -3,20 +3,20 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from resonator_daemon.errors import ExitCode, OperatorError
+from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.session.host_time import HostTime
 
 
-class NoSuchMarkError(OperatorError):
+class NoSuchMarkError(UserError):
     """The recording has no mark of this text."""
 
     exit_code = ExitCode.USAGE
     code = "no_mark"
 
 
-class BackwardSpanError(OperatorError):
+class BackwardSpanError(UserError):
     """The end of a part is not after its beginning."""
 
     exit_code = ExitCode.USAGE

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, Strict, TypeA
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails
 
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files.advice import advice
 from resonator_daemon.toml_files.limits import excess
 
@@ -59,30 +59,32 @@ def read_toml(path: Path) -> TomlFile:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         The file is missing, no regular file, longer than MAX_BYTES, not readable, not UTF-8 or not TOML.
     """
     try:
         if path.exists() and not path.is_file():  # opening a pipe would wait for ever, /dev/zero never ends
-            raise ConfigError(f"{named(path)}: not a regular file; name a TOML file")
+            raise ConfigurationError(f"{named(path)}: not a regular file; name a TOML file")
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise ConfigError(f"{named(path)}: no such file; give the path of an existing TOML file") from None
+        raise ConfigurationError(f"{named(path)}: no such file; give the path of an existing TOML file") from None
     except PermissionError:
-        raise ConfigError(f"{named(path)}: permission denied; let the user who runs this read it") from None
+        raise ConfigurationError(f"{named(path)}: permission denied; let the user who runs this read it") from None
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         reason = getattr(error, "strerror", None) or error
-        raise ConfigError(f"{named(path)}: cannot be read: {reason}; name a TOML file that can be read") from None
+        raise ConfigurationError(
+            f"{named(path)}: cannot be read: {reason}; name a TOML file that can be read"
+        ) from None
     if len(data) > MAX_BYTES:
-        raise ConfigError(f"{named(path)}: longer than {MAX_BYTES} bytes; name a TOML file of settings")
+        raise ConfigurationError(f"{named(path)}: longer than {MAX_BYTES} bytes; name a TOML file of settings")
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise ConfigError(f"{named(path)}:1: not UTF-8 but UTF-16; save the file as UTF-8")
+        raise ConfigurationError(f"{named(path)}:1: not UTF-8 but UTF-16; save the file as UTF-8")
     try:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise ConfigError(
+        raise ConfigurationError(
             f"{named(path)}:{line}: not UTF-8: byte 0x{data[error.start]:02x}; save the file as UTF-8"
         ) from None
     return parse_toml(text.removeprefix("\ufeff"), path)
@@ -93,11 +95,11 @@ def parse_toml(text: str, path: Path) -> TomlFile:
 
     Raises
     ------
-    ConfigError
+    ConfigurationError
         It is not TOML, or holds more than the parser can take in a few seconds.
     """
     if (much := excess(text)) is not None:
-        raise ConfigError(f"{named(path)}:{'' if much.line is None else f'{much.line}:'} {much.sentence}")
+        raise ConfigurationError(f"{named(path)}:{'' if much.line is None else f'{much.line}:'} {much.sentence}")
     try:
         return TomlFile(path, text, tomllib.loads(text))
     except ValueError as error:  # also of numbers and dates that Python cannot hold
@@ -105,11 +107,11 @@ def parse_toml(text: str, path: Path) -> TomlFile:
         number, column = (int(place[1]), int(place[2])) if place else (text.count("\n") + 1, 1)
         said = advice((text + "\n").split("\n")[number - 1], column, str(error))
         reason = "; ".join(filter(None, (" ".join(str(error).split())[:_LONGEST_REASON], said)))
-        raise ConfigError(f"{named(path)}:{number}: not TOML: {reason}") from None
+        raise ConfigurationError(f"{named(path)}:{number}: not TOML: {reason}") from None
 
 
 def load_model(model: type[Model], file: TomlFile, context: object = None) -> Model:
-    """Check a file against a model; ConfigError carries one line for each finding, in the order of the file.
+    """Check a file against a model; ConfigurationError carries one line for each finding, in the order of the file.
 
     Of more than MAX_FINDINGS the rest is counted.
     """
@@ -123,7 +125,7 @@ def load_model(model: type[Model], file: TomlFile, context: object = None) -> Mo
     told = [f"{name}:{f'{line}:' if line else ''} {_sentence(model, item)}" for line, item in placed[:MAX_FINDINGS]]
     if len(placed) > MAX_FINDINGS:
         told.append(f"{name}: {len(placed) - MAX_FINDINGS} more; mend the first ones first")
-    raise ConfigError(*told)
+    raise ConfigurationError(*told)
 
 
 def finding(key_path: KeyPath, value: object, sentence: str) -> InitErrorDetails:

@@ -12,7 +12,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
 from resonator_daemon.config import frame_bytes
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
@@ -240,13 +240,11 @@ class CodePlan:
         return said
 
     def write_picture(self, path: Path) -> None:
-        """Write plate and ladder to an SVG, PNG or PDF file; an OperatorError says what it lacks."""
+        """Write plate and ladder to an SVG, PNG or PDF file; an UserError says what it lacks."""
         try:
             from resonator_daemon.view.code_figure import write_code_figure
         except ModuleNotFoundError as error:
-            raise OperatorError(
-                f"--picture needs {error.name}, which is not installed: pip install matplotlib"
-            ) from error
+            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         write_code_figure(path, self.plate, self.codes, self.bands_hz(), self.guard.step, has_pilot=self.has_pilot)
 
 

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
 from resonator_daemon.elastic.sensor_sets import SensorSet
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.view.maps import side_by_side, traction_map
 from resonator_daemon.view.words import UNKNOWN, quantity
 
@@ -224,13 +224,11 @@ class SensorPlan:
         return np.concatenate([rows, rows.sum(axis=0)[None]])
 
     def write_picture(self, path: Path) -> None:
-        """Write the pictures to an SVG, PNG or PDF file; an OperatorError says what it lacks."""
+        """Write the pictures to an SVG, PNG or PDF file; an UserError says what it lacks."""
         try:
             from resonator_daemon.view.density_figure import write_density_figure
         except ModuleNotFoundError as error:
-            raise OperatorError(
-                f"--picture needs {error.name}, which is not installed: pip install matplotlib"
-            ) from error
+            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         omega = np.linspace(-1.0, 1.0, _FIGURE_PIXELS) * _EDGE_IN_DEPTHS / self._sensors.depth_m
         title = f"Power density {_mm(self._sensors.depth_m)} mm deep, dark is strong"
         power = self._power(omega)

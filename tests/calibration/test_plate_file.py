@@ -19,7 +19,7 @@ from resonator_daemon.calibration.plate_file import (
     write_plate_file,
 )
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
 RECORD = Record(
@@ -82,7 +82,7 @@ def test_a_text_that_is_no_plate_file_changes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "plate.toml"
     path.write_text("before")
     text = with_record(SHIPPED.read_text(), RECORD)
-    with pytest.raises(ConfigError, match="force_max_newton"):
+    with pytest.raises(ConfigurationError, match="force_max_newton"):
         write_plate_file(text.replace("force_max_newton = 10", "force_max_newton = -1"), path)
     assert path.read_text() == "before"
     assert os.listdir(tmp_path) == ["plate.toml"]

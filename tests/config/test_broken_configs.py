@@ -7,7 +7,7 @@ import pytest
 from resonator_daemon.config import load_config
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import load_checked
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
 TOP = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
@@ -208,7 +208,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(("text", "key", "remedy"), [case[1:] for case in BROKEN], ids=[case[0] for case in BROKEN])
 def test_the_message_names_key_and_remedy(folder: Path, text: str, key: str, remedy: str) -> None:
     (folder / "board.toml").write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         load_checked(folder / "board.toml")
     told = "\n".join(caught.value.messages)
     assert [message for message in caught.value.messages if key in message and remedy in message], told

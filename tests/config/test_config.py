@@ -19,7 +19,7 @@ from resonator_daemon.config import (
     load_config,
     parse_link,
 )
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.plate import Plate, load_plate
 
 MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
@@ -53,7 +53,7 @@ def loaded(tmp_path: Path, text: str) -> Config:
 
 def refusals(tmp_path: Path, text: str) -> list[str]:
     """Return the messages without the path that each begins with."""
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         loaded(tmp_path, text)
     start = f"{tmp_path / 'board.toml'}:"
     assert all(message.startswith(start) and "\n" not in message for message in caught.value.messages)
@@ -285,14 +285,14 @@ def test_an_empty_file_lacks_plate_and_link(tmp_path: Path) -> None:
 
 
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"gone\.toml: no such file") as caught:
+    with pytest.raises(ConfigurationError, match=r"gone\.toml: no such file") as caught:
         load_config(tmp_path / "gone.toml")
     assert caught.value.exit_code is ExitCode.CONFIG
-    with pytest.raises(ConfigError, match="not a regular file"):
+    with pytest.raises(ConfigurationError, match="not a regular file"):
         load_config(tmp_path)
     assert refusals(tmp_path, 'plate = "quartz16"\nlink = \n')[0].startswith("2: not TOML: Invalid value")
     (tmp_path / "latin.toml").write_bytes(b'plate = "quartz16"\nname = "\xe9"\n')
-    with pytest.raises(ConfigError, match=r"latin\.toml:2: not UTF-8: byte 0xe9"):
+    with pytest.raises(ConfigurationError, match=r"latin\.toml:2: not UTF-8: byte 0xe9"):
         load_config(tmp_path / "latin.toml")
 
 
@@ -419,7 +419,7 @@ def test_whatever_is_written_is_a_config_or_an_operators_error(
     path.write_bytes(text.encode(errors="surrogatepass"))
     try:
         config = load_config(path)
-    except ConfigError as error:
+    except ConfigurationError as error:
         messages = error.messages
     else:
         messages = ()
@@ -450,7 +450,7 @@ def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, cha
     path.write_text("\n".join(lines), encoding="utf-8")
     try:
         config = load_config(path)
-    except ConfigError as error:
+    except ConfigurationError as error:
         messages = error.messages
     else:
         messages = ()
@@ -467,5 +467,5 @@ def test_an_expired_calibration_is_noted(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["decoder", ".", ".."])
 def test_names_that_mean_something_else_are_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ConfigError, match="choose another"):
+    with pytest.raises(ConfigurationError, match="choose another"):
         loaded(tmp_path, example_config().replace('"left-index"', f'"{name}"'))

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.config import Config, Listen, load_config
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 
 BASE = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
@@ -17,7 +17,7 @@ def loaded(tmp_path: Path, text: str) -> Config:
 
 
 def refusal(tmp_path: Path, text: str) -> str:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         loaded(tmp_path, text)
     (message,) = caught.value.messages
     return message.removeprefix(f"{tmp_path / 'board.toml'}:")

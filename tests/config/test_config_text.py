@@ -7,7 +7,7 @@ import pytest
 
 from resonator_daemon.config import Config, Mqtt, ReplayLink, load_config
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import Coupling, load_plate, shipped_plates
 
 ORIGIN = Path("run.mcap/plate.toml")
@@ -76,14 +76,14 @@ def test_a_configuration_of_a_recordings_parts(tmp_path: Path) -> None:
 
 def test_parts_that_do_not_suit_each_other(tmp_path: Path) -> None:
     settings = load_settings_text("[measurement]\nwindow_ms = 10.5\n[decoding]\n", ORIGIN)
-    with pytest.raises(ConfigError, match=r"measurement\.window_ms: got 10\.5; must be a whole number of frame"):
+    with pytest.raises(ConfigurationError, match=r"measurement\.window_ms: got 10\.5; must be a whole number of frame"):
         config_of(load_plate("quartz16"), settings, LINK)
 
 
 def test_damaged_texts_are_an_operators_error() -> None:
-    with pytest.raises(ConfigError, match=r"run\.mcap/plate\.toml:1: not TOML"):
+    with pytest.raises(ConfigurationError, match=r"run\.mcap/plate\.toml:1: not TOML"):
         load_plate_text("format = ", ORIGIN)
-    with pytest.raises(ConfigError, match=r"run\.mcap/plate\.toml: format: missing"):
+    with pytest.raises(ConfigurationError, match=r"run\.mcap/plate\.toml: format: missing"):
         load_plate_text("", ORIGIN)
-    with pytest.raises(ConfigError, match="measurement: missing"):
+    with pytest.raises(ConfigurationError, match="measurement: missing"):
         load_settings_text("", ORIGIN)

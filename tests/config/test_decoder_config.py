@@ -6,7 +6,7 @@ import pytest
 
 from resonator_daemon.config import example_config
 from resonator_daemon.config.decoder import DecoderConfig, load_decoder_config
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 
 
 def loaded(tmp_path: Path, text: str) -> DecoderConfig:
@@ -16,7 +16,7 @@ def loaded(tmp_path: Path, text: str) -> DecoderConfig:
 
 
 def refused(tmp_path: Path, text: str) -> tuple[str, ...]:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigurationError) as raised:
         loaded(tmp_path, text)
     return tuple(message.partition("decoder.toml:")[2] for message in raised.value.messages)
 
@@ -62,7 +62,7 @@ def test_each_finding_is_one_sentence_with_its_line(tmp_path: Path, text: str, s
         assert message.startswith(sentence)
 
 
-def _error(tmp_path: Path) -> ConfigError:
-    with pytest.raises(ConfigError) as raised:
+def _error(tmp_path: Path) -> ConfigurationError:
+    with pytest.raises(ConfigurationError) as raised:
         loaded(tmp_path, "")
     return raised.value

@@ -9,7 +9,7 @@ import trustme
 
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.broker_files import BrokerFile, UnusableFileError, read_password
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 
 BOARD = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n[mqtt]\n'
 FIRST = 4  # line of the first key
@@ -36,7 +36,7 @@ def loaded(tmp_path: Path, table: str) -> Config:
 
 def refusals(tmp_path: Path, table: str) -> list[str]:
     """Return the messages without the file's path, with the line counted within the table."""
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         loaded(tmp_path, table)
     messages = [message.removeprefix(f"{tmp_path / 'board.toml'}:").partition(":") for message in caught.value.messages]
     return [f"{int(line) - FIRST + 1}:{text}".replace(f"{tmp_path}/", "") for line, _, text in messages]

@@ -20,7 +20,7 @@ from typing import Final
 
 from resonator_daemon.config import Measurement, parse_link
 from resonator_daemon.config.text import config_of, load_settings_text, plate_text, settings_text
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.pipeline.control_requests import Control, MeasureOver, Tare
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.reader import Origin
@@ -233,5 +233,5 @@ def main(arguments: list[str]) -> None:
 if __name__ == "__main__":
     try:
         main(sys.argv[1:])
-    except OperatorError as error:
+    except UserError as error:
         sys.exit(str(error))

@@ -6,7 +6,7 @@ import pytest
 
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 
 GOOD = 'name = "left"\nplate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
@@ -69,7 +69,7 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
 
 def test_without_a_copy_a_bad_file_is_refused(path: Path) -> None:
     path.write_text(GOOD + "wrong = 1\n")
-    with pytest.raises(ConfigError, match="wrong: unknown key"):
+    with pytest.raises(ConfigurationError, match="wrong: unknown key"):
         in_use(path)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.daemon.config_store import ConfigStore, load_checked
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.plate import load_plate
 
 GOOD = (
@@ -37,7 +37,7 @@ def copies(path: Path) -> list[Path]:
 
 
 def refused(path: Path) -> tuple[str, ...]:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         store(path).load()
     return caught.value.messages
 
@@ -119,7 +119,7 @@ def test_another_file_of_the_same_name_has_a_copy_of_its_own(path: Path) -> None
     other = path.parent / "other" / "left.toml"
     other.parent.mkdir()
     other.write_text("bad\n")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         ConfigStore(other, path.parent / "state" / "last-good").load()
     assert len(caught.value.messages) == 1  # nothing is said of a copy
 
@@ -130,7 +130,7 @@ def test_the_newest_good_one_counts(path: Path) -> None:
     path.write_text(GOOD.replace('"left"', '"right"'))
     assert keeper.reload().config.name == "right"
     path.write_text("bad\n")
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigurationError):
         keeper.reload()
     assert store(path).load().config.name == "right"
     assert len(copies(path)) == 1
@@ -193,7 +193,7 @@ def test_codes_that_overlap_are_a_problem_of_the_file(path: Path) -> None:
     twin = second.model_copy(update={"tones": first.tones})
     plate = plate.model_copy(update={"sites": (first, twin, *plate.sites[2:])})
     (path.parent / "own.toml").write_text(plate_text(plate))
-    with pytest.raises(ConfigError, match="can be mistaken for each other"):
+    with pytest.raises(ConfigurationError, match="can be mistaken for each other"):
         load_checked(path)
     assert "can be mistaken for each other" in store(path).load().problems[0]
 

@@ -18,7 +18,7 @@ from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.daemon.daemon import Service
-from resonator_daemon.errors import ConfigError, ExitCode, IncompatibleBoardError
+from resonator_daemon.errors import ConfigurationError, ExitCode, IncompatibleBoardError
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import Arrival, BoardLogLine
 from simulators.faults import parse_faults
@@ -249,13 +249,15 @@ async def test_without_a_name_the_serial_number_is_the_topic(bench: Bench, mosqu
 async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
     async with bench.emulated(scenario="still"):
-        with pytest.raises(ConfigError, match=r"serial number .EMU\+1. .*; set name in the configuration"):
+        with pytest.raises(ConfigurationError, match=r"serial number .EMU\+1. .*; set name in the configuration"):
             await bench.service(name=None).run()
 
 
 async def test_a_board_for_another_plate_ends_the_daemon(bench: Bench, mosquitto: Mosquitto) -> None:
     async with bench.emulated(scenario="still", tcp=("127.0.0.1", 0)) as emulator, observe(mosquitto.url) as heard:
-        with pytest.raises(ConfigError, match="the board describes quartz16, the plate file has skin32") as refused:
+        with pytest.raises(
+            ConfigurationError, match="the board describes quartz16, the plate file has skin32"
+        ) as refused:
             await bench.service("skin32", emulator.link.address).run()
         await heard.until_last("resonator/hand/state/link", state="refused")
     assert refused.value.exit_code == ExitCode.CONFIG

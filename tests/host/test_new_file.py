@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.errors import InterruptedVerbError, OperatorError
+from resonator_daemon.errors import InterruptedCommandError, UserError
 from resonator_daemon.host.new_file import NewFile, interruptible
 
 
@@ -30,7 +30,7 @@ def test_a_signal_is_cleaned_up_after_once_and_said(tmp_path: Path, number: sign
                 new.discard()
                 cleaned.append(True)
 
-    with pytest.raises(InterruptedVerbError, match=r"^interrupted: nothing is kept$") as caught:
+    with pytest.raises(InterruptedCommandError, match=r"^interrupted: nothing is kept$") as caught:
         make()
     assert caught.value.exit_code == 1
     assert cleaned == [True]
@@ -66,7 +66,7 @@ def test_a_file_gets_its_name_once_it_is_whole(tmp_path: Path) -> None:
     new = NewFile(path)
     new.file.write(b"12345")
     assert not path.exists()
-    with pytest.raises(OperatorError, match=r"out\.part is there: it is being written, or what wrote it was killed"):
+    with pytest.raises(UserError, match=r"out\.part is there: it is being written, or what wrote it was killed"):
         NewFile(path)
     assert new.keep() == 5
     assert [file.name for file in tmp_path.iterdir()] == ["out"]
@@ -77,7 +77,7 @@ def test_what_came_meanwhile_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "out"
     new = NewFile(path)
     path.write_text("mine")
-    with pytest.raises(OperatorError, match="is there already, and nothing is overwritten"):
+    with pytest.raises(UserError, match="is there already, and nothing is overwritten"):
         new.keep()
     new.discard()
     assert [file.read_text() for file in tmp_path.iterdir()] == ["mine"]

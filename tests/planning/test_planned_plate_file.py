@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.planning.plate_file import (
     PlateDraft,
     grid_layout,
@@ -65,7 +65,7 @@ def test_positions_are_read_from_lines(tmp_path: Path, first: str) -> None:
 def test_every_line_that_is_no_position_is_named(tmp_path: Path, text: str, complaints: list[str]) -> None:
     path = tmp_path / "sites.csv"
     path.write_text(text)
-    with pytest.raises(ConfigError) as refused:
+    with pytest.raises(ConfigurationError) as refused:
         read_layout(path)
     assert len(refused.value.messages) == len(complaints)
     for message, complaint in zip(refused.value.messages, complaints, strict=True):
@@ -73,8 +73,8 @@ def test_every_line_that_is_no_position_is_named(tmp_path: Path, text: str, comp
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"none\.csv: cannot be read: No such file"):
+    with pytest.raises(ConfigurationError, match=r"none\.csv: cannot be read: No such file"):
         read_layout(tmp_path / "none.csv")
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe1,2")
-    with pytest.raises(ConfigError, match=r"bytes\.csv: cannot be read"):
+    with pytest.raises(ConfigurationError, match=r"bytes\.csv: cannot be read"):
         read_layout(tmp_path / "bytes.csv")

@@ -11,7 +11,7 @@ from mqtt_helpers import until
 from observer import observe
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.embedded_broker import embedded_broker
 
 
@@ -48,6 +48,6 @@ async def test_it_is_quiet_and_stops_at_once_with_clients_connected(caplog: pyte
 
 async def test_what_to_install_where_amqtt_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "amqtt.broker", None)
-    with pytest.raises(OperatorError, match=r"pip install amqtt"):
+    with pytest.raises(UserError, match=r"pip install amqtt"):
         async with embedded_broker():
             pass

@@ -22,7 +22,7 @@ from mcap.writer import Writer
 from recording_bench import PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording import recorder as recording
@@ -143,10 +143,10 @@ def test_the_file_says_what_it_is_of_and_which_board_it_was(tmp_path: Path) -> N
 def test_a_file_that_is_there_is_left_alone(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(b"precious")
-    with pytest.raises(OperatorError, match=r"run\.mcap is there already, and nothing is overwritten"):
+    with pytest.raises(UserError, match=r"run\.mcap is there already, and nothing is overwritten"):
         Recorder(path, Origin(PLATE, "tcp://board:1"))
     assert path.read_bytes() == b"precious"
-    with pytest.raises(OperatorError, match="cannot be written: No such file or directory"):
+    with pytest.raises(UserError, match="cannot be written: No such file or directory"):
         Recorder(tmp_path / "no" / "run.mcap", Origin(PLATE, "tcp://board:1"))
 
 

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import pytest
 from recording_bench import PLATE, at, made, read, record, snapshot
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import writer as recording_writer
@@ -190,7 +190,7 @@ def test_without_room_a_recording_is_not_begun(tmp_path: Path, monkeypatch: pyte
         Recorder(Series(tmp_path, "left", keep_free_bytes=2), LEFT)
     assert list(tmp_path.iterdir()) == []
     (tmp_path / "file").touch()
-    with pytest.raises(OperatorError, match="cannot be used: Not a directory"):
+    with pytest.raises(UserError, match="cannot be used: Not a directory"):
         Recorder(Series(tmp_path / "file" / "deep", "left"), LEFT)
 
 

@@ -18,7 +18,7 @@ from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
 from resonator_daemon.config import LinkTarget, SerialLink, parse_link
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
@@ -233,7 +233,7 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     assert before_ns <= now.since_utc_ns <= time.time_ns()
     switch.close()
     assert switch.current is None
-    with pytest.raises(OperatorError, match=r"one\.mcap is there already, and nothing is overwritten"):
+    with pytest.raises(UserError, match=r"one\.mcap is there already, and nothing is overwritten"):
         switch.start(tmp_path / "one.mcap", ORIGIN)
     assert switch.current is None
 

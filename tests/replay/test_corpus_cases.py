@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from resonator_daemon.commands import main
-from resonator_daemon.errors import ConfigError, ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.new_file import NoNewFileError
 from resonator_daemon.publishing.payloads import ContactEvent, Forces, Message, Status
 from resonator_daemon.replay.case import EXPECTED_FILE, play_whole, read_expected, save_case
@@ -196,7 +196,7 @@ def test_a_recording_that_cannot_be_replayed_is_a_difference(tmp_path: Path) -> 
 def test_what_is_no_case_is_said(tmp_path: Path, content: bytes | None) -> None:
     if content is not None:
         (tmp_path / EXPECTED_FILE).write_bytes(content)
-    with pytest.raises(ConfigError, match=EXPECTED_FILE):
+    with pytest.raises(ConfigurationError, match=EXPECTED_FILE):
         read_expected(tmp_path)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from usb_bench import SERIAL_NUMBER, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from simulators import usb_link
 from simulators.usb_link import UsbLink
 
@@ -136,9 +136,9 @@ def test_what_is_missing_is_said_with_the_packages_to_install(monkeypatch: pytes
     packages = r"apt-get install umockdev gir1\.2-umockdev-1\.0 python3-gi libusb-1\.0-0$"
     descriptors = os.listdir("/proc/self/fd")
     monkeypatch.setattr(usb_link, "_PYTHON", "/usr/bin/no-python")
-    with pytest.raises(OperatorError, match=r"^/usr/bin/no-python cannot be started \(No such file.*\); " + packages):
+    with pytest.raises(UserError, match=r"^/usr/bin/no-python cannot be started \(No such file.*\); " + packages):
         UsbLink(SERIAL_NUMBER, lambda: None)
     monkeypatch.setattr(usb_link, "_PYTHON", sys.executable)  # an environment without gi
-    with pytest.raises(OperatorError, match=r"No module named 'gi'; " + packages):
+    with pytest.raises(UserError, match=r"No module named 'gi'; " + packages):
         UsbLink(SERIAL_NUMBER, lambda: None)
     assert os.listdir("/proc/self/fd") == descriptors

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from pydantic import Field
 
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files.reading import (
     MAX_BYTES,
     MAX_FINDINGS,
@@ -37,7 +37,7 @@ class Tree(Table):
 def messages(tmp_path: Path, data: bytes) -> list[str]:
     path = tmp_path / "tree.toml"
     path.write_bytes(data)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         load_model(Tree, read_toml(path))
     return [message.removeprefix(str(path)) for message in caught.value.messages]
 
@@ -96,20 +96,20 @@ def test_what_is_no_toml(tmp_path: Path, data: bytes, expected: str) -> None:
 
 
 def test_a_missing_file_a_directory_and_an_impossible_path(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"gone\.toml: no such file"):
+    with pytest.raises(ConfigurationError, match=r"gone\.toml: no such file"):
         read_toml(tmp_path / "gone.toml")
-    with pytest.raises(ConfigError, match="not a regular file"):
+    with pytest.raises(ConfigurationError, match="not a regular file"):
         read_toml(tmp_path)
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
         read_toml(Path("a\0b"))
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(ConfigurationError, match="cannot be read"):
         read_toml(tmp_path / ("x" * 5000))
 
 
 def test_a_link_to_itself_is_named_as_any_file(tmp_path: Path) -> None:
     path = tmp_path / "a.toml"
     path.symlink_to(path)
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         read_toml(path)
     assert caught.value.messages == (
         f"{path}: cannot be read: Too many levels of symbolic links; name a TOML file that can be read",
@@ -129,11 +129,11 @@ def test_values_are_shown_short_and_without_a_password() -> None:
 def test_what_is_no_file_of_settings_is_not_read_to_its_end(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for place in (tmp_path / "pipe", Path("/dev/zero")):
-        with pytest.raises(ConfigError, match="not a regular file; name a TOML file"):
+        with pytest.raises(ConfigurationError, match="not a regular file; name a TOML file"):
             read_toml(place)
     with (tmp_path / "huge.toml").open("wb") as file:
         file.truncate(100 << 20)
-    with pytest.raises(ConfigError, match=r"huge\.toml: longer than 10000000 bytes"):
+    with pytest.raises(ConfigurationError, match=r"huge\.toml: longer than 10000000 bytes"):
         read_toml(tmp_path / "huge.toml")
     (tmp_path / "long.toml").write_bytes(b"#" * MAX_BYTES)
     assert read_toml(tmp_path / "long.toml").content == {}
@@ -144,7 +144,7 @@ def test_what_windows_programs_write(tmp_path: Path) -> None:
     path.write_bytes("a = 1\r\nb = 'ü'\r\n".encode("utf-8-sig"))
     assert read_toml(path).content == {"a": 1, "b": "ü"}
     path.write_bytes("a = 1\r\n".encode("utf-16"))
-    with pytest.raises(ConfigError, match=r"tree\.toml:1: not UTF-8 but UTF-16; save the file as UTF-8"):
+    with pytest.raises(ConfigurationError, match=r"tree\.toml:1: not UTF-8 but UTF-16; save the file as UTF-8"):
         read_toml(path)
 
 
@@ -154,21 +154,21 @@ def test_a_file_that_may_not_be_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     (tmp_path / "tree.toml").touch()
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(ConfigError, match=r"tree\.toml: permission denied; let the user who runs this read it"):
+    with pytest.raises(ConfigurationError, match=r"tree\.toml: permission denied; let the user who runs this read it"):
         read_toml(tmp_path / "tree.toml")
 
 
 def test_a_name_of_a_file_commands_no_terminal(tmp_path: Path) -> None:
     path = tmp_path / "a\x1b[2J\n.toml"
     path.write_text("depth_mm = 'a'\n")
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         load_model(Leaf, read_toml(path))
     assert str(caught.value).isprintable()
 
 
 def test_text_without_a_file() -> None:
     assert parse_toml("a = 1", Path("x")).content == {"a": 1}
-    with pytest.raises(ConfigError, match=r"^x/y:1: not TOML"):
+    with pytest.raises(ConfigurationError, match=r"^x/y:1: not TOML"):
         parse_toml("a", Path("x/y"))
 
 
@@ -178,13 +178,13 @@ class Told(Table):
 
 
 def test_what_is_missing_is_told_with_an_example() -> None:
-    with pytest.raises(ConfigError, match=r"^x: depth_mm: missing; give how deep, as depth_mm = 2$"):
+    with pytest.raises(ConfigurationError, match=r"^x: depth_mm: missing; give how deep, as depth_mm = 2$"):
         load_model(Told, parse_toml("", Path("x")))
 
 
 def test_a_key_of_the_top_in_a_table_belongs_above() -> None:
     with pytest.raises(
-        ConfigError, match=r"^x:2: trunk\.branches: unknown key; did you mean branches\? It belongs above"
+        ConfigurationError, match=r"^x:2: trunk\.branches: unknown key; did you mean branches\? It belongs above"
     ):
         load_model(Tree, parse_toml("[trunk]\nbranches = 1\n", Path("x")))
 

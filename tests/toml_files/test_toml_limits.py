@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.config.text import load_settings_text
-from resonator_daemon.errors import ConfigError
+from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files import limits as toml_limits
 from resonator_daemon.toml_files.limits import (
     LONGEST_WORD,
@@ -23,7 +23,7 @@ PATH = Path("x.toml")
 
 
 def refusal(text: str) -> str:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(ConfigurationError) as caught:
         parse_toml(text, PATH)
     (message,) = caught.value.messages
     return message
@@ -153,5 +153,5 @@ def test_headers_and_rows_are_not_within_each_other() -> None:
 
 @pytest.mark.parametrize("depth", [100, 400, 480, 10_000])
 def test_deep_lists_are_refused_with_a_sentence(depth: int) -> None:
-    with pytest.raises(ConfigError, match=r"x\.toml"):
+    with pytest.raises(ConfigurationError, match=r"x\.toml"):
         load_settings_text("measurement = " + "[" * depth + "]" * depth, PATH)

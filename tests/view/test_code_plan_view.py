@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
@@ -105,5 +105,5 @@ def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypa
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
     monkeypatch.delitem(sys.modules, "resonator_daemon.view.code_figure", raising=False)
-    with pytest.raises(OperatorError, match=r"matplotlib.*pip install matplotlib"):
+    with pytest.raises(UserError, match=r"matplotlib.*pip install matplotlib"):
         make_plan().write_picture(tmp_path / "codes.png")

@@ -14,7 +14,7 @@ from rich.console import Console
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.elastic.sensor_resolution import SensorArray
 from resonator_daemon.elastic.sensor_sets import CANDIDATES, SensorSet
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.view import sensor_plan
 from resonator_daemon.view.sensor_plan import FEATURES_M, SensorPlan
 
@@ -150,5 +150,5 @@ def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypa
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
     monkeypatch.delitem(sys.modules, "resonator_daemon.view.density_figure", raising=False)
-    with pytest.raises(OperatorError, match=r"matplotlib.*pip install matplotlib"):
+    with pytest.raises(UserError, match=r"matplotlib.*pip install matplotlib"):
         plan("p_n").write_picture(tmp_path / "set.png")

@@ -17,7 +17,7 @@ import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
 from resonator_daemon.config import Mqtt, load_client
-from resonator_daemon.errors import OperatorError
+from resonator_daemon.errors import UserError
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -194,7 +194,7 @@ class Screen:
     ],
 )
 async def test_addresses_that_cannot_be_used_are_refused(url: str, prefix: str, message: str) -> None:
-    with pytest.raises(OperatorError) as refused:
+    with pytest.raises(UserError) as refused:
         await watch(broker_at(url, prefix), as_json=True)
     (line,) = refused.value.messages
     assert message in line
