@@ -1,12 +1,12 @@
 """Patches over time: which one of a frame is which of the frame before."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.patches import Patch
 
 _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
@@ -14,7 +14,7 @@ _LEAST_REACH_M = 1e-3  # that a patch may move between frames; else its radius
 
 @dataclass
 class _Track:
-    centroid_m: Floats
+    centroid_m: list[float]
     reach_m: float
     missed: int = 0
 
@@ -52,25 +52,29 @@ class PatchTracker:
     def update(self, patches: Sequence[Patch]) -> dict[int, Patch]:
         """Patches of a frame by id, ids counting up from 1; matched so that their moves are least in total."""
         ids = list(self._tracks)
-        found: dict[int, Patch] = {}
-        left = list(patches)
-        if ids and patches:
-            moves = np.array(
-                [[np.hypot(*(patch.centroid_m - self._tracks[i].centroid_m)) for patch in patches] for i in ids]
-            )
-            reach = np.array([self._tracks[i].reach_m for i in ids])[:, None]
-            # A move beyond reach costs as much as all others together, so that it never displaces one within.
-            cost = np.where(moves <= reach, moves, reach.max() * (1 + moves.size))
-            for row, column in zip(*linear_sum_assignment(cost), strict=True):
-                if moves[row, column] <= reach[row, 0]:
-                    found[ids[row]] = patches[int(column)]
-            left = [patch for patch in patches if not any(patch is taken for taken in found.values())]
-        for patch in left:
-            self.last_id += 1
-            found[self.last_id] = patch
-        for i in ids:
-            self._tracks[i].missed += 1
-        for i, patch in found.items():
-            self._tracks[i] = _Track(patch.centroid_m, max(patch.radius_m, _LEAST_REACH_M))
+        centroids_m = [patch.centroid_m.tolist() for patch in patches]
+        moves_m = [[math.dist(self._tracks[i].centroid_m, centroid_m) for centroid_m in centroids_m] for i in ids]
+        matched = _match(moves_m, [self._tracks[i].reach_m for i in ids]) if ids and patches else {}
+        id_of = {column: ids[row] for row, column in matched.items()}
+        for column in range(len(patches)):
+            if column not in id_of:
+                self.last_id += 1
+                id_of[column] = self.last_id
+        for track in self._tracks.values():
+            track.missed += 1
+        for column, i in id_of.items():
+            self._tracks[i] = _Track(centroids_m[column], max(patches[column].radius_m, _LEAST_REACH_M))
         self._tracks = {i: track for i, track in self._tracks.items() if track.missed <= self._patience}
-        return found
+        return {i: patches[column] for column, i in id_of.items()}
+
+
+def _match(moves_m: list[list[float]], reach_m: list[float]) -> dict[int, int]:
+    """Assign columns to rows so that the moves within each row's reach are least in total."""
+    if len(moves_m) == len(moves_m[0]) == 1:
+        pairs = [(0, 0)]
+    else:
+        moves, reach = np.array(moves_m), np.array(reach_m)[:, None]
+        # A move beyond reach costs as much as all others together, so that it never displaces one within.
+        cost = np.where(moves <= reach, moves, reach.max() * (1 + moves.size))
+        pairs = [(int(row), int(column)) for row, column in zip(*linear_sum_assignment(cost), strict=True)]
+    return {row: column for row, column in pairs if moves_m[row][column] <= reach_m[row]}

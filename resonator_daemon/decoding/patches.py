@@ -1,5 +1,6 @@
 """Contact patches of a decoded map: which places belong to each, its area, centroid, net force and moment."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -62,7 +63,7 @@ class Patch:
     @property
     def radius_m(self) -> float:
         """Of a disc of the same area."""
-        return float(np.sqrt(self.area_m2 / np.pi))
+        return math.sqrt(self.area_m2 / math.pi)
 
 
 class PatchFinder:
@@ -128,12 +129,14 @@ class PatchFinder:
         peak = float(pressure_pascal.max())
         if not peak > 0.0:
             return []
-        high = np.flatnonzero(pressure_pascal >= _PEAK * peak)
-        high = high[pressure_pascal[high] >= _SIGNIFICANCE * std_pascal[high]]
-        if not high.size:
+        above = pressure_pascal > _THRESHOLD * peak
+        places = np.flatnonzero(above)
+        heights = pressure_pascal.take(places)
+        high = (heights >= _PEAK * peak) & (heights >= _SIGNIFICANCE * std_pascal.take(places))
+        if not high.any():
             return []
-        labels = self._labels(pressure_pascal > _THRESHOLD * peak)
-        regions = [np.flatnonzero(labels == label) for label in sorted(set(labels[high].tolist()))]
+        labels = self._labels(above).take(places)
+        regions = [places[labels == label] for label in sorted(set(labels[high].tolist()))]
         return [region for region in regions if region.size >= _LEAST_PLACES]
 
     def sums(self, regions: Sequence[Places], traction_pascal: Floats, std_pascal: Floats) -> list[NetLoad]:
@@ -154,8 +157,8 @@ class PatchFinder:
     def patch(self, region: Places, load: NetLoad) -> Patch:
         """Patch of a region that bears a load."""
         return Patch(
-            area_m2=float(self._area_m2[region].sum()),
-            at_border=bool(self._border[region].any()),
+            area_m2=float(self._area_m2.take(region).sum()),
+            at_border=bool(self._border.take(region).any()),
             places=region,
             **vars(load),
         )

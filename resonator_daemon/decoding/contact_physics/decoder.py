@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
     UNKNOWN_FRICTION,
@@ -26,8 +26,6 @@ from resonator_daemon.decoding.contact_physics.support_search import Frame, Line
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.linear_map import Estimate
 from resonator_daemon.decoding.patches import NetLoad
-
-Mask = NDArray[np.bool_]
 
 _ESTIMATE_MARGIN = 1.4  # too small a coefficient does far more harm than too large a one
 _SIGNIFICANT = 5.0  # standard deviations of the peak of pressure
@@ -152,33 +150,28 @@ class ContactDecoder:
         decoded = [self._decode(frame, displacement) for frame in frames.reshape(-1, *frames.shape[-axes:])]
         return Decoded.stack(decoded, leading, decoded[0].traction_pascal.shape) if leading else decoded[0]
 
-    def net_loads(self, contacts: Sequence[Mask], about_m: tuple[float, float]) -> list[NetLoad | None]:
-        """Force and moment of contacts in the frame decoded last, each named by some of its places.
+    def net_loads(self, contacts: Sequence[Indices], about_m: tuple[float, float]) -> list[NetLoad | None]:
+        """Return force and moment of contacts in the frame decoded last.
 
-        From the traction without bounds, whose sums have no bias. Load that is connected with places of several
-        contacts counts for the nearest of them. None where the frame shows no constrained contact at those places.
+        They are sums of the traction without bounds, which have no bias. Load that is connected with places of several
+        contacts counts for the nearest of them. None if the frame shows no constrained contact at those places.
 
         Parameters
         ----------
         contacts
-            Each (m,) or (ny, nx). ValueError for another shape.
+            Indices of some places of each contact, (k,).
         about_m
-            What moments refer to.
+            Point of reference of the moments.
         """
-        for mask in contacts:
-            if np.size(mask) != self._nearest.size:
-                raise ValueError(
-                    f"places have shape {np.shape(mask)}, must be as many as the {self._nearest.size} asked"
-                )
         if self._last is None:
             return [None] * len(contacts)
         frame, located = self._last.frame, self._last.located
-        pixels = [self._nearest[np.flatnonzero(mask)] for mask in contacts]
+        pixels = [self._nearest.take(places) for places in contacts]
         noise_std = frame.noise_std / located.problem.model.noise_std
         return located.sums.loads(pixels, self._last.right_side, noise_std, about_m)
 
-    def net_load(self, places: Mask, about_m: tuple[float, float]) -> NetLoad | None:
-        """As `net_loads`, of a single contact."""
+    def net_load(self, places: Indices, about_m: tuple[float, float]) -> NetLoad | None:
+        """Return force and moment of a single contact, as `net_loads` does."""
         return self.net_loads([places], about_m)[0]
 
     @property

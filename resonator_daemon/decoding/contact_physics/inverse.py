@@ -35,6 +35,12 @@ def solve_factored(lower: Singles, right_sides: Singles) -> Singles:
     return solution
 
 
+def symmetric_product(matrix: Singles, right_sides: Singles) -> Singles:
+    """Return a symmetric matrix times right sides (n,) or (n, k); for a single one, half of the matrix is read."""
+    product: Singles = blas.ssymv(1.0, matrix.T, right_sides) if right_sides.ndim == 1 else matrix @ right_sides
+    return product
+
+
 def without_rows(inverse_matrix: Singles, kept: NDArray[np.intp], removed: NDArray[np.intp]) -> Singles:
     """Return the inverse of the matrix without some of its rows and columns, from that of the whole one."""
     rows = inverse_matrix.take(kept, axis=0)

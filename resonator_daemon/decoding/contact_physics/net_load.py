@@ -4,6 +4,7 @@ Bounds would bias the sums, and a linear map without a support adds weak opposit
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,7 @@ from resonator_daemon.decoding.patches import NetLoad
 
 Mask = NDArray[np.bool_]
 Pixels = NDArray[np.intp]
+Blobs = frozenset[int]  # by number
 
 _DIVIDED_AGAIN = 0.03  # share of the pixels that change sides before a blob is divided again
 _F_Z, _M_X, _M_Y, _M_Z = 2, 3, 4, 5
@@ -51,15 +53,14 @@ class LoadSums:
         self._reference_m = centres_m[problem.pixels].mean(axis=0)
         self._unit = problem.model.std_pascal
         arms_m = centres_m[problem.pixels] - self._reference_m
-        self._blob_count = int(self._blob_of.max())
-        masks = np.arange(1, self._blob_count + 1)[:, None] == self._blob_of
+        masks = np.arange(1, int(self._blob_of.max()) + 1)[:, None] == self._blob_of
         sums = np.array([_functionals(arms_m, mask) * area_m2 for mask in masks]).reshape(-1, 3 * arms_m.shape[0])
         self._sums = sums  # (6 blobs, 3 n)
         self._answers = _answers(problem, sums)
-        self._whole: dict[tuple[int, ...], _ContactSum] = {}
+        self._whole: dict[Blobs, _ContactSum] = {}
         self._problem = problem
         self._parts = np.zeros(0, np.intp)  # which contact each pixel is nearest to, where a blob is divided, (n,)
-        self._divided: dict[tuple[int, tuple[int, ...], tuple[int, ...]], _ContactSum] = {}
+        self._divided: dict[tuple[int, Blobs, Blobs], _ContactSum] = {}
 
     def loads(
         self, places: Sequence[Pixels], right_side: Singles, noise_std: float, about_m: tuple[float, float]
@@ -77,29 +78,29 @@ class LoadSums:
         about_m
             What moments refer to.
         """
-        count = np.array([np.bincount(self._blobs[pixels], minlength=self._blob_count + 1) for pixels in places])
-        touched = count[:, 1:] > 0
-        shared = touched.sum(axis=0) > 1
-        parts = self._parts_of(places) if shared.any() else list(range(len(places)))
+        touched = [frozenset(self._blobs.take(pixels).tolist()) - {0} for pixels in places]
+        contacts = Counter(blob for blobs in touched for blob in blobs)
+        shared = frozenset(blob for blob, count in contacts.items() if count > 1)
+        parts = self._parts_of(places) if shared else list(range(len(places)))
         sums = [
-            self._sum(mask, shared, part) if mask.any() else None for mask, part in zip(touched, parts, strict=True)
+            self._sum(blobs, blobs & shared, part) if blobs else None
+            for blobs, part in zip(touched, parts, strict=True)
         ]
         return [None if each is None else each.load(right_side, noise_std, about_m) for each in sums]
 
-    def _sum(self, touched: Mask, shared: Mask, part: int) -> "_ContactSum":
-        """Sum over blobs that a contact touches; of those that are shared, over its part."""
-        blobs, divided = (tuple((np.flatnonzero(mask) + 1).tolist()) for mask in (touched, touched & shared))
+    def _sum(self, blobs: Blobs, divided: Blobs, part: int) -> "_ContactSum":
+        """Sum over blobs that a contact touches; of those that are divided, over its part."""
         if not divided:
             if blobs not in self._whole:
-                rows = np.array([np.arange(6 * blob - 6, 6 * blob) for blob in blobs])
+                rows = np.array([np.arange(6 * blob - 6, 6 * blob) for blob in sorted(blobs)])
                 self._whole[blobs] = self._contact_sum(
-                    np.isin(self._blob_of, blobs), self._sums[rows].sum(axis=0), self._answers[rows].sum(axis=0)
+                    np.isin(self._blob_of, list(blobs)), self._sums[rows].sum(axis=0), self._answers[rows].sum(axis=0)
                 )
             return self._whole[blobs]
         key = part, blobs, divided
         if key not in self._divided:
-            own = ~np.isin(self._blob_of, divided) | (self._parts == part)
-            chosen = np.isin(self._blob_of, blobs) & own
+            own = ~np.isin(self._blob_of, list(divided)) | (self._parts == part)
+            chosen = np.isin(self._blob_of, list(blobs)) & own
             sums = self._sums.reshape(-1, 6, 3 * chosen.size).sum(axis=0) * np.tile(chosen, 3)
             self._divided[key] = self._contact_sum(chosen, sums, _answers(self._problem, sums))
         return self._divided[key]
@@ -147,21 +148,21 @@ class _ContactSum:
             self._refer_to(about_m)
         values = self._about @ right_side
         force, moment = values[:3], values[3:]
-        size_newton = math.sqrt(float(force @ force))
-        std = np.sqrt(self._variance * noise_std**2 + (self._by_pixels * size_newton) ** 2)
-        normal = float(force[2])
-        arm_x, arm_y = -float(moment[1]) / normal, float(moment[0]) / normal
+        f_x, f_y, normal, m_x, m_y, _ = values.tolist()
+        std = np.sqrt(self._variance * noise_std**2 + self._pixel_variance * (f_x**2 + f_y**2 + normal**2))
+        arm_x, arm_y = -m_y / normal, m_x / normal
         # What a sum of f_z times the distance from the centroid scatters by.
         zz, zx, zy, xx, yy = self._tilts
-        spread = np.array([arm_x**2 * zz + 2.0 * arm_x * zy + yy, arm_y**2 * zz - 2.0 * arm_y * zx + xx])
-        centroid_variance = np.maximum(spread, 0.0) * (noise_std / normal) ** 2
+        spread = arm_x**2 * zz + 2.0 * arm_x * zy + yy, arm_y**2 * zz - 2.0 * arm_y * zx + xx
+        by_pixels = (_PIXEL_ERROR[_F_Z] * self._radius_m) ** 2
+        centroid_std = [math.sqrt(max(part, 0.0) * (noise_std / normal) ** 2 + by_pixels) for part in spread]
         return NetLoad(
             force,
             std[:3],
             moment,
             std[3:],
             np.array([about_m[0] + arm_x, about_m[1] + arm_y]),
-            np.sqrt(centroid_variance + (_PIXEL_ERROR[_F_Z] * self._radius_m) ** 2),
+            np.array(centroid_std),
         )
 
     def _refer_to(self, about_m: tuple[float, float]) -> None:
@@ -175,7 +176,7 @@ class _ContactSum:
         self._variance = np.maximum(np.diag(covariance), 0.0)
         self._tilts = [float(covariance[i, k]) for i, k in ((2, 2), (2, 3), (2, 4), (3, 3), (4, 4))]
         lever_m = math.sqrt(float(np.mean(np.sum((self._centres_m - about_m) ** 2, axis=1))))
-        self._by_pixels = _PIXEL_ERROR * np.repeat([1.0, lever_m], 3)
+        self._pixel_variance = (_PIXEL_ERROR * np.repeat([1.0, lever_m], 3)) ** 2
 
 
 def _answers(problem: SupportProblem, sums: Floats) -> Floats:

@@ -1,21 +1,55 @@
 """Square pixels that may carry load: they cover the sites and a margin, so that load beside them is allowed."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.layout import as_grid
-
-Interpolation = csr_array[np.float32, tuple[int, int]]
 
 _PITCH_DEPTHS = 0.4  # finer pixels than this cannot be told apart at depth
 _GRID_DEPTHS = (0.25, 0.5)  # pitches of a site grid that serve as they are
 _MARGIN_DEPTHS = 3.2
 _NEGLIGIBLE = 1e-6  # weight of an interpolation
+
+
+class Interpolation(NamedTuple):
+    """Interpolation of fields: each target is a weighted sum of at most k sources."""
+
+    sources: Indices  # (targets, k), in rows that are filled up with any source
+    weights: Singles  # (targets, k), 0 where filled up
+
+    @classmethod
+    def of_entries(cls, targets: Indices, sources: Indices, weights: Floats, count: int) -> "Interpolation":
+        """Collect single entries (e,) for `count` targets."""
+        order = np.argsort(targets, kind="stable")
+        targets, sources, weights = targets[order], sources[order], weights[order]
+        entries = np.bincount(targets, minlength=count)
+        column = np.arange(targets.size) - np.repeat(np.cumsum(entries) - entries, entries)
+        shape = count, max(int(entries.max(initial=1)), 1)
+        found = cls(np.zeros(shape, np.intp), np.zeros(shape, np.float32))
+        found.sources[targets, column], found.weights[targets, column] = sources, weights
+        return found
+
+    @property
+    def reached(self) -> Bools:
+        """Targets that have a source, (targets,)."""
+        return np.asarray((self.weights > 0.0).any(axis=1), np.bool_)
+
+    def __call__(self, fields: Singles) -> Singles:
+        """Return fields (..., sources) at the targets, (..., targets)."""
+        if self.sources.shape[1] == 1:
+            return np.asarray(fields.take(self.sources[:, 0], axis=-1) * self.weights[:, 0], np.float32)
+        return np.asarray(np.vecdot(fields.take(self.sources, axis=-1), self.weights), np.float32)
+
+    def of(self, chosen: Indices, count: int) -> "Interpolation":
+        """Restrict the `count` sources to some of them (c,), which are numbered as they come; others count as 0."""
+        number = np.full(count, -1)
+        number[chosen] = np.arange(chosen.size)
+        sources = number[self.sources]
+        return Interpolation(np.maximum(sources, 0), np.where(sources >= 0, self.weights, np.float32(0.0)))
 
 
 @dataclass(frozen=True)
@@ -51,14 +85,14 @@ class PixelLattice:
         y, x = np.divmod(np.arange(ny * nx), nx)
         return np.asarray(self.origin_m + self.pitch_m * np.column_stack([x, y]), np.float64)
 
-    def nearest(self, positions_m: Floats) -> NDArray[np.intp]:
+    def nearest(self, positions_m: Floats) -> Indices:
         """Flat index of the pixel nearest to each place, (m,)."""
         ny, nx = self.shape
         x, y = np.rint((positions_m - self.origin_m) / self.pitch_m).astype(np.intp).T
         return np.asarray(np.clip(y, 0, ny - 1) * nx + np.clip(x, 0, nx - 1), np.intp)
 
     def to_places(self, positions_m: Floats) -> Interpolation:
-        """Bilinear interpolation from pixels to places, (m, ny nx); 0 beyond the outermost centres."""
+        """Bilinear interpolation from ny nx pixels to m places; 0 beyond the outermost centres."""
         ny, nx = self.shape
         place = (positions_m - self.origin_m) / self.pitch_m
         corner = np.floor(place + _NEGLIGIBLE).astype(int)
@@ -72,10 +106,11 @@ class PixelLattice:
                 rows.append(kept)
                 columns.append(y[kept] * nx + x[kept])
                 weights.append(weight[kept])
-        return _sparse(rows, columns, weights, (len(positions_m), ny * nx))
+        entries = np.concatenate(rows), np.concatenate(columns), np.concatenate(weights)
+        return Interpolation.of_entries(*entries, len(positions_m))
 
     def from_places(self, positions_m: Floats) -> Interpolation:
-        """Linear interpolation from places (m, 2) to pixels, (ny nx, m); rows outside their hull are empty."""
+        """Linear interpolation from m places to ny nx pixels, of which those outside the hull get 0."""
         scaled = positions_m / self.pitch_m
         try:
             triangles = Delaunay(scaled)
@@ -90,11 +125,4 @@ class PixelLattice:
         kept = weights > _NEGLIGIBLE
         rows = np.repeat(pixels, 3).reshape(-1, 3)[kept]
         columns = triangles.simplices[inside[pixels]][kept].astype(np.intp)
-        return _sparse([rows], [columns], [weights[kept]], (len(centres), len(positions_m)))
-
-
-def _sparse(
-    rows: list[NDArray[np.intp]], columns: list[NDArray[np.intp]], weights: list[Floats], shape: tuple[int, int]
-) -> Interpolation:
-    values = np.concatenate(weights).astype(np.float32)
-    return csr_array((values, (np.concatenate(rows), np.concatenate(columns))), shape)
+        return Interpolation.of_entries(rows, columns, weights[kept], len(centres))

@@ -16,6 +16,7 @@ from resonator_daemon.decoding.contact_physics.inverse import (
     cholesky_factor,
     inverse_factor,
     solve_factored,
+    symmetric_product,
     with_rows,
     without_rows,
 )
@@ -190,7 +191,7 @@ class SupportMatrices:
     def shifted_solution(self, right_sides: Singles) -> Singles:
         """Return (H + shift)^-1 times right sides (3 n,) or (3 n, k)."""
         if self._inverse is not None:
-            return np.asarray(self._inverse @ right_sides, np.float32)
+            return symmetric_product(self._inverse, right_sides)
         return np.asarray(self._factor.T @ (self._factor @ right_sides), np.float32)
 
     def solution(self, right_sides: Singles) -> Singles:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.cone_admm import iterate
+from resonator_daemon.decoding.contact_physics.inverse import symmetric_product
 from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices, SupportRows
 
 Mask = NDArray[np.bool_]
@@ -99,7 +100,7 @@ class SupportProblem:
         """Mean square of what a traction (3, n), in Pa, leaves of whitened rows, of which b is the right side."""
         loads = traction.ravel()
         explained = 2.0 * float(loads @ right_side) * float(self._noise_variance / self._unit)
-        explained -= float(loads @ (self.rows.gram @ loads))
+        explained -= float(loads @ symmetric_product(self.rows.gram, loads))
         return (float(rows @ rows) - explained) / rows.size
 
     def predicted(self, traction: Singles) -> Singles:

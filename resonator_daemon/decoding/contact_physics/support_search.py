@@ -100,7 +100,7 @@ class Frame:
     @cached_property
     def traction(self) -> Singles:
         """Linear map on the pixels, (3, ny nx)."""
-        return np.ascontiguousarray((self.to_pixels @ self.surface.traction.reshape(3, -1).T).T)
+        return self.to_pixels(self.surface.traction.reshape(3, -1))
 
     @property
     def noise_std(self) -> float:
@@ -158,7 +158,7 @@ class SupportSearch:
         self.places = SurfacePlaces(linear.half_space, lattice, positions_m)
         self.shape = lattice.shape
         self._from_places = lattice.from_places(positions_m)
-        self._unmapped = (np.diff(self._from_places.indptr) == 0).reshape(lattice.shape)
+        self._unmapped = ~self._from_places.reached.reshape(lattice.shape)
         self._mapped = ~self._unmapped
         self._edge = dilated(self._unmapped) & ~self._unmapped
         self._pressure_power = np.einsum("pr,pr->p", self._rows.kernel[2], self._rows.kernel[2])
@@ -180,7 +180,7 @@ class SupportSearch:
             rows = lost.signals(rows)
         power = estimate.energy / count
         floor = 1.0 + self._gain_floor * power
-        pressure = (self._from_places @ surface.pressure).reshape(self._lattice.shape)
+        pressure = self._from_places(surface.pressure).reshape(self._lattice.shape)
         support = raw_support(pressure)
         excess, snr = max(estimate.chi2, 1.0), max(power / floor - 1.0, 0.0) ** 0.5
         return Frame(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from resonator_daemon.arrays import Floats, Singles
-from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
 from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
 
 Pixels = NDArray[np.intp]
@@ -26,13 +26,17 @@ class SurfacePlaces:
         self.width = lattice.shape[1]
         compliance = SurfaceCompliance(half_space, lattice.shape, lattice.pitch_m)
         coefficients = compliance.coefficients(lattice.shape).astype(np.float32)
-        self.coefficients = {pair: coefficients[pair] for pair in np.ndindex(3, 3) if coefficients[pair].any()}
+        pairs = [pair for pair in np.ndindex(3, 3) if coefficients[pair].any()]
+        self.coefficients = np.array([coefficients[pair] for pair in pairs])  # of output and input component
+        self.inputs = np.array([column for _, column in pairs])
+        self.first_inputs = np.array([[row for row, _ in pairs].index(component) for component in range(3)])
         self.reach = lattice.shape[0] - 1, lattice.shape[1] - 1  # lags of the coefficients
-        rows, columns = np.divmod(np.unique(self.to_places.indices), self.width)
+        rows, columns = np.divmod(np.unique(self.to_places.sources[self.to_places.weights > 0.0]), self.width)
         self.corner = int(rows.min()), int(columns.min())
         self.window = int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
         y, x = (begin + np.arange(count) for begin, count in zip(self.corner, self.window, strict=True))
-        self.from_window = self.to_places[:, (y[:, None] * self.width + x).ravel()]
+        self.pixel_count = lattice.shape[0] * lattice.shape[1]
+        self.from_window = self.to_places.of((y[:, None] * self.width + x).ravel(), self.pixel_count)
 
     def under(self, pixels: Pixels) -> "SurfaceView":
         """View of fields on some pixels."""
@@ -44,10 +48,10 @@ class SurfaceView:
 
     def __init__(self, places: SurfacePlaces, pixels: Pixels) -> None:
         self._places = places
-        weights = places.to_places[:, pixels].tocsr()
-        self._touched = np.flatnonzero(np.diff(weights.indptr))
-        self._weights: Singles = weights[self._touched].toarray()
-        number = np.full(places.to_places.shape[1], -1)
+        to_places = places.to_places.of(pixels, places.pixel_count)
+        self._touched = np.flatnonzero(to_places.reached)
+        self._to_touched = Interpolation(to_places.sources[self._touched], to_places.weights[self._touched])
+        number = np.full(places.pixel_count, -1)
         number[pixels] = np.arange(pixels.size)
         nearest = number[places.nearest]
         self.covered = np.flatnonzero(nearest >= 0)  # places of which the nearest pixel is one of these
@@ -57,22 +61,20 @@ class SurfaceView:
     def traction(self, traction: Singles) -> Floats:
         """Traction of the places (3, m) from that of the pixels (3, n), interpolated."""
         shown = np.zeros((3, self._places.count))
-        shown[:, self._touched] = traction @ self._weights.T
+        shown[:, self._touched] = self._to_touched(traction)
         return shown
 
     def displacement(self, traction: Singles) -> Floats:
         """Displacement of the places (3, m) by tractions of the pixels (3, n)."""
+        places = self._places
         box = np.zeros((3, *self._box), np.float32)
         box[:, self._y, self._x] = traction
         along_x = (box.reshape(-1, box.shape[2]) @ self._to_x).view(np.complex64).reshape(3, self._box[0], -1)
         inputs = self._to_y @ along_x
-        outputs = np.zeros_like(inputs)
-        for row, column, spectrum in self._spectra:
-            outputs[row] += spectrum * inputs[column]
+        outputs = np.add.reduceat(self._spectra * inputs.take(places.inputs, axis=0), places.first_inputs, axis=0)
         columns = np.ascontiguousarray(self._from_y @ outputs)
-        window = columns.reshape(3 * self._places.window[0], -1).view(np.float32) @ self._from_x
-        found: Floats = (self._places.from_window @ window.reshape(3, -1).T).T.astype(np.float64)
-        return found
+        window = columns.reshape(3 * places.window[0], -1).view(np.float32) @ self._from_x
+        return places.from_window(window.reshape(3, -1)).astype(np.float64)
 
     def _prepare_displacement(self, pixels: Pixels) -> None:
         places = self._places
@@ -84,10 +86,8 @@ class SurfaceView:
         ny, nx = (count + side - 1 for count, side in zip(places.window, self._box, strict=True))
         first_y = places.reach[0] + places.corner[0] - top - (h - 1)
         first_x = places.reach[1] + places.corner[1] - left - (w - 1)
-        self._spectra = [
-            (row, column, fft.rfft2(kernel[first_y : first_y + ny, first_x : first_x + nx]))
-            for (row, column), kernel in places.coefficients.items()
-        ]
+        lags = places.coefficients[:, first_y : first_y + ny, first_x : first_x + nx]
+        self._spectra: Complexes = fft.rfft2(lags)
         half = nx // 2 + 1
         self._to_x = _waves(np.arange(w), half, nx, -1).view(np.float32)
         self._to_y = _waves(np.arange(ny), h, ny, -1)
