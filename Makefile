@@ -123,7 +123,7 @@ fuzz: .venv/run-stamp  ## ten million inputs through each parser of the wire, in
 
 MINUTES ?= 60
 
-soak: .venv/run-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kills and restores; hang-ups; 10 million damaged frames
+soak: .venv/test-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kills and restores; hang-ups; damaged frames; long tests
 	$(debian-packages)
 	debian-packages $(BROKER)
 	printf '\n== long_run\n'
@@ -132,6 +132,8 @@ soak: .venv/run-stamp  ## MINUTES=60 of faults; brokers frozen, dead, slow; kill
 	  printf '\n== %s\n' "$$benchmark"
 	  .venv/bin/python benchmarks/$$benchmark.py
 	done
+	printf '\n== long tests\n'
+	OMP_NUM_THREADS=1 .venv/bin/pytest -m soak
 
 pins: .venv/run-stamp  ## make the requirements files anew from pyproject.toml
 	@.venv/bin/python -m pip install --quiet --require-hashes -r .ci/requirements/pins.txt

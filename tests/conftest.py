@@ -1,12 +1,22 @@
-"""What all tests share: a cache and a spool of their own, and brokers."""
+"""What all tests share: places of their own, processes that can be interrupted, and brokers."""
 
 import itertools
 import logging
+import os
+import signal
+import sys
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
 import pytest
 from brokers import Amqtt, Mosquitto
+
+
+def pytest_configure() -> None:
+    """Processes that tests start can be interrupted, though a shell ran this one in the background, and start fast."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    sys.dont_write_bytecode = False
 
 
 @pytest.fixture(scope="session", autouse=True)

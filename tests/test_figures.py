@@ -21,6 +21,7 @@ def rows(text: str) -> dict[tuple[str, ...], list[float]]:
     return found
 
 
+@pytest.mark.soak
 def test_figures_are_drawn_and_the_page_states_what_they_print(tmp_path: Path) -> None:
     run = subprocess.run(
         [sys.executable, ROOT / "docs" / "figures" / "draw.py", "--folder", tmp_path],

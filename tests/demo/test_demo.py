@@ -6,6 +6,8 @@ import signal
 import subprocess
 import sys
 
+import pytest
+
 COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
 FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
 OVERRUNS = {"board_overflow", "host_overrun", "ring_overflow"}
@@ -85,6 +87,7 @@ def test_without_mosquitto_amqtt_is_the_broker() -> None:
     assert plate["force_error_newton_rms"] <= 0.005
 
 
+@pytest.mark.soak
 def test_scattered_sites_against_the_truth() -> None:
     options = ("--plate", "fingertip400", "--headless", "--seconds", "3", "--json")
     run = subprocess.run([*COMMAND, *options], capture_output=True, text=True, timeout=200, check=False)
