@@ -11,8 +11,7 @@ from resonator_daemon.config import Config, Measurement
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.recording_commands import RecordingCommands
 from resonator_daemon.errors import UserError
-from resonator_daemon.forces.readings import Compensation
-from resonator_daemon.pipeline import control_requests
+from resonator_daemon.pipeline.control_requests import Control, Tare
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.topics import TOPICS
@@ -24,12 +23,12 @@ RECORDING_NAME = re.compile(r"left-\d{8}T\d{6}\.\d{3}Z(-[A-Za-z0-9_-]{1,64})?\.m
 
 
 class StandIn:
-    """Chain, recording and publisher in one; `acts` has what was changed."""
+    """Sensor, recording and publisher in one; `acts` has what was changed."""
 
     def __init__(self, directory: Path) -> None:
         self.acts: list[tuple[Any, ...]] = []
         self.directory = directory
-        self.touched = ""
+        self.touched: str | None = None
         self.measurement = Measurement()
         self.counts = True
         self.board_refuses: str | None = None
@@ -37,10 +36,10 @@ class StandIn:
         self.current: RecordingNow | None = None
 
     @property
-    def compensation(self) -> Compensation:
-        return Compensation((1e-6, math.nan, math.nan, math.nan), 2e-7, "followed", math.nan, math.nan, "off")
+    def common_mode(self) -> tuple[float, ...]:
+        return (1e-6, math.nan, math.nan, math.nan)
 
-    def force_chain(self) -> "StandIn | None":
+    def sensor(self) -> "StandIn | None":
         return self if self.counts else None
 
     def locate(self, done: Callable[[str | None], None]) -> None:
@@ -50,16 +49,16 @@ class StandIn:
     def set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
         self.acts.append(("set_rate", path, rate_hz, dict(limits_hz)))
 
-    async def control(self, control: control_requests.Control) -> str:
-        if isinstance(control, control_requests.Tare):
+    async def apply(self, request: Control) -> str | None:
+        if isinstance(request, Tare):
             self.acts.append(("tare",))
             return self.touched
-        measurement = control.measurement
+        measurement = request.measurement
         if not 0 < measurement.step_ms <= measurement.window_ms:
             raise ValueError(f"step of {measurement.step_ms} and window of {measurement.window_ms} ms")
         self.measurement = measurement
         self.acts.append(("measure_over", measurement.window_ms, measurement.step_ms))
-        return ""
+        return None
 
     def start(self, series: Series, _origin: Origin) -> None:
         series.directory.mkdir(parents=True, exist_ok=True)
@@ -101,12 +100,12 @@ def handlers_on(stand_in: StandIn, config: Config) -> CommandHandlers:
     parts = DaemonParts(
         report_health=lambda: health,
         last_message=last_messages.get,
-        force_chain=stand_in.force_chain,
+        sensor=stand_in.sensor,  # type: ignore[arg-type]
         locate=stand_in.locate,
         streams=("forces", "contacts"),
         set_rate=stand_in.set_rate,
         measurement=lambda: stand_in.measurement,
-        control=stand_in.control,
+        apply=stand_in.apply,
     )
     return CommandHandlers(config, "9f3c", parts, RecordingCommands(config, "left", stand_in))  # type: ignore[arg-type]
 

@@ -31,10 +31,10 @@ from frame_cost import (
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.pipeline.surface_reports import MeasuredFields
-from resonator_daemon.pipeline.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost
 from resonator_daemon.publishing.topics import DECODED, Topic
+from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 KEPT = 200  # frames that are played again and again, forwards and backwards
 

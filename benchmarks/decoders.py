@@ -30,11 +30,11 @@ from threadpoolctl import threadpool_limits
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.pipeline.surface_reports import SurfaceReporter
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import CalibrationInfo, GridInfo, Info, Lost, Signals, SiteInfo, SkinInfo
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
+from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
 
@@ -269,7 +269,7 @@ def costs(plate: Plate, frames: list[NDArray[np.float32]]) -> None:
     known.take_info(encode(info_of(plate)))
     if known.skin is None:
         raise ValueError(known.problem)
-    reporter = SurfaceReporter(
+    reporter = SurfaceMessages(
         known.skin.site_ids,
         known.skin.skin.site_positions_m,
         known.skin.grid.pitch_m if known.skin.grid else None,

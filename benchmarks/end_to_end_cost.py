@@ -20,8 +20,8 @@ from resonator_daemon.forces.spread import SpreadFit
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.sensors import multitone as comb_chain
 from resonator_daemon.sensors import single_tone as single_tone_chain
-from resonator_daemon.sensors.multitone import CombChain
-from resonator_daemon.sensors.single_tone import SingleToneChain
+from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
+from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
 from resonator_daemon.tones.few_gates import FewGates
 from resonator_daemon.tones.tone_windows import ToneWindows
 from simulators.physics import Physics
@@ -35,7 +35,7 @@ ROUNDS, ROUND_S = 5, 0.1
 
 WHOLE = "whole"
 STAGES: dict[str, Sequence[tuple[object, str]]] = {
-    WHOLE: ((SingleToneChain, "push"), (CombChain, "push")),
+    WHOLE: ((SingleToneProcessing, "push"), (MultitoneProcessing, "push")),
     "counting": (
         (ToneWindows, "push"),
         (FewGates, "windows"),

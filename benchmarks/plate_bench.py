@@ -1,19 +1,19 @@
-"""An emulated plate counted straight into the daemon's chain, without link, broker and clock: readings beside truth."""
+"""An emulated plate counted straight into a sensor, without link, broker and clock: readings beside truth."""
 
 from collections import deque
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, TONE_FIELDS, SingleToneRecord
-from resonator_daemon.config import Config, Measurement
+from resonator_daemon.config import Measurement
 from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.pipeline.chains import make_chain
 from resonator_daemon.plate import Plate
-from resonator_daemon.sensors.single_tone import SingleToneChain
-from resonator_daemon.sensors.skin import SkinChain
+from resonator_daemon.sensors.force_sensor import ForceSensor
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
 from resonator_daemon.session.compatibility import gate_ticks, oscillator_hz
 from simulators.comb_plate import CombPlate
 from simulators.physics import Physics
@@ -23,7 +23,7 @@ from simulators.scenario import Scenario
 from simulators.scenario_file import Touch
 
 ROOM_KELVIN = 298.15
-SETTLED_S = 0.4  # from the first frame on until the chain knows its baseline
+SETTLED_S = 0.4  # from the first frame on until the sensor knows its baseline
 LEVEL_TOUCH_S = 0.005
 BLOCK_FRAMES = 40
 
@@ -58,11 +58,9 @@ class PlateBench:
         emulated = QuartzPlate if plate.counter.kind == "single-tone" else CombPlate
         self._counter = emulated(plate, scenario, seed)
         measurement = Measurement(window_ms=window_ms, step_ms=step_ms)
-        config = Config.model_validate({"plate": "quartz16", "link": "tcp://127.0.0.1:1"})
-        config = config.model_copy(update={"plate": plate, "measurement": measurement})  # which need be no file's
-        chain = make_chain(config, oscillator_hz(self._counter.description))
-        assert not isinstance(chain, SkinChain)  # noqa: S101 - force sites alone are played
-        self.chain = chain
+        sensor = sensor_of(plate, measurement)
+        assert isinstance(sensor, ForceSensor)  # noqa: S101 - force sites alone are played
+        self.processing: Any = sensor.make_processing(oscillator_hz(self._counter.description))
         self.site_ids: list[int] = plate.site_ids.tolist()
         self._gate_ticks = gate_ticks(plate)
         self._frame_rate_hz = plate.counter.frame_rate_hz
@@ -70,7 +68,7 @@ class PlateBench:
         self._counted_frames = self._pushed_frames = 0
 
     def play(self, seconds: float) -> Iterator[Moment]:
-        """Go on for so long; every reading that the chain gives, with its truth."""
+        """Go on for so long; every reading of the sensor, with its truth."""
         for frame in self.count(seconds):
             self._window.append(frame)
             reading = self.push(frame)
@@ -86,16 +84,16 @@ class PlateBench:
             yield from self._counter.count(ticks, ticks, self._gate_ticks, frames)
 
     def push(self, frame: CountedFrame) -> ForceReading | None:
-        """Give the next frame to the chain."""
-        sequence, chain = self._pushed_frames, self.chain
+        """Process the next frame."""
+        sequence, processing = self._pushed_frames, self.processing
         self._pushed_frames += 1
         ticks = self._pushed_frames * self._gate_ticks
-        if isinstance(chain, SingleToneChain):
-            readings = chain.push(sequence, [ticks], b"".join(frame.channels))
+        if isinstance(processing, SingleToneProcessing):
+            readings = processing.push(sequence, [ticks], b"".join(frame.channels))
             return readings[0] if readings else None
         tones = np.array([np.frombuffer(channel, _TONE) for channel in frame.channels])
         known = tones["flags"] == 0
-        return chain.push(sequence, ticks, tones["phase_turn32"], tones["offset_hz16"], tones["sigma_code"], known)
+        return processing.push(sequence, ticks, tones["phase_turn32"], tones["offset_hz16"], tones["sigma_code"], known)
 
     def _moment(self, reading: ForceReading) -> Moment:
         frames = max(1, round(reading.window_s * self._frame_rate_hz))
@@ -116,7 +114,7 @@ class PlateBench:
         """
         touches = [event.contact.touch for event in reading.events if event.event == "onset"]
         pressed = {touch.site for touch in touches} | {force.site for force in reading.sites}
-        if not isinstance(self.chain, SingleToneChain):
+        if not isinstance(self.chain, SingleToneProcessing):
             touches += [contact.touch for contact in reading.contacts if np.isfinite(contact.touch.force_newton)]
             pressed = {touch.site for touch in touches}
         return {self.site_ids[site] for site in pressed}

@@ -110,6 +110,11 @@ class Counter(Table):
     pilot_hz: Hertz | None = None  # heard by a single-tone counter while nothing is touched; see Plate.pilot_hz
     codes_may_overlap: StrictBool = False  # take a plate whose sites can be mistaken for each other all the same
 
+    @property
+    def frames_in_parts(self) -> bool:
+        """Whether a frame is sent in parts, each with some tones of one channel, and not as one packet."""
+        return self.kind == "channelised"
+
     @field_validator("pilot_hz")
     @classmethod
     def _only_a_single_tone_counter_has_a_pilot(cls, pilot_hz: float | None, info: ValidationInfo) -> float | None:
@@ -325,6 +330,30 @@ class Plate(Table):
             return SKIN_SIGNALS
         present = {tone.signal for site in self.sites for tone in site.tones}
         return tuple(signal for signal in FORCE_SIGNALS if signal in present)
+
+    @property
+    def sensor_kind(self) -> Literal["single-tone", "multitone", "skin"]:
+        """Kind of sensor that the plate with its counter amounts to."""
+        if self.skin is not None:
+            return "skin"
+        return "single-tone" if self.counter.kind == "single-tone" else "multitone"
+
+    @property
+    def decodable(self) -> bool:
+        """Whether its signals are decoded to the traction on a surface, which may be touched anywhere."""
+        return self.skin is not None
+
+    @property
+    def windowed(self) -> bool:
+        """Whether readings are of windows of several frames."""
+        return self.skin is None
+
+    @property
+    def required_skin(self) -> Skin:
+        """The skin; ConfigurationError if there is none."""
+        if self.skin is None:
+            raise ConfigurationError(f"plate {self.name!r} has no [skin]")
+        return self.skin
 
     @property
     def spread_width_m(self) -> float | None:

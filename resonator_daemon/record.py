@@ -37,7 +37,7 @@ from resonator_daemon.session.frames import (
 )
 
 if TYPE_CHECKING:
-    from resonator_daemon.pipeline.board_pipeline import BoardCourse
+    from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
 _OPEN_S: Final = 10.0  # in which a board must count
 _TURN_S: Final = 0.2
@@ -120,7 +120,7 @@ class _Sitting:
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:
         boot_id = secrets.token_hex(8)
         self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256))
-        self._course = _course(config, boot_id, self._recorder) if options.derived else None
+        self._pipeline = _pipeline(config, boot_id, self._recorder) if options.derived else None
         self._arrived = threading.Event()
         self._reader = BoardReader(
             config.link, config.plate, self._arrived.set, step_frames=(64,), on_event=self._recorder.put
@@ -206,8 +206,8 @@ class _Sitting:
 
     def _take(self) -> None:
         for arrival in self._reader.pop_arrivals():
-            if self._course is not None:
-                self._course.take(arrival)
+            if self._pipeline is not None:
+                self._pipeline.handle(arrival)
             match arrival:
                 case BoardOnline():
                     self._recorder.name_board(arrival)
@@ -223,9 +223,9 @@ class _Sitting:
 
     def _measure_the_rest(self) -> None:
         """Measure what came before the reader stopped: its bytes are in the file."""
-        if self._course is not None:
+        if self._pipeline is not None:
             for arrival in self._reader.pop_arrivals():
-                self._course.take(arrival)
+                self._pipeline.handle(arrival)
 
     def _say_progress(self, end: str = "") -> None:
         line = _progress(self._reader.counters(), self._recorder)
@@ -236,13 +236,13 @@ class _Sitting:
         sys.stderr.flush()
 
 
-def _course(config: Config, boot_id: str, recorder: Recorder) -> "BoardCourse":
+def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipeline":
     """Return what measures, and has it recorded; what that imports takes half a second."""
     from resonator_daemon.daemon.recorded_messages import RecordedMessages
-    from resonator_daemon.pipeline.board_pipeline import BoardCourse
+    from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
     messages = RecordedMessages(recorder, derived=True)
-    return BoardCourse(config, boot_id, messages.take)
+    return BoardPipeline(config, boot_id, messages.take)
 
 
 def _progress(account: LinkCounters, recorder: Recorder) -> str:

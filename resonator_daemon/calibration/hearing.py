@@ -10,7 +10,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.plate import Plate
-from resonator_daemon.sensors.single_tone import BAND_MARGIN, PILOT_TOLERANCE
+from resonator_daemon.sensors.single_tone_processing import BAND_MARGIN, PILOT_TOLERANCE
 from resonator_daemon.tones.frequency_estimators import counter_std, frequency_hz, oscillator_std
 from resonator_daemon.tones.gate_block import GateBlock
 from resonator_daemon.tones.tone_windows import ToneWindows

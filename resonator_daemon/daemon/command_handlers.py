@@ -4,12 +4,12 @@ import asyncio
 import time
 from collections.abc import Awaitable, Callable, Collection, Mapping
 from dataclasses import dataclass
-from typing import Final, Protocol, get_args
+from typing import Any, Final, get_args
 
 from resonator_daemon.config import Config, Measurement, timing_problems
 from resonator_daemon.daemon.recording_commands import RecordingCommands
-from resonator_daemon.forces.readings import Compensation
 from resonator_daemon.pipeline import control_requests
+from resonator_daemon.pipeline.control_requests import Control
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.payloads import Health, Message
 from resonator_daemon.publishing.verbs import (
@@ -29,17 +29,11 @@ from resonator_daemon.publishing.verbs import (
     Tare,
     TareAnswer,
 )
+from resonator_daemon.sensors.base import Sensor
 
 SNAPSHOT_BYTES_MAX: Final = 128 * 1024
 
 Located = Callable[[str | None], None]
-
-
-class ForceChain(Protocol):
-    """What commands need of a chain that measures force sites."""
-
-    @property
-    def compensation(self) -> Compensation: ...
 
 
 @dataclass(frozen=True)
@@ -52,8 +46,8 @@ class DaemonParts:
         Makes a message of `health`, publishes it and returns it.
     last_message
         Returns the last message of the topic with this path; None where there was none.
-    force_chain
-        Returns the chain of a plate of force sites while its link is online, else None.
+    sensor
+        Returns the sensor while a board counts, None otherwise.
     locate
         Asks the board to blink; calls, on the event loop, with why it did not, or None.
     streams
@@ -62,18 +56,18 @@ class DaemonParts:
         Lowers the rate of a stream, or with None no longer; is handed what holds then of all topics, too.
     measurement
         Returns the window that holds now.
-    control
-        Has an order obeyed after the frames that have arrived; returns why it was not, or "".
+    apply
+        Applies a control request after the frames that have arrived; returns why that could not be done, or None.
     """
 
     report_health: Callable[[], Health]
     last_message: Callable[[str], Message | None]
-    force_chain: Callable[[], ForceChain | None]
+    sensor: Callable[[], Sensor[Any] | None]
     locate: Callable[[Located], None]
     streams: Collection[str]
     set_rate: Callable[[str, float | None, Mapping[str, float]], None]
     measurement: Callable[[], Measurement]
-    control: Callable[[control_requests.Control], Awaitable[str]]
+    apply: Callable[[Control], Awaitable[str | None]]
 
 
 class CommandHandlers:
@@ -134,22 +128,20 @@ class CommandHandlers:
         return SnapshotAnswer(messages=messages, left_out=tuple(left_out))
 
     async def _tare(self, _request: Tare) -> TareAnswer:
-        chain = self._force_chain()
-        if reason := await self._parts.control(control_requests.Tare()):
+        sensor = self._adjustable_sensor()
+        if reason := await self._parts.apply(control_requests.Tare()):
             raise CommandRefusedError("not_untouched", reason, "take everything off the plate and ask again")
-        return TareAnswer(
-            did="the present readings count as untouched", common_mode=tuple(chain.compensation.common_mode)
-        )
+        return TareAnswer(did="the present readings count as untouched", common_mode=sensor.common_mode)
 
     async def _set_window(self, request: SetWindow) -> SetWindowAnswer:
-        self._force_chain()
+        self._adjustable_sensor()
         step_ms = self._parts.measurement().step_ms if request.step_ms is None else request.step_ms
         measurement = Measurement(window_ms=request.window_ms, step_ms=step_ms)
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
         if problems := timing_problems(spans_ms, self._plate):
             said = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
             raise CommandRefusedError("window", said, "send window_ms and step_ms that fit each other and the frames")
-        if reason := await self._parts.control(control_requests.MeasureOver(measurement=measurement)):
+        if reason := await self._parts.apply(control_requests.SetWindow(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)
 
@@ -177,13 +169,13 @@ class CommandHandlers:
             raise CommandRefusedError("not_located", refused, "see state/link")
         return IdentifyAnswer()
 
-    def _force_chain(self) -> ForceChain:
-        if self._plate.skin is not None:
+    def _adjustable_sensor(self) -> Sensor[Any]:
+        if not self._plate.windowed:
             raise CommandRefusedError(
                 "not_ready", "the plate has a skin, and no force sites", "its zero is followed by itself"
             )
-        if (chain := self._parts.force_chain()) is None:
+        if (sensor := self._parts.sensor()) is None:
             raise CommandRefusedError(
                 "not_ready", "no force sites are being measured", "see state/link and state/sensor"
             )
-        return chain
+        return sensor

@@ -16,7 +16,7 @@ from importlib.metadata import version
 from typing import Any
 
 from resonator_daemon.config import Config, frame_bytes, plate_name
-from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts, ForceChain
+from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import Outlet
@@ -34,16 +34,16 @@ from resonator_daemon.monitoring.liveness import DECLARED_WAITING, FlowWatch
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
-from resonator_daemon.pipeline import control_requests
-from resonator_daemon.pipeline.board_pipeline import BoardCourse
-from resonator_daemon.pipeline.measuring import step_ns, useful_together
-from resonator_daemon.pipeline.surface_decoding import SurfaceClient
-from resonator_daemon.pipeline.surface_stream import SurfaceSettings
+from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.pipeline.control_requests import ControlRequests, SetWindow
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
 from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.sensors.surface_decoding import SurfaceClient
+from resonator_daemon.sensors.surface_stream import SurfaceSettings
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import LinkCounters
@@ -52,8 +52,8 @@ from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
     ControlRequest,
+    Frame,
     ReaderFailed,
-    SingleToneFrame,
     in_blocks,
 )
 
@@ -108,24 +108,11 @@ class Service:
         loop = asyncio.get_running_loop()
         self._loop = loop
         self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
-        self._arrivals: deque[Arrival | list[SingleToneFrame]] = deque()
+        self._arrivals: deque[Arrival | list[Frame]] = deque()
         self._recording = RecordingSwitch()
-        steps = useful_together(config.plate, config.measurement)
-        self._reader = BoardReader(
-            config.link,
-            config.plate,
-            self._wake_from(loop),
-            step_frames=steps,
-            frame_queue_bytes=frames_waiting_bytes(config.plate),
-            on_event=self._recording.put,
-        )
-        self._control = control_requests.ControlRequests(self._reader.request_control)
         self._daemon_boot_id = secrets.token_hex(8)
-        self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
-        self._recordings: RecordingCommands | None = None
         self._decoder: DecoderSupervisor[Any] | None = None
-        self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
-        self._course = BoardCourse(
+        self._pipeline = BoardPipeline(
             config,
             self._daemon_boot_id,
             self._publish,
@@ -134,7 +121,19 @@ class Service:
             self._make_decoder,
             is_late=self._is_late,
         )
-        self._step_ns = step_ns(config.plate, config.measurement)
+        self._reader = BoardReader(
+            config.link,
+            config.plate,
+            self._wake_from(loop),
+            step_frames=self._pipeline.sensor.wake_frames,
+            frame_queue_bytes=frames_waiting_bytes(config.plate),
+            on_event=self._recording.put,
+        )
+        self._control_requests = ControlRequests(self._reader.request_control)
+        self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
+        self._recordings: RecordingCommands | None = None
+        self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
+        self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
         self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon, self._outlet.restore)
@@ -168,7 +167,7 @@ class Service:
                 self._daemon.end()
                 await self._outlet.close(wait_for_broker=self._fatal is not None)
         finally:
-            self._course.close()
+            self._pipeline.close()
             await asyncio.to_thread(self._reader.stop)
             await asyncio.to_thread(self._recording.close)
         if self._fatal is not None:
@@ -228,12 +227,12 @@ class Service:
         parts = DaemonParts(
             report_health=self._report_health,
             last_message=self._outlet.last_message,
-            force_chain=self._force_chain,
+            sensor=self._measuring_sensor,
             locate=self._reader.blink,
-            streams=self._course.reporter.streams,
+            streams=tuple(topic.path for topic in self._pipeline.sensor.streams),
             set_rate=self._set_rate,
-            measurement=lambda: self._course.reporter.measurement,
-            control=self._control.request,
+            measurement=lambda: self._pipeline.sensor.measurement,
+            apply=self._control_requests.apply,
         )
         self._name = name
         tag_log(name)
@@ -256,13 +255,14 @@ class Service:
         except UserError as error:
             log.error("nothing is recorded: %s", error)
 
-    def _force_chain(self) -> ForceChain | None:
-        link = self._course.link
-        return self._course.measuring.force_chain if link is not None and link.state == "online" else None
+    def _measuring_sensor(self) -> Sensor[Any] | None:
+        """Return the sensor while a board counts, None otherwise."""
+        link, sensor = self._pipeline.link, self._pipeline.sensor
+        return sensor if sensor.ready and link is not None and link.state == "online" else None
 
     def _set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
         self._outlet.set_rate(path, rate_hz)
-        self._course.limit_rates(limits_hz)
+        self._pipeline.limit_rates(limits_hz)
 
     async def _keep_reloading(self) -> None:
         while True:
@@ -276,8 +276,8 @@ class Service:
         config = self._in_use.config
         if found is not None and found.live:
             if any(key.startswith("measurement.") for key in found.live):
-                await self._control.request(control_requests.MeasureOver(measurement=config.measurement))
-            self._course.allow(config.commands.allow)
+                await self._control_requests.apply(SetWindow(measurement=config.measurement))
+            self._pipeline.allow(config.commands.allow)
             self._outlet.allow(config.commands.allow)
             self._recorded.derived = config.recording.derived
             if self._recordings is not None:
@@ -289,7 +289,7 @@ class Service:
     def _make_offline(self, reason: str) -> State:
         now_ns = time.time_ns()
         standing = self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
-        return self._course.reporter.daemon_state(standing, now_ns)
+        return self._pipeline.states.daemon_state(standing, now_ns)
 
     def _consume(self) -> None:
         """Handle what has arrived, in parts, between which the event loop serves messages and signals."""
@@ -328,7 +328,7 @@ class Service:
         limit_ns = _LATE_NS if newer_ns >= self._step_ns else _TOO_LATE_NS
         return time.monotonic_ns() - gate_middle.monotonic_ns > limit_ns
 
-    def _handle(self, arrival: Arrival | list[SingleToneFrame]) -> None:
+    def _handle(self, arrival: Arrival | list[Frame]) -> None:
         match arrival:
             case BoardOnline() if not self._outlet.open and not self._take_name_of(arrival):
                 return
@@ -337,14 +337,13 @@ class Service:
             case BoardRefused():
                 self._refuse(arrival)
             case ControlRequest():
-                self._control.applied(arrival.key, self._course.apply_control(arrival.request))
-                measurement = self._course.reporter.measurement
-                self._reader.set_step_frames(useful_together(self._config.plate, measurement))
-                self._step_ns = step_ns(self._config.plate, measurement)
+                self._control_requests.applied(arrival.key, self._pipeline.apply(arrival.request))
+                self._reader.set_step_frames(self._pipeline.sensor.wake_frames)
+                self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
                 return
             case ReaderFailed():
                 raise arrival.error
-        self._course.take(arrival)
+        self._pipeline.handle(arrival)
 
     def _take_name_of(self, board: BoardOnline) -> bool:
         """Publish under the board's serial number; return whether that can be."""
@@ -359,7 +358,7 @@ class Service:
         return True
 
     def _refuse(self, refused: BoardRefused) -> None:
-        if self._course.board is not None:
+        if self._pipeline.board is not None:
             return  # the right board was here before and may come back
         error = IncompatibleBoardError if refused.other_protocol else ConfigurationError
         self._fatal = error(*refused.problems)
@@ -375,7 +374,7 @@ class Service:
         self._recorded.take(topic, message)
 
     def _say_daemon(self, standing: DaemonStanding) -> None:
-        self._publish(STATE_DAEMON, self._course.reporter.daemon_state(standing, time.time_ns()))
+        self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(standing, time.time_ns()))
 
     def _say_measuring(self) -> None:
         reason = "; ".join(filter(None, ("measuring", self._in_use.remark)))
@@ -386,7 +385,7 @@ class Service:
         socket = runtime_directory(self._file_stem) / SOCKET_NAME
         helpers = {
             "health": self._keep_reporting(),
-            "decoding": self._course.measuring.run(),
+            "decoding": self._pipeline.sensor.run(),
             "watchdog": self._keep_watch(),
             "reloading": self._keep_reloading(),
             "status": StatusServer(socket, self._status).run(),
@@ -398,19 +397,19 @@ class Service:
     async def _keep_watch(self) -> None:
         """Tell the service manager when it may count on this daemon, and as long as it may."""
         while True:
-            link = self._course.link
+            link = self._pipeline.link
             state = link.state if link is not None else "starting"
-            if not self._ready and (self._course.frames or state in DECLARED_WAITING):
+            if not self._ready and (self._pipeline.frames or state in DECLARED_WAITING):
                 self._ready = True
                 self._manager.ready(self._sentence())
-            if self._flow.healthy(self._course.frames, state, self._reader.turns):
+            if self._flow.healthy(self._pipeline.frames, state, self._reader.turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
             await asyncio.sleep(min(_WATCH_S, self._manager.watchdog_s or _WATCH_S))
 
     def _sentence(self) -> str:
         """Say in a line how it goes."""
-        link, health = self._course.link, self._health
+        link, health = self._pipeline.link, self._health
         said = f"link {link.state}: {link.reason}" if link is not None else "starting"
         if link is not None and link.state == "online" and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
@@ -445,18 +444,18 @@ class Service:
             self._status()  # so that the age of what is new is counted from now on, asked for or not
 
     def _report_health(self) -> Health:
-        measuring = self._course.measuring
+        sensor = self._pipeline.sensor
         vitals = self._monitor.vitals(
             self.link_counters,
             self.message_account,
             self._reader.clock_rate_ppm,
-            measuring.frames_not_decoded,
-            measuring.records_unusable,
-            latency=measuring.latencies.info(),
+            sensor.frames_not_decoded,
+            sensor.records_unusable,
+            latency=self._pipeline.output.latencies.info(),
             decoder=self._decoder.info() if self._decoder is not None else None,
             recording=recording_info(self._recording),
             commands=self._outlet.command_counts,
         )
-        health = Health(**self._course.reporter.header(HEALTH, time.time_ns()), **vitals)
+        health = Health(**self._pipeline.headers.of(HEALTH, time.time_ns()), **vitals)
         self._publish(HEALTH, health)
         return health

@@ -2,8 +2,8 @@
 
 from collections.abc import Iterator
 
-from resonator_daemon.pipeline.surface_reports import MeasuredFields
 from resonator_daemon.publishing.codec import decode
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Status
 
 

@@ -12,7 +12,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.force_tones import SIGMA_HZ
 from resonator_daemon.plate import FORCE_SIGNAL, SKIN_SIGNALS, Plate
-from resonator_daemon.sensors.single_tone import BAND_MARGIN, PILOT_TOLERANCE
+from resonator_daemon.sensors.single_tone_processing import BAND_MARGIN, PILOT_TOLERANCE
 from resonator_daemon.session.frames import ChannelisedFrame, SingleToneFrame
 from resonator_daemon.tones.frequency_estimators import Sums, counter_std, frequency_hz, oscillator_std, stamp_std_ticks
 from resonator_daemon.tones.tone_merging import merge_tones

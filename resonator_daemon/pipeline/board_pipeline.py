@@ -1,20 +1,21 @@
-"""What follows from each arrival of a board: states, readings, messages; live and from a recording alike."""
+"""Events of a board's session to messages, without a clock: live, from a recording, and wherever else they are read."""
 
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
-from typing import Any
 
-from resonator_daemon.config import Config, Measurement
-from resonator_daemon.forces.readings import ForceReading
-from resonator_daemon.pipeline.control_requests import MeasureOver, Tare, parse_control
-from resonator_daemon.pipeline.frame_timeout import CallLater, Silence
-from resonator_daemon.pipeline.measuring import Measuring
-from resonator_daemon.pipeline.reports import Reporter, utc_day
-from resonator_daemon.pipeline.sensor_state import SensorState
-from resonator_daemon.pipeline.surface_decoding import MakeSurfaceDecoding, SequentialDecoding
-from resonator_daemon.plate import Plate
+from resonator_daemon.config import Config
+from resonator_daemon.forces.readings import ForceReading, SkinReading
+from resonator_daemon.pipeline.control_requests import SetWindow, Tare, parse_request
+from resonator_daemon.pipeline.frame_timeout import CallLater, FrameTimeout
+from resonator_daemon.pipeline.state_messages import StateMessages
+from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import Condition, Lost
-from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR, Topic
+from resonator_daemon.publishing.topics import INFO, STATE_LINK, STATE_SENSOR
+from resonator_daemon.sensors.calendar import DAY_NS, utc_day
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.sensors.output import MessageOutput, Publish
+from resonator_daemon.sensors.sensor_state import SensorState
+from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import (
@@ -23,6 +24,7 @@ from resonator_daemon.session.frames import (
     BoardOnline,
     ChannelisedFrame,
     ControlRequest,
+    Frame,
     Gap,
     LinkChange,
     Outage,
@@ -31,43 +33,48 @@ from resonator_daemon.session.frames import (
 
 log = logging.getLogger(__name__)
 
-_DAY_NS = 86_400 * 10**9
 
-Publish = Callable[[Topic[Any], Any], None]
+Reading = ForceReading | SkinReading
 
 
-class BoardCourse:
-    """Follows one board through any number of connections and boots; it reads no clock, what arrives brings its time.
+class BoardPipeline:
+    """Follows one board through any number of connections and boots.
+
+    It reads no clock: what arrives brings its time.
 
     Parameters
     ----------
     config
     daemon_boot_id
-        Of this run.
+        Identifier of this run.
     publish
-        Takes topic and message.
+        Called with topic and message.
     publish_dropped
-        Tells how many messages subscribers have missed.
+        Returns the number of messages that subscribers have missed.
     call_later
-        Of the event loop; None where all time passes by what arrives, and by `pass_time`.
+        Of the event loop; None if time passes by what arrives and by `pass_time` alone.
     make_decoding
         Makes what decodes the frames of a skin.
     is_late
-        Returns whether a message about a window that ends at this instant is too late; it is skipped then. Always
-        False for recordings, which have no age.
+        Returns whether a message about a window that ends at this instant is too late to be published. Always False
+        for recordings, which have no age.
 
     Attributes
     ----------
-    measuring
+    sensor
         Frames to messages.
-    reporter
-        Makes the messages.
+    headers
+        Makes the headers of messages.
+    states
+        Makes the messages about states.
+    output
+        Where the sensor's messages go.
     board
-        That counts, or did last.
+        The board that counts, or did last.
     link
-        How it stands.
+        The last state of the link.
     frames
-        That were measured.
+        Number of frames that were measured.
     """
 
     def __init__(
@@ -83,10 +90,13 @@ class BoardCourse:
         self._plate = config.plate
         self._publish = publish
         self._publish_dropped = publish_dropped
-        self.reporter = Reporter(config, daemon_boot_id, self._lost)
-        self._sensor = SensorState(self._say_sensor, _what_is_read(config.plate))
-        self.measuring = Measuring(config, self.reporter, self._sensor, publish, make_decoding, is_late)
-        self._silence = Silence(self.measuring.end_contacts, call_later)
+        self.headers = Headers(daemon_boot_id, self._lost)
+        self.sensor = sensor_of(config.plate, config.measurement, config.decoding)
+        self.states = StateMessages(config, self.sensor, self.headers)
+        self._sensor_state = SensorState(self._publish_sensor_state, self.sensor.summary)
+        self.output = MessageOutput(config, self.headers, self._sensor_state, publish, is_late)
+        self.sensor.connect(self.output, make_decoding)
+        self._frame_timeout = FrameTimeout(self.sensor.end_contacts, call_later)
         self.board: BoardOnline | None = None
         self.link: LinkChange | None = None
         self.frames = 0
@@ -94,25 +104,26 @@ class BoardCourse:
         self._board_boot_id: int | None = None
         self._boots = 0
         self._loss = FrameLoss()
-        self._told_lost = Lost()  # as the last message has it
-        self._told_loss = self._loss, 0, 0  # of what that was made
+        self._last_lost = Lost()  # as in the last message
+        self._last_loss = self._loss, 0, 0  # of what that was made
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
         self._limits_hz: Mapping[str, float] = {}  # of topics whose rate a command has lowered
 
-    def take(self, arrival: Arrival | list[SingleToneFrame]) -> None:
-        """Do what follows from an arrival, or from adjacent frames; arrivals for the daemon alone are ignored."""
+    @property
+    def skipped_late(self) -> int:
+        """Number of messages that were skipped because they were late."""
+        return self.output.skipped_late + self.sensor.skipped_late
+
+    def handle(self, arrival: Arrival | list[Frame]) -> None:
+        """Publish what follows from an arrival, or from adjacent frames; events for the daemon alone are ignored."""
         match arrival:
             case list():
-                self._arrive(arrival[0].gate_middle.utc_ns)
-                self.report(arrival, self.measure(arrival))
-            case SingleToneFrame():
-                self.take([arrival])
-            case ChannelisedFrame():
-                self._arrive(arrival.gate_middle.utc_ns)
-                self.measuring.measure(arrival)
-                self.frames += 1
+                self._pass_frames(arrival[:1])
+                self.publish(arrival, self.measure(arrival))
+            case SingleToneFrame() | ChannelisedFrame():
+                self.handle([arrival])
             case Gap():
                 self._loss += arrival.loss
                 next_index = arrival.first_index + arrival.loss.total
@@ -120,50 +131,50 @@ class BoardCourse:
             case LinkChange():
                 self._arrive(arrival.utc_ns)
                 self.link = arrival
-                self._say_link(arrival)
+                self._publish_link_state(arrival)
                 if arrival.state != "online":
-                    self._sensor.no_frames(f"link {arrival.state}: {arrival.reason}", arrival.utc_ns)
-                self._silence.watch(arrival.state, arrival.utc_ns)
+                    self._sensor_state.no_frames(f"link {arrival.state}: {arrival.reason}", arrival.utc_ns)
+                self._frame_timeout.watch(arrival.state, arrival.utc_ns)
             case Outage():
                 self._outage = arrival
                 if self.link is not None:
-                    self._say_link(self.link)
+                    self._publish_link_state(self.link)
             case BoardOnline():
                 self._adopt(arrival)
             case ControlRequest():
-                if refusal := self.apply_control(arrival.request):
+                if (refusal := self.apply(arrival.request)) is not None:
                     log.warning("%s", refusal)
             case BoardLogLine():
                 log.log(min(arrival.level, logging.ERROR), "board: %s", arrival.text)
 
-    def measure(self, frames: Sequence[SingleToneFrame]) -> list[ForceReading]:
-        """Measure adjacent frames; `report` is to follow for all of them."""
-        return self.measuring.read(frames)
+    def measure(self, frames: Sequence[Frame]) -> Sequence[Reading]:
+        """Measure adjacent frames; `publish` is to follow for all of them."""
+        return self.sensor.measure(frames)
 
-    def report(self, frames: Sequence[SingleToneFrame], readings: Sequence[ForceReading]) -> None:
+    def publish(self, frames: Sequence[Frame], readings: Sequence[Reading]) -> None:
         """Publish readings that end with one of these adjacent frames, and let the time of the frames pass."""
         first, start = frames[0].index, 0
         for reading in readings:
             end = reading.sequence - first + 1
-            self.measuring.publish(reading, self._arrive_all(frames[start:end]))
+            self.sensor.publish(reading, self._pass_frames(frames[start:end]))
             start = end
         if start < len(frames):
-            self._arrive_all(frames[start:])
+            self._pass_frames(frames[start:])
         self.frames += len(frames)
 
     def pass_time(self, utc_ns: int) -> None:
-        """Take note of what time it is on the host that reads, or read, the board."""
+        """Let time pass on the host that reads, or read, the board."""
         self._now_utc_ns = utc_ns
-        self._silence.passed(utc_ns)
-        day = utc_ns // _DAY_NS
+        self._frame_timeout.passed(utc_ns)
+        day = utc_ns // DAY_NS
         if day != self._day:
             self._day = day
-            self._sensor.calibration(self._plate.calibration.expiry_note(utc_day(utc_ns)), utc_ns)
+            self._sensor_state.calibration(self._plate.calibration.expiry_note(utc_day(utc_ns)), utc_ns)
 
-    def _arrive_all(self, frames: Sequence[SingleToneFrame]) -> Instant:
+    def _pass_frames(self, frames: Sequence[Frame]) -> Instant:
         """Let the time of adjacent frames pass; return the middle of the last gate."""
         middle = frames[-1].gate_middle
-        if middle.utc_ns // _DAY_NS != self._day:
+        if middle.utc_ns // DAY_NS != self._day:
             for frame in frames[:-1]:
                 self._arrive(frame.gate_middle.utc_ns)
         self._arrive(middle.utc_ns)
@@ -173,54 +184,49 @@ class BoardCourse:
         self._arrived_utc_ns = utc_ns
         self.pass_time(utc_ns)
 
-    def apply_control(self, request: str) -> str:
-        """Apply a control request; return why it was refused, "" where it was applied."""
+    def apply(self, request: str) -> str | None:
+        """Apply a control request; return why that cannot be done, None if it was done."""
         try:
-            match parse_control(request):
-                case MeasureOver(measurement=measurement):
-                    self._measure_over(measurement)
-                    return ""
+            match parse_request(request):
+                case SetWindow(measurement=measurement):
+                    self.sensor.set_window(measurement)
+                    self._publish_info()
+                    return None
                 case Tare():
-                    chain = self.measuring.force_chain
-                    return chain.tare() if chain is not None else "no force sites are being measured"
+                    return self.sensor.tare()
         except ValueError as error:
-            return f"{request!r} is no order of this version: {error}"
-
-    def _measure_over(self, measurement: Measurement) -> None:
-        self.measuring.set_measurement(measurement)
-        self.reporter.measurement = measurement
-        self._say_info()
+            return f"{request!r} is no request of this version: {error}"
 
     def limit_rates(self, limits_hz: Mapping[str, float]) -> None:
-        """Say how often topics are published whose rate was lowered."""
+        """Publish how often topics are published whose rate was lowered."""
         self._limits_hz = dict(limits_hz)
-        self._say_info()
+        self._publish_info()
 
     def allow(self, verbs: Collection[str]) -> None:
-        """Say which commands are obeyed from now on."""
-        self.reporter.allowed = verbs
-        self._say_info()
+        """Publish which commands are accepted from now on."""
+        self.states.allowed = verbs
+        self._publish_info()
 
     def close(self) -> None:
-        """Forget what was to be told later."""
-        self._silence.stop()
+        """Cancel what was to happen later."""
+        self._frame_timeout.stop()
 
     def _adopt(self, board: BoardOnline) -> None:
-        """Take a board that counts; a boot that was not seen before has nothing in common with the past."""
+        """Begin with a board that counts; a new boot has nothing in common with the past."""
         if board.boot_id != self._board_boot_id:
             self._boots += 1
         if self.board is None or not board.continues:
             self._board_boot_id = board.boot_id
-            self.measuring.begin(board)
+            self.sensor.begin(board)
         self.board = board
-        self.reporter.board_boot_id = f"{board.boot_id:08x}"
-        self._say_info()
+        self.headers.board_boot_id = f"{board.boot_id:08x}"
+        self._publish_info()
 
     def _lost(self) -> Lost:
-        loss, dropped, late = told = self._loss, self._publish_dropped(), self.measuring.skipped_late
-        if told != self._told_loss:  # hundreds of messages a second have nothing new to say
-            self._told_loss = told
-            self._told_lost = Lost(
+        loss, dropped, late = now = self._loss, self._publish_dropped(), self.skipped_late
+        if now != self._last_loss:  # hundreds of messages a second repeat the last one
+            self._last_loss = now
+            self._last_lost = Lost(
                 link_gap=loss.link_gap,
                 damaged=loss.damaged,
                 board_overflow=loss.board_overflow,
@@ -229,25 +235,15 @@ class BoardCourse:
                 publish_dropped=dropped,
                 skipped_late=late,
             )
-        return self._told_lost
+        return self._last_lost
 
-    def _say_link(self, link: LinkChange) -> None:
-        self._publish(STATE_LINK, self.reporter.link_state(link, self._outage, self._boots))
+    def _publish_link_state(self, link: LinkChange) -> None:
+        self._publish(STATE_LINK, self.states.link_state(link, self._outage, self._boots))
 
-    def _say_sensor(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
-        state = self.reporter.sensor_state(condition, reason, since_utc_ns, self._now_utc_ns)
+    def _publish_sensor_state(self, condition: Condition, reason: str, since_utc_ns: int) -> None:
+        state = self.states.sensor_state(condition, reason, since_utc_ns, self._now_utc_ns)
         self._publish(STATE_SENSOR, state)
 
-    def _say_info(self) -> None:
+    def _publish_info(self) -> None:
         if self.board is not None:
-            self._publish(INFO, self.reporter.info(self.board, self._limits_hz, self._arrived_utc_ns))
-
-
-def _what_is_read(plate: Plate) -> str:
-    """Say what a sensor that is well does, and what it leaves in."""
-    if plate.skin is not None:
-        return "all sites are read"
-    read = "site forces only"
-    if plate.counter.kind == "single-tone":
-        read += ": one captured tone per corner gives no field to decode"
-    return read if plate.response else f"{read}; hysteresis and creep of the sites are not taken out: not calibrated"
+            self._publish(INFO, self.states.info(self.board, self._limits_hz, self._arrived_utc_ns))

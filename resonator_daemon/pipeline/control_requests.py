@@ -1,4 +1,4 @@
-"""Orders that change how all later frames are measured: they travel with the frames, and are recorded among them."""
+"""Requests that change how all later frames are measured: they travel with the frames, and are recorded among them."""
 
 import asyncio
 import secrets
@@ -11,53 +11,53 @@ from resonator_daemon.config import Measurement
 
 
 class Tare(BaseModel):
-    """Take the present readings as untouched."""
+    """Set the zero to the present readings."""
 
     verb: Literal["tare"] = "tare"
 
 
-class MeasureOver(BaseModel):
+class SetWindow(BaseModel):
     """Measure over other windows."""
 
-    verb: Literal["measure_over"] = "measure_over"
+    verb: Literal["measure_over"] = "measure_over"  # as it is in recordings
     measurement: Measurement
 
 
-Control = Tare | MeasureOver
+Control = Tare | SetWindow
 
-_CONTROL: Final[TypeAdapter[Control]] = TypeAdapter(Annotated[Control, Field(discriminator="verb")])
+_REQUEST: Final[TypeAdapter[Control]] = TypeAdapter(Annotated[Control, Field(discriminator="verb")])
 
 
-def parse_control(text: str) -> Control:
-    """Read an order; ValueError where it is none of this version."""
-    return _CONTROL.validate_json(text)
+def parse_request(text: str) -> Control:
+    """Return a control request from its JSON; ValueError if it is none of this version."""
+    return _REQUEST.validate_json(text)
 
 
 class ControlRequests:
-    """Sends orders after the frames that have arrived, and waits until they were obeyed.
+    """Sends requests after the frames that have arrived, and waits until they were applied.
 
     Parameters
     ----------
     send
-        Takes a key and an order; the reader gives both back, in their turn.
+        Called with a key and a request; the reader gives both back, in their turn.
     """
 
     def __init__(self, send: Callable[[str, str], None]) -> None:
         self._send = send
-        self._asked: dict[str, asyncio.Future[str]] = {}
+        self._pending: dict[str, asyncio.Future[str | None]] = {}
 
-    async def request(self, control: Control) -> str:
-        """Return why the order was not obeyed; "" where it was."""
+    async def apply(self, request: Control) -> str | None:
+        """Return why the request could not be applied; None if it was."""
         key = secrets.token_hex(8)
-        asked: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        self._asked[key] = asked
+        pending: asyncio.Future[str | None] = asyncio.get_running_loop().create_future()
+        self._pending[key] = pending
         try:
-            self._send(key, control.model_dump_json())
-            return await asked
+            self._send(key, request.model_dump_json())
+            return await pending
         finally:
-            del self._asked[key]
+            del self._pending[key]
 
-    def applied(self, key: str, refusal: str) -> None:
-        """Take what became of an order; of one that was replayed nobody wants to know."""
-        if (asked := self._asked.get(key)) is not None and not asked.done():
-            asked.set_result(refusal)
+    def applied(self, key: str, refusal: str | None) -> None:
+        """Report what became of a request; for one that was replayed nothing waits."""
+        if (pending := self._pending.get(key)) is not None and not pending.done():
+            pending.set_result(refusal)

@@ -1,4 +1,4 @@
-"""Notices that a link has brought no frames for so long that nothing can be said of the contacts any more."""
+"""Timeout of a link without frames, after which nothing is known of the contacts."""
 
 from collections.abc import Callable
 from typing import Final, Protocol
@@ -7,7 +7,7 @@ CONTACTS_END_S: Final = 0.5  # as long as a contact of which nothing is known is
 
 
 class Timer(Protocol):
-    """A call that is to come."""
+    """A scheduled call."""
 
     def cancel(self) -> None: ...
 
@@ -15,48 +15,48 @@ class Timer(Protocol):
 CallLater = Callable[[float, Callable[[], None]], Timer]
 
 
-class Silence:
-    """Calls back once when the link has not been online for half a second.
+class FrameTimeout:
+    """Calls back once if the link has not been online for half a second.
 
     Parameters
     ----------
-    announce
+    expire
         Called with the reason.
     call_later
-        Of the event loop, where the present is what counts; None where `passed` tells all that passes.
+        Of the event loop, for which the present counts; None if all time passes by `passed`.
     """
 
-    def __init__(self, announce: Callable[[str], None], call_later: CallLater | None) -> None:
-        self._announce = announce
+    def __init__(self, expire: Callable[[str], None], call_later: CallLater | None) -> None:
+        self._expire = expire
         self._call_later = call_later
         self._timer: Timer | None = None
         self._due_utc_ns: int | None = None
-        self._silent = False
+        self._waiting = False
 
     def watch(self, link_state: str, utc_ns: int) -> None:
-        """Take the link's state as it changes, and when it did."""
+        """Follow a change of the link's state."""
         self.passed(utc_ns)
         if link_state == "online":
             self.stop()
-        elif not self._silent:
-            self._silent = True
+        elif not self._waiting:
+            self._waiting = True
             self._due_utc_ns = utc_ns + round(CONTACTS_END_S * 1e9)
             if self._call_later is not None:
-                self._timer = self._call_later(CONTACTS_END_S, self._tell)
+                self._timer = self._call_later(CONTACTS_END_S, self._run_out)
 
     def passed(self, utc_ns: int) -> None:
-        """Take note of what time it is."""
+        """Let time pass until this moment."""
         if self._due_utc_ns is not None and utc_ns >= self._due_utc_ns:
-            self._tell()
+            self._run_out()
 
     def stop(self) -> None:
-        """Forget a silence that is over, or is of no interest any more."""
-        self._silent = False
+        """Stop waiting."""
+        self._waiting = False
         self._end()
 
-    def _tell(self) -> None:
+    def _run_out(self) -> None:
         self._end()
-        self._announce(f"no frames for {CONTACTS_END_S:g} s")
+        self._expire(f"no frames for {CONTACTS_END_S:g} s")
 
     def _end(self) -> None:
         self._due_utc_ns = None

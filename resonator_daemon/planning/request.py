@@ -13,10 +13,10 @@ from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR
-from resonator_daemon.pipeline.chains import force_sites
 from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
 from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
+from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 
 JITTER_S: Final = 0.3e-9  # of a counter's input

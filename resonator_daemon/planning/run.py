@@ -18,8 +18,6 @@ from resonator_daemon.errors import ExitCode
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
 from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
-from resonator_daemon.pipeline import code_check
-from resonator_daemon.pipeline.chains import force_sites
 from resonator_daemon.planning.plate_file import (
     PILOT_ABOVE,
     Layout,
@@ -30,6 +28,8 @@ from resonator_daemon.planning.plate_file import (
 from resonator_daemon.planning.refusal import PlanRefusedError, PlanUsageError
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
 from resonator_daemon.plate import Plate
+from resonator_daemon.sensors import code_check
+from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.view.code_plan import BITS_A_BYTE, CodePlan, Trials
 

@@ -11,9 +11,8 @@ from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
-from resonator_daemon.pipeline.surface_reports import MeasuredFields
-from resonator_daemon.pipeline.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import (
     Condition,
@@ -28,6 +27,7 @@ from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, SkinPlate, header_of
+from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 _LOOK_S = 0.1
 

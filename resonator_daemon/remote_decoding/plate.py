@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.pipeline.surface_reports import MeasuredFields
 from resonator_daemon.publishing.codec import decode
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
 from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION
 

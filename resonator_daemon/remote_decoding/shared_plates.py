@@ -12,7 +12,6 @@ from resonator_daemon.config import plate_name
 from resonator_daemon.decoding.skin import Wanted
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.monitoring.latency import LatencyHistogram
-from resonator_daemon.pipeline.surface_reports import SurfaceReporter
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.publishing.publisher import Subscription
@@ -20,6 +19,7 @@ from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, S
 from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
 from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
+from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 PLATES_MAX: Final = 1000
 PROBLEMS_MAX: Final = 100  # of plates that are not in the table
@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 
 class _Origin(NamedTuple):
     signals: Signals
-    reporter: SurfaceReporter
+    reporter: SurfaceMessages
 
 
 class SharedPlates:
@@ -69,7 +69,7 @@ class SharedPlates:
         self._publish = publish
         self._uncertainty = uncertainty
         self._plates: dict[str, RemotePlate] = {}
-        self._reporters: dict[str, SurfaceReporter] = {}
+        self._reporters: dict[str, SurfaceMessages] = {}
         self._decoded: Counter[str] = Counter()
         self._stage = SharedStage[_Origin](wanted, self._deliver, self._announce, self._refuse)
         self._note = ""
@@ -197,7 +197,7 @@ class SharedPlates:
             return
         skin = plate.skin
         if plate.name not in self._reporters:
-            self._reporters[plate.name] = SurfaceReporter(
+            self._reporters[plate.name] = SurfaceMessages(
                 skin.site_ids,
                 skin.skin.site_positions_m,
                 skin.grid.pitch_m if skin.grid else None,

@@ -7,14 +7,14 @@ from typing import Any, Final, NamedTuple
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.config import Config
-from resonator_daemon.pipeline.board_pipeline import BoardCourse
+from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, Recording
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
-from resonator_daemon.session.frames import Arrival, BoardRefused, SingleToneFrame, in_blocks
+from resonator_daemon.session.frames import Arrival, BoardRefused, Frame, in_blocks
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import WireEvent
 from resonator_daemon.session.link_state_machine import LinkStateMachine
@@ -66,9 +66,9 @@ class Playback:
         self._queue = FrameQueue(_FRAME_QUEUE_BYTES, lambda: None, ())
         self._link = LinkStateMachine(config.plate, self._queue, lambda _: None)
         self._replay = Replay(recording, self._link)
-        self._board = BoardCourse(config, daemon_boot_id, self._publish)
+        self._board = BoardPipeline(config, daemon_boot_id, self._publish)
         self._waiting: list[tuple[HostTime, list[Arrival]]] = []  # events of which nothing but frames came
-        self._waiting_frames: list[SingleToneFrame] = []  # of all of these: they are adjacent
+        self._waiting_frames: list[Frame] = []  # of all of these: they are adjacent
         self.refused: tuple[str, ...] = ()
 
     @property
@@ -113,7 +113,7 @@ class Playback:
 
     def _keep(self, arrivals: list[Arrival]) -> bool:
         """Keep frames to be measured with those of later events; return False where these do not merely adjoin."""
-        frames = [arrival for arrival in arrivals if isinstance(arrival, SingleToneFrame)]
+        frames = [arrival for arrival in arrivals if isinstance(arrival, Frame)]
         kept = self._waiting_frames
         if len(frames) < len(arrivals) or (kept and frames[0].index != kept[-1].index + 1):
             return False
@@ -125,7 +125,7 @@ class Playback:
         for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
             if isinstance(arrival, BoardRefused):
                 self.refused = arrival.problems
-            self._board.take(arrival)
+            self._board.handle(arrival)
         yield from self._at(event.now)
 
     def _measured(self) -> Iterator[Moment]:
@@ -141,7 +141,7 @@ class Playback:
                 told = []
                 while readings and readings[0].sequence <= arrived[-1].index:
                     told.append(readings.popleft())
-                self._board.report(arrived, told)
+                self._board.publish(arrived, told)
             yield from self._at(now)
 
     def _at(self, now: HostTime) -> Sequence[Moment]:

@@ -1,72 +1,179 @@
-"""Frames of a channelised counter under a skin: tones to signals, freed of what they have in common."""
+"""Sensor under a skin: the signals of its sites, and the surface that a decoder makes of them."""
 
-import math
-from typing import Final
+from collections.abc import Sequence
+from typing import Any, ClassVar, Final
 
-import numpy as np
-from numpy.typing import NDArray
+from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.elastic import HalfSpace
+from resonator_daemon.forces.readings import SkinReading
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.headers import MeasuredFields
+from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message, Signals, Status
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
+from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.skin_processing import SkinProcessing
+from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SurfaceDecoding
+from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
+from resonator_daemon.session.clock import Instant
+from resonator_daemon.session.compatibility import oscillator_hz
+from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
 
-from resonator_daemon.arrays import Floats
-from resonator_daemon.forces.baseline import CommonMode
-from resonator_daemon.forces.readings import SensorStatus, SkinReading
-from resonator_daemon.sensors.skin_signals import TONES_MIN, ToneArray
+_SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 
-BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
-COMMON_MODE_NOISE: Final = 1e-9  # of one frame, relative: the median of a thousand tones
+Origin = tuple[SkinReading, Instant]
 
 
-class SkinChain:
-    """Offsets of many tones on four channels to the signals of the sites under a skin."""
+class SkinSensor(Sensor[SkinReading]):
+    """Sites under a skin, each with three signals."""
 
-    def __init__(
-        self,
-        f0_hz: Floats,
-        sensitivity: Floats,
-        oscillator_hz: Floats,
-        site_index: NDArray[np.integer],
-        signal_index: NDArray[np.integer],
-        *,
-        youngs_modulus_pascal: float,
-        gate_s: float,
-    ) -> None:
-        """Take a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
-        self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
-        self._offset_hz = np.empty((4, len(f0_hz)))
-        self._gate_s = gate_s
-        self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
+    result: ClassVar[Topic[Any]] = DECODED
+    adjustable: ClassVar[bool] = False
+    _processing: SkinProcessing | None = None
+    _decoding: SurfaceDecoding[Origin] | None = None
 
-    def restart(self) -> None:
-        """Forget the baseline: the board has booted or is configured anew."""
-        self._common_mode.reset()
+    @property
+    def summary(self) -> str:
+        return "all sites are read"
 
-    def push(
-        self,
-        sequence: int,
-        board_ticks: int,
-        offset_hz16: NDArray[np.integer],
-        variance_hz2: Floats,
-    ) -> SkinReading:
-        """Take one frame, each array (4, t): offsets in 2^-16 Hz, and their variance, infinite where not known."""
-        shape = (4, self._tones.tones)
-        if offset_hz16.shape != shape or variance_hz2.shape != shape:
-            raise ValueError(f"shapes {offset_hz16.shape} and {variance_hz2.shape} must be {shape}")
-        np.multiply(offset_hz16, 2.0**-16, out=self._offset_hz)
-        shifts = self._tones.shifts(self._offset_hz, variance_hz2)
-        untouched = self._tones.untouched_common_mode(shifts)
-        self._common_mode.update([math.nan if untouched is None else untouched], self._gate_s)
-        (common_mode,) = self._common_mode.value
-        # Without a common mode every signal is NaN, like the common mode itself.
-        signals, noise_std = self._tones.signals(shifts, common_mode)
-        status, reason = self._status(untouched is not None, int(np.count_nonzero(shifts.information)))
-        return SkinReading(sequence, board_ticks, self._gate_s, status, reason, signals, noise_std, common_mode)
+    @property
+    def streams(self) -> tuple[Topic[Any], ...]:
+        decoded_here = self.decoding.method != "off" and not self.decoding.apart
+        return (SIGNALS, *_SURFACE) if decoded_here else (SIGNALS,)
 
-    def _status(self, untouched: bool, heard: int) -> tuple[SensorStatus, str]:
-        if heard == 0:
-            return "no_signal", "no tone is known"
-        if self._common_mode.known:
-            return "ok", ""
-        if untouched:
-            return "settling", "the common mode is being learnt"
-        if heard < TONES_MIN:
-            return "no_signal", f"{heard} tones known, at least {TONES_MIN} needed to learn the common mode"
-        return "pressed_at_start", "touched before the common mode was learnt"
+    @property
+    def window_s(self) -> float:
+        return 1 / self.plate.counter.frame_rate_hz
+
+    @property
+    def step_s(self) -> float:
+        return 1 / self.plate.counter.frame_rate_hz
+
+    @property
+    def rate_hz(self) -> float:
+        return self.plate.counter.frame_rate_hz
+
+    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+        self._output = output
+        plate, decoding, skin = self.plate, self.decoding, self.plate.required_skin
+        if decoding.method == "off":
+            output.state.explain("decoding is off")
+            return
+        if decoding.apart:
+            output.state.explain("decoded by another process: resonatord decode")
+            return
+        settings = SurfaceSettings(
+            Skin(
+                HalfSpace(skin.youngs_modulus_pascal, skin.poisson_ratio),
+                plate.site_positions_m,
+                skin.depth_m,
+                skin.gain_std,
+                skin.correlation_length_m,
+                skin.tangential_ratio,
+            ),
+            Wanted(decoding.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement),
+            plate.site_ids,
+            plate.grid.pitch_m if plate.grid else None,
+            uncertainty=decoding.uncertainty,
+        )
+        self._decoding = make_decoding(settings, self)
+
+    @property
+    def ready(self) -> bool:
+        return self._processing is not None
+
+    def begin(self, board: BoardOnline) -> None:
+        if self._processing is not None:
+            self._processing.restart()
+            self.end_contacts("the board started anew")
+            return
+        plate, tones = self.plate, self.plate.tones
+        self._processing = SkinProcessing(
+            tones.f0_hz,
+            tones.sensitivity,
+            oscillator_hz(board.description),
+            tones.site_index,
+            tones.signal_index,
+            youngs_modulus_pascal=plate.required_skin.youngs_modulus_pascal,
+            gate_s=self.window_s,
+        )
+
+    def measure(self, frames: Sequence[Frame]) -> Sequence[SkinReading]:
+        processing = self._processing
+        if processing is None:
+            return ()
+        return [
+            processing.push(frame.index, frame.board_ticks, frame.offset_hz16, frame.variance_hz2)
+            for frame in frames
+            if isinstance(frame, ChannelisedFrame)
+        ]
+
+    def publish(self, reading: SkinReading, gate_middle: Instant) -> None:
+        output, decoding = self._output, self._decoding
+        output.state.update(reading.status, reading.reason, (reading.common_mode,), gate_middle.utc_ns)
+        is_decoded = decoding is not None and reading.status == "ok"
+        if output.is_late(gate_middle):
+            output.skip(SIGNALS, *(_SURFACE if is_decoded else ()))
+            return
+        output.publish(SIGNALS, self._signals(reading, gate_middle))
+        if decoding is not None and is_decoded:
+            # If the frame is skipped, these numbers `seq` are missing.
+            header = output.header(DECODED, reading, gate_middle)
+            contacts_seq = output.headers.next_seq(CONTACTS)
+            decoding.offer(
+                (reading, gate_middle), SurfaceFrame(header, contacts_seq, reading.signals, reading.noise_std)
+            )
+
+    def _signals(self, reading: SkinReading, gate_middle: Instant) -> Signals:
+        return Signals(
+            **self._output.header(SIGNALS, reading, gate_middle),
+            signals=reading.signals,
+            noise_std=reading.noise_std,
+            status=Status(reading.status),
+        )
+
+    def end_contacts(self, reason: str) -> None:
+        if self._decoding is not None:
+            self._decoding.interrupt(reason)
+
+    def tare(self) -> str | None:
+        return "no force sites are being measured"
+
+    @property
+    def frames_not_decoded(self) -> int:
+        return self._decoding.frames_skipped if self._decoding is not None else 0
+
+    @property
+    def skipped_late(self) -> int:
+        return len(_SURFACE) * self._decoding.frames_late if self._decoding is not None else 0
+
+    async def run(self) -> None:
+        if self._decoding is not None:
+            await self._decoding.run()
+
+    def deliver(self, origin: Origin, topic: Topic[Any], message: Message | Encoded) -> None:
+        """Publish a message about a decoded frame, unless decoding took too long."""
+        _, gate_middle = origin
+        if self._output.is_late(gate_middle):
+            self._output.skipped_late += 1  # it has its number already
+        elif topic is DECODED:
+            self._output.publish_result(topic, message, gate_middle)
+        else:
+            self._output.publish(topic, message)
+
+    def deliver_event(self, _origin: Origin, event: ContactEvent) -> None:
+        """Publish an event of a contact under the next number of its topic."""
+        seq = self._output.headers.next_seq(CONTACT_EVENT)
+        self._output.publish(CONTACT_EVENT, event.model_copy(update={"seq": seq}))
+
+    def announce(self, note: str) -> None:
+        """Report steps and failures of decoding in the state of the sensor."""
+        self._output.state.explain(note)
+
+    def lost(self, _origin: Origin) -> Lost:
+        """Return the losses up to now."""
+        return self._output.headers.lost()
+
+    def contacts_header(self, origin: Origin) -> MeasuredFields:
+        """Return the header of one more message on `contacts` about a frame."""
+        return self._output.header(CONTACTS, *origin)

@@ -77,6 +77,9 @@ class ChannelisedFrame:
         return _CHANNELISED_BYTES + self.tones.nbytes
 
 
+Frame = SingleToneFrame | ChannelisedFrame
+
+
 @dataclass(frozen=True, slots=True)
 class Gap:
     """Gates that are missing between the frame before and the frame after."""
@@ -175,11 +178,11 @@ Arrival = (
 )
 
 
-def in_blocks(arrivals: Iterable[Arrival], most: int) -> Iterator[Arrival | list[SingleToneFrame]]:
-    """Give arrivals in their order, adjacent frames of a single-tone counter together, up to `most` of them."""
-    block: list[SingleToneFrame] = []
+def in_blocks(arrivals: Iterable[Arrival], most: int) -> Iterator[Arrival | list[Frame]]:
+    """Yield arrivals in their order, adjacent frames together, up to `most` of them."""
+    block: list[Frame] = []
     for arrival in arrivals:
-        if isinstance(arrival, SingleToneFrame):
+        if isinstance(arrival, Frame):
             if block and (arrival.index != block[-1].index + 1 or len(block) == most):
                 yield block
                 block = []

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from resonator_daemon.commands import main
-from resonator_daemon.pipeline import code_check
 from resonator_daemon.plate import load_plate
+from resonator_daemon.sensors import code_check
 
 COMMAND = (sys.executable, "-m", "resonator_daemon")
 GRID = ("--grid", "4x4", "--pitch-mm", "5")

@@ -21,7 +21,7 @@ from typing import Final
 from resonator_daemon.config import Measurement, parse_link
 from resonator_daemon.config.text import config_of, load_settings_text, plate_text, settings_text
 from resonator_daemon.errors import UserError
-from resonator_daemon.pipeline.control_requests import Control, MeasureOver, Tare
+from resonator_daemon.pipeline.control_requests import Control, SetWindow, Tare
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
@@ -111,7 +111,7 @@ CASES: Final = {
     "pieces-and-clumps": Case(TOUCH, "split_bytes=30,clump_ms=16,delay_ms=5"),
     "dropped-by-board": Case("[plate]\ndrop_rate = 0.05\n" + TOUCH, "silence_at_s=1.1,silence_for_s=0.3"),
     "tare-and-window": Case(
-        touch(1.4, 7, 2.0, 0.4), orders=(MeasureOver(measurement=Measurement(window_ms=40, step_ms=20)), Tare())
+        touch(1.4, 7, 2.0, 0.4), orders=(SetWindow(measurement=Measurement(window_ms=40, step_ms=20)), Tare())
     ),
     "late-answers": Case(TOUCH, "answer_delay_rate=0.3,frame_delay_rate=0.05"),
     "fast-clock": Case(TOUCH, "skew_ppm=80"),

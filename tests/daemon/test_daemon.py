@@ -316,7 +316,7 @@ class BusyReader(BoardReader):
     def start(self) -> None:
         self._wake_consumer()
 
-    def take(self) -> list[Arrival]:
+    def pop_arrivals(self) -> list[Arrival]:
         batch = self._batches.pop() if self._batches else []
         if len(batch) > 1:
             self._batches.append([BoardLogLine(INFO, "meanwhile")])

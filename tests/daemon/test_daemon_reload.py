@@ -126,10 +126,10 @@ async def test_a_reload_that_waits_for_the_reader_does_not_hold_up_the_end(
         path = bench.folder / "board.toml"
         async with asyncio.timeout(DEADLINE_S), bench.running(service):
             await heard.until_count("resonator/hand/forces", 3)
-            service._control._send = lambda key, request: None  # type: ignore[method-assign]  # never applied
+            service._control_requests._send = lambda key, request: None  # type: ignore[method-assign]  # never applied
             path.write_text(path.read_text() + "[measurement]\nwindow_ms = 20\n")
             service.reload()
-            await heard.until(lambda: bool(service._control._asked))
+            await heard.until(lambda: bool(service._control_requests._pending))
 
 
 async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_does(

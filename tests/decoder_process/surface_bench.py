@@ -11,11 +11,11 @@ from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Flo
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.pipeline.surface_reports import MeasuredFields
-from resonator_daemon.pipeline.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 NOTHING = np.zeros((3, SITES))
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)

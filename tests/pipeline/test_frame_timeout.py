@@ -3,7 +3,7 @@
 import asyncio
 from collections.abc import Callable
 
-from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S, Silence
+from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S, FrameTimeout
 
 
 class Loop:
@@ -32,69 +32,69 @@ class Loop:
                 callback(*arguments)
 
 
-def watched() -> tuple[Loop, Silence, list[str]]:
+def watched() -> tuple[Loop, FrameTimeout, list[str]]:
     loop, said = Loop(), []
-    return loop, Silence(said.append, loop.call_later), said
+    return loop, FrameTimeout(said.append, loop.call_later), said
 
 
 def test_a_link_that_stays_away_is_told_of_once() -> None:
-    loop, silence, said = watched()
-    silence.watch("online", loop.utc_ns)
-    silence.watch("lost", loop.utc_ns)
+    loop, timeout, said = watched()
+    timeout.watch("online", loop.utc_ns)
+    timeout.watch("lost", loop.utc_ns)
     loop.pass_by(0.9 * CONTACTS_END_S)
-    silence.watch("waiting", loop.utc_ns)
+    timeout.watch("waiting", loop.utc_ns)
     loop.pass_by(0.05 * CONTACTS_END_S)
     assert said == []
     loop.pass_by(0.1 * CONTACTS_END_S)
     loop.pass_by(10 * CONTACTS_END_S)
-    silence.watch("waiting", loop.utc_ns)
+    timeout.watch("waiting", loop.utc_ns)
     loop.pass_by(10 * CONTACTS_END_S)
     assert said == ["no frames for 0.5 s"]
 
 
 def test_a_link_that_comes_back_in_time_is_not_told_of() -> None:
-    loop, silence, said = watched()
+    loop, timeout, said = watched()
     for _ in range(3):
-        silence.watch("stalled", loop.utc_ns)
+        timeout.watch("stalled", loop.utc_ns)
         loop.pass_by(0.9 * CONTACTS_END_S)
-        silence.watch("online", loop.utc_ns)
+        timeout.watch("online", loop.utc_ns)
         loop.pass_by(5 * CONTACTS_END_S)
     assert said == []
 
 
-def test_each_silence_is_told_of() -> None:
-    loop, silence, said = watched()
+def test_each_timeout_is_told_of() -> None:
+    loop, timeout, said = watched()
     for _ in range(2):
-        silence.watch("stalled", loop.utc_ns)
+        timeout.watch("stalled", loop.utc_ns)
         loop.pass_by(CONTACTS_END_S)
-        silence.watch("online", loop.utc_ns)
+        timeout.watch("online", loop.utc_ns)
     assert len(said) == 2
 
 
 async def test_it_runs_on_an_event_loop() -> None:
     told = asyncio.Event()
     loop = asyncio.get_running_loop()
-    silence = Silence(lambda _: told.set(), loop.call_later)
-    silence.watch("lost", 0)
+    timeout = FrameTimeout(lambda _: told.set(), loop.call_later)
+    timeout.watch("lost", 0)
     await told.wait()
-    silence.stop()
+    timeout.stop()
 
 
 def test_without_an_event_loop_what_passes_is_told() -> None:
     said: list[str] = []
-    silence = Silence(said.append, None)
-    silence.watch("lost", 1_000_000_000)
-    silence.passed(1_499_999_999)
+    timeout = FrameTimeout(said.append, None)
+    timeout.watch("lost", 1_000_000_000)
+    timeout.passed(1_499_999_999)
     assert said == []
-    silence.passed(1_500_000_000)
-    silence.passed(9_000_000_000)
+    timeout.passed(1_500_000_000)
+    timeout.passed(9_000_000_000)
     assert said == ["no frames for 0.5 s"]
 
 
 def test_a_link_that_comes_back_late_is_told_of_first_even_if_the_loop_slept_meanwhile() -> None:
-    loop, silence, said = watched()
-    silence.watch("lost", 1_000_000_000)
-    silence.watch("online", 1_600_000_000)
+    loop, timeout, said = watched()
+    timeout.watch("lost", 1_000_000_000)
+    timeout.watch("online", 1_600_000_000)
     assert said == ["no frames for 0.5 s"]
     loop.pass_by(CONTACTS_END_S)
     assert len(said) == 1

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.pipeline.board_pipeline import BoardCourse
+from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.replay.source import open_playback
@@ -25,7 +26,11 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
     undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
     config = config.model_copy(update={"decoding": undecoded})
     messages: list[tuple[str, Any]] = []
-    machine = BoardCourse(
+
+    def record(topic: Topic[Any], message: Any) -> None:
+        messages.append((topic.path, message))
+
+    pipeline = BoardPipeline(
         config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late
     )
     queue = FrameQueue(1 << 30, lambda: None, ())
@@ -35,7 +40,7 @@ def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, 
             if not isinstance(entry, Mark):
                 replay.apply(entry)
             for arrival in queue.pop_all():
-                machine.take(arrival)
+                pipeline.handle(arrival)
     return messages
 
 

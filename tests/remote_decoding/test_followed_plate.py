@@ -16,7 +16,6 @@ from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.pipeline.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.payloads import Info, Message, Signals
 from resonator_daemon.publishing.topics import Topic
@@ -24,6 +23,7 @@ from resonator_daemon.remote_decoding import followed_plate
 from resonator_daemon.remote_decoding import plate as plate_module
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
 from resonator_daemon.remote_decoding.plate import header_of
+from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 LINEAR = Wanted(contact_physics=False)

@@ -5,7 +5,7 @@ import pytest
 from small_comb import GATE_S, GATE_TICKS, NOTHING, POSITION_M, SITES, SLOPE, K, SmallComb, spread
 
 from resonator_daemon.forces.site_response import SiteResponse
-from resonator_daemon.sensors.multitone import CombChain
+from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
 
 PLACE_M = (1.2e-3, -0.9e-3)  # between sites
 FAR_M = (-6.5e-3, 5.8e-3)
@@ -179,7 +179,7 @@ def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(off
     assert {reading.status for reading in readings} == {"ok"}
     assert all(reading.contacts == () for reading in readings)
     assert readings[-1].compensation.baseline == "followed"
-    assert comb.chain.tare() == ""
+    assert comb.chain.tare() is None
     (contact,) = comb.hold(spread(2.0, *FAR_M), 20, offset=off)[-1].contacts
     assert distance_m(contact, FAR_M) < 0.1e-3
     assert contact.touch.force_newton == pytest.approx(2.0, abs=0.02)
@@ -248,13 +248,13 @@ def test_a_plate_is_tared_only_while_it_is_untouched():
     comb = SmallComb()
     assert comb.chain.tare() == "no reading yet"
     comb.untouched()
-    assert comb.chain.tare() == ""
+    assert comb.chain.tare() is None
     comb.hold(spread(1.0, *PLACE_M), 20)
     assert comb.chain.tare() == "sites are touched"
     last = comb.hold(spread(1.0, *PLACE_M), 20)[-1]
     assert last.contacts[0].touch.force_newton == pytest.approx(1.0, abs=0.01)
     comb.hold(frames=40)
-    assert comb.chain.tare() == ""
+    assert comb.chain.tare() is None
 
 
 def test_taring_takes_what_is_felt_for_none():
@@ -262,7 +262,7 @@ def test_taring_takes_what_is_felt_for_none():
     crept = np.where(np.arange(SITES) == 5, 5e-8, 0.0)  # some mN on one site: below an onset
     for comb in (tared, untared):
         assert comb.hold(offset=crept, frames=5)[-1].contacts == ()
-    assert tared.chain.tare() == ""
+    assert tared.chain.tare() is None
     force = [
         comb.hold(2.0 * (np.arange(SITES) == 5), 40, offset=crept)[-1].contacts[0].touch.force_newton
         for comb in (tared, untared)
@@ -366,6 +366,6 @@ def test_windows_and_steps_of_no_frames_are_refused(wrong):
 
 
 def test_before_the_first_reading_nothing_is_known_of_what_is_taken_out():
-    chain: CombChain = SmallComb().chain
+    chain: MultitoneProcessing = SmallComb().chain
     assert chain.compensation.baseline == "unknown"
     assert math.isnan(chain.compensation.plate_kelvin)

@@ -194,7 +194,7 @@ def test_a_plate_is_tared_only_while_it_is_untouched():
     assert "not heard" in bench.chain.tare()
     bench.hold(UNTOUCHED, 15)
     assert bench.readings[-1].status == "settling"
-    assert bench.chain.tare() == ""
+    assert bench.chain.tare() is None
     assert bench.hold(UNTOUCHED, 5)[-1].status == "ok"  # at once, not after twenty readings
     assert bench.chain.compensation.common_mode == pytest.approx([CLOCK_ERROR] * 4, abs=3e-8)
     before = bench.hold(PLATE.loaded_hz(3, 2.0), 40)[-1].compensation.common_mode

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_skin import SITES, TONES, YOUNGS_MODULUS_PASCAL, Comb, dimensionless, some_signals
 
-from resonator_daemon.sensors.skin import SkinChain
+from resonator_daemon.sensors.skin_processing import SkinProcessing
 
 KNOWN = np.ones((4, TONES), dtype=bool)
 VARIANCE_HZ2 = np.full((4, TONES), 2.0**-10)
@@ -16,7 +16,7 @@ class Skin:
     def __init__(self, seed=0):
         self.comb, self.rng, self.sequence = Comb(), np.random.default_rng(seed), 0
         comb = self.comb
-        self.chain = SkinChain(
+        self.chain = SkinProcessing(
             comb.f0_hz,
             comb.sensitivity,
             comb.oscillator_hz,

@@ -1,4 +1,4 @@
-"""What the tests of reports share: a reporter of a plate, and its messages as they are on the wire."""
+"""Makers of the messages of one plate, and messages as they are on the wire."""
 
 import json
 import math
@@ -6,9 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.config import Config
-from resonator_daemon.pipeline.reports import Reporter
+from resonator_daemon.pipeline.state_messages import StateMessages
 from resonator_daemon.publishing.codec import encode
+from resonator_daemon.publishing.headers import Headers
 from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.sensors.force_messages import ForceMessages
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.sensor_state import SensorState
 from resonator_daemon.session.clock import Instant
 
 GATE_END_NS = 1_789_000_000_000_000_123
@@ -49,10 +54,21 @@ def configured(tmp_path: Path, plate: str, **tables: Any) -> Config:
     return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
 
 
-def reporter_of(config: Config, losses: Losses | None = None) -> Reporter:
-    reporter = Reporter(config, "9f3c", losses or Losses())
-    reporter.board_boot_id = "51aa"
-    return reporter
+class Messages:
+    """What makes the messages of one plate."""
+
+    def __init__(self, config: Config, losses: Losses | None = None, make_decoding: Any = lambda *_: None) -> None:
+        self.headers = Headers("9f3c", losses or Losses())
+        self.headers.board_boot_id = "51aa"
+        self.sensor: Any = sensor_of(config.plate, config.measurement, config.decoding)
+        self.states = StateMessages(config, self.sensor, self.headers)
+        self.published: list[tuple[str, Any]] = []
+        state = SensorState(lambda *_: None, "")
+        self.output = MessageOutput(
+            config, self.headers, state, lambda t, m: self.published.append((t.path, m)), lambda _: False
+        )
+        self.sensor.connect(self.output, make_decoding)
+        self.force = ForceMessages(config.plate, self.output)
 
 
 def literal(message: Message) -> dict[str, Any]:

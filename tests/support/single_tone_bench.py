@@ -5,7 +5,7 @@ from brute_force_board import GATE_TICKS, PILOT_HZ, REFERENCE_HZ, Board, Ladder,
 
 from firmware_protocol.layouts import RecordFlag
 from resonator_daemon.forces.force_sites import ForceSites, Warmth
-from resonator_daemon.sensors.single_tone import SingleToneChain
+from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
 
 NO_SIGNAL = int(RecordFlag.NO_SIGNAL)
 PLATE = Ladder()
@@ -44,7 +44,7 @@ class Bench:
             0.015,
             **calibration,
         )
-        self.chain = SingleToneChain(
+        self.chain = SingleToneProcessing(
             sites,
             pilot_hz=PILOT_HZ,
             reference_hz=REFERENCE_HZ,

@@ -7,7 +7,7 @@ from brute_force_board import Ladder
 
 from resonator_daemon.forces.force_sites import ForceSites, Warmth
 from resonator_daemon.forces.force_tones import ForceTones
-from resonator_daemon.sensors.multitone import CombChain
+from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
 
 REFERENCE_HZ = 250e6
 GATE_TICKS = 1_250_000
@@ -66,7 +66,7 @@ class SmallComb:
         tones = ForceTones(
             F0_HZ, np.repeat(K[:, None], 4, axis=1), OSCILLATOR_HZ, np.arange(SITES), np.zeros(SITES, dtype=int)
         )
-        self.chain = CombChain(
+        self.chain = MultitoneProcessing(
             sites,
             tones,
             reference_hz=REFERENCE_HZ,

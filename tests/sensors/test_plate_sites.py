@@ -6,12 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from resonator_daemon.config import Config
-from resonator_daemon.pipeline.chains import force_sites, make_chain
+from resonator_daemon.config import Measurement
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.sensors.multitone import CombChain
-from resonator_daemon.sensors.single_tone import SingleToneChain
-from resonator_daemon.sensors.skin import SkinChain
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.sensors.multitone import MultitoneSensor
+from resonator_daemon.sensors.plate_sites import force_sites
+from resonator_daemon.sensors.single_tone import SingleToneSensor
+from resonator_daemon.sensors.skin import SkinSensor
 
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
 
@@ -20,34 +21,28 @@ def changed(plate: Plate, **tables: Any) -> Plate:
     return Plate.model_validate(plate.model_dump(mode="json", exclude_none=True) | tables)
 
 
-def configured(plate: str, **tables: Any) -> Config:
-    return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
-
-
 def oscillator_hz(plate: str) -> np.ndarray:
     return load_plate(plate).tones.f0_hz.mean(axis=1)
 
 
 @pytest.mark.parametrize(
     ("plate", "kind"),
-    [("quartz16", SingleToneChain), ("comb16", CombChain), ("skin32", SkinChain), ("fingertip400", SkinChain)],
+    [("quartz16", SingleToneSensor), ("comb16", MultitoneSensor), ("skin32", SkinSensor), ("fingertip400", SkinSensor)],
 )
-def test_each_kind_of_plate_has_its_chain(plate: str, kind: type) -> None:
-    assert type(make_chain(configured(plate), oscillator_hz(plate))) is kind
+def test_each_plate_is_one_kind_of_sensor(plate: str, kind: type) -> None:
+    assert type(sensor_of(load_plate(plate))) is kind
 
 
 def test_windows_and_steps_are_counted_in_gates() -> None:
-    config = configured("comb16", measurement={"window_ms": 40, "step_ms": 15})
-    chain = make_chain(config, oscillator_hz("comb16"))
-    assert isinstance(chain, CombChain)
+    sensor = sensor_of(load_plate("comb16"), Measurement(window_ms=40, step_ms=15))
+    processing = sensor.make_processing(oscillator_hz("comb16"))
     shape = (4, 16)
     zeros, sigma_code = np.zeros(shape, dtype=np.int32), np.full(shape, 76, dtype=np.uint8)
     given = [
-        chain.push(number, 1_250_000 * number, zeros, zeros, sigma_code, np.ones(shape, dtype=bool))
+        processing.push(number, 1_250_000 * number, zeros, zeros, sigma_code, np.ones(shape, dtype=bool))
         for number in range(12)
     ]
     assert [reading is not None for reading in given] == [False, False, True] * 4
-    assert given[-1] is not None
     assert given[-1].window_s == pytest.approx(0.04)
 
 

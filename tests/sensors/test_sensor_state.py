@@ -6,8 +6,8 @@ from typing import get_args
 import pytest
 
 from resonator_daemon.forces.readings import SensorStatus
-from resonator_daemon.pipeline.sensor_state import SensorState
 from resonator_daemon.publishing.payloads import Condition
+from resonator_daemon.sensors.sensor_state import SensorState
 
 T0_NS = 1_789_000_000_000_000_123
 MS = 1_000_000

@@ -10,6 +10,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import (
     Contact,
     ContactEvent,
@@ -18,7 +19,6 @@ from resonator_daemon.publishing.payloads import (
     DecodedSummary,
     EventContact,
     Grid,
-    Lost,
     Patch,
     Status,
 )
@@ -26,23 +26,6 @@ from resonator_daemon.publishing.payloads import (
 _NS = 1_000_000_000
 _ON_GRID = 3  # dimensions of a map: component, y, x
 _FRICTION_KNOWN = 0.25  # relative standard deviation
-
-
-class HeaderFields(TypedDict):
-    """The header that every message carries."""
-
-    seq: int
-    daemon_boot_id: str
-    board_boot_id: str | None
-    t_ns: int
-    t_unc_ns: int
-    lost: Lost
-
-
-class MeasuredFields(HeaderFields):
-    """The header of what was measured."""
-
-    board_ticks: int | None
 
 
 class ContactFields(TypedDict):
@@ -82,7 +65,7 @@ _UNKNOWN_SLIP = _SlipFields(
 )
 
 
-class SurfaceReporter:
+class SurfaceMessages:
     """Makes the messages of one skin's surface, each under a header that belongs to its frame.
 
     Parameters

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.streaming import StreamingDecoder
-from resonator_daemon.pipeline.surface_reports import MeasuredFields, SurfaceReporter
+from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, Topic
+from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
 Publish = Callable[[Topic[Any], Message], None]
 
@@ -81,7 +82,7 @@ class SurfaceStream:
 
     def __init__(self, settings: SurfaceSettings, publish: Publish, progress: Callable[[str], None]) -> None:
         self._decoder = StreamingDecoder(settings.skin, settings.wanted, progress, settings.last_contact_id)
-        self._reporter = SurfaceReporter(
+        self._reporter = SurfaceMessages(
             settings.site_ids,
             settings.skin.site_positions_m,
             settings.pitch_m,

@@ -8,7 +8,7 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
-from report_makers import LOST, NAN, configured, gate_middle, literal, reporter_of
+from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.config import Config
 from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
@@ -17,9 +17,12 @@ from resonator_daemon.decoding.patches import Patch as FoundPatch
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.forces.readings import SkinReading
-from resonator_daemon.pipeline.surface_reports import MeasuredFields, SurfaceReporter
 from resonator_daemon.publishing import payloads
 from resonator_daemon.publishing.codec import decode, encode
+from resonator_daemon.publishing.headers import MeasuredFields
+from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.sensors.surface_messages import SurfaceMessages
+from resonator_daemon.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.session.clock import Instant
 
 SCATTERED_SKIN = """\
@@ -50,10 +53,13 @@ class SkinReporter:
 
     def __init__(self, config: Config) -> None:
         plate = config.plate
-        self.reporter = reporter_of(config)
-        self.signals = self.reporter.signals
+        self.messages = Messages(config)
         pitch_m = plate.grid.pitch_m if plate.grid else None
-        self._surface = SurfaceReporter(plate.site_ids, plate.site_positions_m, pitch_m)
+        self._surface = SurfaceMessages(plate.site_ids, plate.site_positions_m, pitch_m)
+
+    def signals(self, reading: SkinReading, middle: Instant) -> payloads.Signals:
+        self.messages.sensor.publish(reading, middle)
+        return self.messages.published[-1][1]
 
     def decoded(self, reading: SkinReading, middle: Instant, frame: DecodedFrame) -> payloads.Decoded:
         return self._surface.decoded(self._header(reading, middle), frame)
@@ -68,7 +74,7 @@ class SkinReporter:
         return self._surface.event(self._header(reading, middle), event)
 
     def _header(self, reading: SkinReading, middle: Instant) -> MeasuredFields:
-        return self.reporter.surface_frame(reading, middle).header
+        return self.messages.output.header(DECODED, reading, middle)
 
 
 @pytest.fixture
@@ -336,16 +342,32 @@ def test_an_event_that_no_frame_has_told_of_says_why(skin_reporter: SkinReporter
     assert (said["event"], said["reason"]) == ("release", "unplugged")
 
 
-def test_a_frame_that_is_skipped_leaves_a_gap_in_the_numbers_of_its_messages(skin_reporter: SkinReporter) -> None:
-    reporter, measured = skin_reporter.reporter, channelised(np.zeros((3, 1024)))
-    frames = [reporter.surface_frame(measured, GATE_MIDDLE) for _ in range(2)]
-    assert reporter.signals(measured, GATE_MIDDLE).seq == 0
-    assert reporter.contacts_header(measured, GATE_MIDDLE)["seq"] == 2
-    frames.append(reporter.surface_frame(measured, GATE_MIDDLE))
-    assert [(frame.header["seq"], frame.contacts_seq) for frame in frames] == [(0, 0), (1, 1), (2, 3)]
+class Offers:
+    """Decoding that keeps what it is offered."""
+
+    def __init__(self) -> None:
+        self.frames: list[SurfaceFrame] = []
+
+    def offer(self, _origin: object, frame: SurfaceFrame) -> None:
+        self.frames.append(frame)
+
+
+def test_each_frame_that_is_offered_has_numbers_of_its_own(tmp_path: Path) -> None:
+    offers = Offers()
+    messages = Messages(configured(tmp_path, "skin32"), make_decoding=lambda *_: offers)
+    measured = channelised(np.zeros((3, 1024)))
+    for _ in range(2):
+        messages.sensor.publish(measured, GATE_MIDDLE)
+    assert messages.sensor.contacts_header((measured, GATE_MIDDLE))["seq"] == 2
+    messages.sensor.publish(measured, GATE_MIDDLE)
+    assert [message.seq for _, message in messages.published] == [0, 1, 2]
+    assert [(frame.header["seq"], frame.contacts_seq) for frame in offers.frames] == [(0, 0), (1, 1), (2, 3)]
 
 
 def test_events_are_numbered_without_gaps(skin_reporter: SkinReporter) -> None:
     events = [SkinEvent("onset", skin_contact(id=number)) for number in range(3)]
     made = [skin_reporter.skin_event(event, MEASURED_OF_SKIN, GATE_MIDDLE) for event in events]
-    assert [skin_reporter.reporter.numbered(event).seq for event in made[1:]] == [0, 1]
+    messages = skin_reporter.messages
+    for event in made[1:]:
+        messages.sensor.deliver_event((MEASURED_OF_SKIN, GATE_MIDDLE), event)
+    assert [message.seq for _, message in messages.published] == [0, 1]

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.pipeline import code_check
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
+from resonator_daemon.sensors import code_check
 
 QUARTZ = load_plate("quartz16")
 

@@ -6,14 +6,13 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
-from report_makers import LOST, NAN, Losses, configured, gate_middle, literal, reporter_of
+from report_makers import LOST, NAN, Losses, Messages, configured, gate_middle, literal
 
 from firmware_protocol.messages import Configuration, Description, Identity
 from resonator_daemon.forces.contacts import Contact, ContactEvent, Touch
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.monitoring.daemon_state import DaemonStanding
-from resonator_daemon.pipeline.reports import Reporter
 from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import HEALTH
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
@@ -49,9 +48,9 @@ UNPLUGGED = LinkChange("lost", "unplugged", 1_788_999_990_000_000_001, 1_788_999
 
 
 @pytest.fixture
-def reporter(tmp_path: Path) -> Reporter:
+def messages(tmp_path: Path) -> Messages:
     """For the plate with the sites 70, 30 and 12."""
-    return reporter_of(configured(tmp_path, FORCE_PLATE))
+    return Messages(configured(tmp_path, FORCE_PLATE))
 
 
 def reading(
@@ -90,8 +89,8 @@ def contact(
     return Contact(number, touch, 1.5, since_ticks, 125_000_000)
 
 
-def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
-    message = reporter.forces(
+def test_forces_are_the_contracts_literal(messages: Messages) -> None:
+    message = messages.force.forces(
         reading(sites=(SiteForce(1, 1.234, 0.0006, 0.012, "ok", hidden_newton=6.17),)), GATE_MIDDLE
     )
     assert literal(message) == {
@@ -128,15 +127,15 @@ def test_forces_are_the_contracts_literal(reporter: Reporter) -> None:
     }
 
 
-def test_sites_go_by_their_ids_in_the_order_given(reporter: Reporter) -> None:
+def test_sites_go_by_their_ids_in_the_order_given(messages: Messages) -> None:
     sites = tuple(SiteForce(index, float(index), 0.0, 0.0, "ok") for index in (2, 0, 1))
-    said = literal(reporter.forces(reading(sites=sites), GATE_MIDDLE))["sites"]
+    said = literal(messages.force.forces(reading(sites=sites), GATE_MIDDLE))["sites"]
     assert [(site["site"], site["force_newton"]) for site in said] == [(12, 2.0), (70, 0.0), (30, 1.0)]
 
 
-def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
+def test_an_overload_is_no_number_but_a_bound(messages: Messages) -> None:
     force = SiteForce(0, NAN, NAN, NAN, "overload", at_least_newton=10.0)
-    said = literal(reporter.forces(reading("overload", sites=(force,)), GATE_MIDDLE))
+    said = literal(messages.force.forces(reading("overload", sites=(force,)), GATE_MIDDLE))
     assert said["status"] == "overload"
     assert said["sites"] == [
         {
@@ -152,10 +151,10 @@ def test_an_overload_is_no_number_but_a_bound(reporter: Reporter) -> None:
 
 
 @pytest.mark.parametrize("status", get_args(SensorStatus))
-def test_every_status_of_a_reading_has_its_word(reporter: Reporter, status: SensorStatus) -> None:
-    assert literal(reporter.forces(reading(status), GATE_MIDDLE))["status"] == status
+def test_every_status_of_a_reading_has_its_word(messages: Messages, status: SensorStatus) -> None:
+    assert literal(messages.force.forces(reading(status), GATE_MIDDLE))["status"] == status
     unknown = contact(1, NAN, status)
-    said = literal(reporter.contacts(reading(status, contacts=(unknown,)), GATE_MIDDLE))
+    said = literal(messages.force.contacts(reading(status, contacts=(unknown,)), GATE_MIDDLE))
     assert said["status"] == said["contacts"][0]["status"] == status
 
 
@@ -164,20 +163,20 @@ def test_every_status_of_a_reading_has_its_word(reporter: Reporter, status: Sens
     [(0.01, 1_788_999_999_995_000_123), (0.001, 1_788_999_999_999_500_123), (1.0, 1_788_999_999_500_000_123)],
 )
 def test_measured_messages_are_dated_at_the_middle_of_the_window(
-    reporter: Reporter, window_s: float, middle: int
+    messages: Messages, window_s: float, middle: int
 ) -> None:
     measured = reading(window_s=window_s)
     for message in (
-        reporter.forces(measured, GATE_MIDDLE),
-        reporter.contacts(measured, GATE_MIDDLE),
-        reporter.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_MIDDLE),
+        messages.force.forces(measured, GATE_MIDDLE),
+        messages.force.contacts(measured, GATE_MIDDLE),
+        messages.force.event(ContactEvent("onset", 1, contact(), ""), measured, GATE_MIDDLE),
     ):
         assert message.t_ns == middle
         assert message.t_unc_ns == 42_000
 
 
-def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
-    said = literal(reporter.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_MIDDLE))
+def test_contacts_are_the_contracts_literal(messages: Messages) -> None:
+    said = literal(messages.force.contacts(reading(contacts=(contact(), contact(2, number=13))), GATE_MIDDLE))
     first, second = said["contacts"]
     assert first == {
         "id": 12,
@@ -199,26 +198,26 @@ def test_contacts_are_the_contracts_literal(reporter: Reporter) -> None:
     assert (second["id"], second["site"]) == (13, 12)
 
 
-def test_a_contact_that_sets_on_now_is_as_old_as_its_message(reporter: Reporter) -> None:
+def test_a_contact_that_sets_on_now_is_as_old_as_its_message(messages: Messages) -> None:
     now = reading(contacts=(contact(since_ticks=2_000_000_000),))
-    message = reporter.contacts(now, GATE_MIDDLE)
+    message = messages.force.contacts(now, GATE_MIDDLE)
     assert message.contacts[0].since_t_ns == message.t_ns
 
 
-def test_a_contact_keeps_its_date(reporter: Reporter) -> None:
+def test_a_contact_keeps_its_date(messages: Messages) -> None:
     since = set()
     for readings_later in range(1000):  # of 5 ms at 250 MHz
         later = reading(contacts=(contact(),), board_ticks=2_000_000_000 + readings_later * 1_250_000)
         at = gate_middle(1_000_000, later_ns=readings_later * 5_000_000)
-        since.add(reporter.contacts(later, at).contacts[0].since_t_ns)
+        since.add(messages.force.contacts(later, at).contacts[0].since_t_ns)
     assert max(since) - min(since) <= 1  # a rounding
 
 
 @pytest.mark.parametrize("word", ["onset", "release"])
-def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, word: Any) -> None:
+def test_an_event_tells_of_its_own_contact_with_its_peak(messages: Messages, word: Any) -> None:
     gone = contact(0, NAN, "no_signal", number=3)
     present = reading(contacts=(contact(),))
-    said = literal(reporter.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_MIDDLE))
+    said = literal(messages.force.event(ContactEvent(word, 1_999_000_000, gone, "why"), present, GATE_MIDDLE))
     assert (said["event"], said["reason"]) == (word, "why")
     assert said["board_ticks"] == "2000000000"  # of the reading that told it, as its time
     assert said["contact"] == {
@@ -243,35 +242,36 @@ def test_an_event_tells_of_its_own_contact_with_its_peak(reporter: Reporter, wor
     }
 
 
-def test_each_topic_counts_its_own_messages(reporter: Reporter) -> None:
+def test_each_topic_counts_its_own_messages(messages: Messages) -> None:
     made = [
-        reporter.forces(reading(), GATE_MIDDLE),
-        reporter.contacts(reading(), GATE_MIDDLE),
-        reporter.forces(reading(), GATE_MIDDLE),
-        reporter.link_state(ONLINE, None, 1),
-        reporter.sensor_state(Condition.ONLINE, "", 1, 1),
-        reporter.link_state(UNPLUGGED, None, 1),
-        reporter.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_MIDDLE),
-        reporter.forces(reading(), GATE_MIDDLE),
+        messages.force.forces(reading(), GATE_MIDDLE),
+        messages.force.contacts(reading(), GATE_MIDDLE),
+        messages.force.forces(reading(), GATE_MIDDLE),
+        messages.states.link_state(ONLINE, None, 1),
+        messages.states.sensor_state(Condition.ONLINE, "", 1, 1),
+        messages.states.link_state(UNPLUGGED, None, 1),
+        messages.force.event(ContactEvent("onset", 1, contact(), ""), reading(), GATE_MIDDLE),
+        messages.force.forces(reading(), GATE_MIDDLE),
     ]
     assert [message.seq for message in made] == [0, 0, 1, 0, 0, 1, 0, 2]
-    assert [reporter.header(HEALTH, 1)["seq"] for _ in range(2)] == [0, 1]
+    assert [messages.headers.of(HEALTH, 1)["seq"] for _ in range(2)] == [0, 1]
 
 
 def test_losses_and_the_boards_boot_are_those_of_the_moment(tmp_path: Path) -> None:
     losses = Losses()
-    reporter = Reporter(configured(tmp_path, FORCE_PLATE), "9f3c", losses)
-    first = literal(reporter.sensor_state(Condition.WAITING, "", 1, 1))
+    messages = Messages(configured(tmp_path, FORCE_PLATE), losses)
+    messages.headers.board_boot_id = None
+    first = literal(messages.states.sensor_state(Condition.WAITING, "", 1, 1))
     assert first["board_boot_id"] is None
     losses.now = Lost(damaged=8)
-    reporter.board_boot_id = "51ab"
-    second = literal(reporter.forces(reading(), GATE_MIDDLE))
+    messages.headers.board_boot_id = "51ab"
+    second = literal(messages.force.forces(reading(), GATE_MIDDLE))
     assert (first["lost"], second["lost"]["damaged"]) == (LOST, 8)
     assert second["board_boot_id"] == "51ab"
 
 
-def test_a_state_says_since_when_and_is_dated_when_it_was_said(reporter: Reporter) -> None:
-    said = literal(reporter.link_state(UNPLUGGED, None, 1))
+def test_a_state_says_since_when_and_is_dated_when_it_was_said(messages: Messages) -> None:
+    said = literal(messages.states.link_state(UNPLUGGED, None, 1))
     assert said["state"] == "lost"
     assert said["reason"] == "unplugged"
     assert said["since_t_ns"] == "1788999990000000001"
@@ -292,17 +292,17 @@ BOARD = BoardOnline(
 @pytest.mark.parametrize(("expiry", "status"), [("2020-01-01", "uncalibrated"), ("9999-12-31", "ok")])
 def test_forces_of_an_expired_calibration_are_marked(tmp_path: Path, expiry: str, status: str) -> None:
     plate = FORCE_PLATE + f'[calibration]\nid = "c1"\ndate = 2019-01-01\nexpiry = {expiry}\n'
-    reporter = reporter_of(configured(tmp_path, plate))
+    messages = Messages(configured(tmp_path, plate))
     measured = reading(sites=(SiteForce(1, 1.2, 0.1, 0.1, "ok"),), contacts=(contact(),))
-    assert literal(reporter.forces(measured, GATE_MIDDLE))["sites"][0]["status"] == status
-    assert literal(reporter.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
-    said = literal(reporter.info(BOARD, {}, 1))["calibration"]
+    assert literal(messages.force.forces(measured, GATE_MIDDLE))["sites"][0]["status"] == status
+    assert literal(messages.force.contacts(measured, GATE_MIDDLE))["contacts"][0]["status"] == status
+    said = literal(messages.states.info(BOARD, {}, 1))["calibration"]
     assert (said["id"], said["date"], said["expiry"], said["response"]) == ("c1", "2019-01-01", expiry, "off")
 
 
 def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
     config = configured(tmp_path, FORCE_PLATE, measurement={"window_ms": 20, "step_ms": 4})
-    said = literal(reporter_of(config).info(BOARD, {}, 1))
+    said = literal(Messages(config).states.info(BOARD, {}, 1))
     expected = {
         "daemon_version": version("resonatord"),
         "plate": "three",
@@ -330,18 +330,20 @@ def test_info_of_a_plate_of_force_sites(tmp_path: Path) -> None:
 
 
 def test_rates_that_a_command_has_lowered_are_told(tmp_path: Path) -> None:
-    said = literal(reporter_of(configured(tmp_path, FORCE_PLATE)).info(BOARD, {"forces": 10.0, "contacts": 900.0}, 1))
+    said = literal(
+        Messages(configured(tmp_path, FORCE_PLATE)).states.info(BOARD, {"forces": 10.0, "contacts": 900.0}, 1)
+    )
     assert said["rates_hz"] == {"forces": 10.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0}
 
 
 def test_a_skin_that_is_decoded_elsewhere_has_its_signals_alone(tmp_path: Path) -> None:
-    reporter = reporter_of(configured(tmp_path, "skin32", decoding={"apart": True}))
-    assert reporter.streams == ("signals",)
-    assert set(literal(reporter.info(BOARD, {}, 1))["rates_hz"]) == {"signals", "signals/5hz"}
+    messages = Messages(configured(tmp_path, "skin32", decoding={"apart": True}))
+    assert [topic.path for topic in messages.sensor.streams] == ["signals"]
+    assert set(literal(messages.states.info(BOARD, {}, 1))["rates_hz"]) == {"signals", "signals/5hz"}
 
 
-def test_the_link_tells_its_last_outage_and_the_boards_boots(reporter: Reporter) -> None:
-    said = literal(reporter.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, "unplugged"), 2))
+def test_the_link_tells_its_last_outage_and_the_boards_boots(messages: Messages) -> None:
+    said = literal(messages.states.link_state(ONLINE, Outage(1, 3_000_000_000, 2900, "unplugged"), 2))
     assert said["boots"] == 2
     assert said["last_outage"] == {
         "start_t_ns": "1",
@@ -351,15 +353,15 @@ def test_the_link_tells_its_last_outage_and_the_boards_boots(reporter: Reporter)
     }
 
 
-def test_the_daemon_tells_its_connections(reporter: Reporter) -> None:
-    said = literal(reporter.daemon_state(DaemonStanding(Condition.ONLINE, "measuring", 5, 3, 7), 1))
+def test_the_daemon_tells_its_connections(messages: Messages) -> None:
+    said = literal(messages.states.daemon_state(DaemonStanding(Condition.ONLINE, "measuring", 5, 3, 7), 1))
     assert (said["state"], said["reason"], said["since_t_ns"]) == ("online", "measuring", "5")
     assert (said["connections"], said["connected_t_ns"]) == (3, "7")
 
 
 def test_info_of_a_skin_whose_every_gate_is_a_window(tmp_path: Path) -> None:
     config = configured(tmp_path, "skin32", measurement={"window_ms": 20, "step_ms": 4})  # of no use here
-    said = literal(reporter_of(config).info(BOARD, {}, 1))
+    said = literal(Messages(config).states.info(BOARD, {}, 1))
     assert said["window_s"] == said["step_s"] == 0.01  # of 100 frames/s
     assert len(said["sites"]) == 1024
     assert said["grid"] == {"origin_m": pytest.approx([-6.2e-3, -6.2e-3]), "pitch_m": 4e-4, "shape": [32, 32]}

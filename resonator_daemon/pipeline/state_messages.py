@@ -1,0 +1,166 @@
+"""Messages about the state of daemon, link and sensor, and about what the plate is."""
+
+from collections.abc import Collection, Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from resonator_daemon.config import Config
+from resonator_daemon.monitoring.daemon_state import DaemonStanding
+from resonator_daemon.publishing.headers import Headers
+from resonator_daemon.publishing.payloads import (
+    CalibrationInfo,
+    Condition,
+    GridInfo,
+    Info,
+    OutageInfo,
+    SiteInfo,
+    SkinInfo,
+    State,
+)
+from resonator_daemon.publishing.topics import (
+    INFO,
+    SCHEMA_VERSION,
+    STATE_DAEMON,
+    STATE_LINK,
+    STATE_SENSOR,
+)
+from resonator_daemon.publishing.units import UNITS
+from resonator_daemon.publishing.verbs import obeyed
+from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
+
+
+class StateMessages:
+    """Makes the messages about states.
+
+    Parameters
+    ----------
+    config
+    sensor
+        Whose windows and streams `info` describes.
+    headers
+        Makes the headers.
+
+    Attributes
+    ----------
+    allowed
+        Commands that are accepted.
+    """
+
+    def __init__(self, config: Config, sensor: Sensor[Any], headers: Headers) -> None:
+        self._plate = config.plate
+        self._link = str(config.link)
+        self._sensor = sensor
+        self._headers = headers
+        self.allowed: Collection[str] = config.commands.allow
+
+    def daemon_state(self, standing: DaemonStanding, utc_ns: int) -> State:
+        return State(
+            **self._headers.of(STATE_DAEMON, utc_ns),
+            state=standing.condition,
+            reason=standing.reason,
+            since_t_ns=standing.since_utc_ns,
+            connections=standing.connections,
+            connected_t_ns=standing.connected_utc_ns,
+        )
+
+    def link_state(self, link: LinkChange, outage: Outage | None, boots: int) -> State:
+        """Return the link's state, with its last outage and the number of boots of the board."""
+        last_outage = None
+        if outage is not None:
+            last_outage = OutageInfo(
+                start_t_ns=outage.start_utc_ns,
+                end_t_ns=outage.end_utc_ns,
+                frames_lost=outage.frames_lost,
+                reason=outage.reason,
+            )
+        return State(
+            **self._headers.of(STATE_LINK, link.utc_ns),
+            state=Condition(link.state),
+            reason=link.reason,
+            since_t_ns=link.since_utc_ns,
+            last_outage=last_outage,
+            boots=boots,
+        )
+
+    def sensor_state(self, condition: Condition, reason: str, since_utc_ns: int, utc_ns: int) -> State:
+        return State(**self._headers.of(STATE_SENSOR, utc_ns), state=condition, reason=reason, since_t_ns=since_utc_ns)
+
+    def info(self, board: BoardOnline, limits_hz: Mapping[str, float], utc_ns: int) -> Info:
+        """Return what the plate is; `limits_hz` are rates of topics that were lowered by a command."""
+        plate = self._plate
+        return Info(
+            **self._headers.of(INFO, utc_ns),
+            schema_version=SCHEMA_VERSION,
+            daemon_version=version("resonatord"),
+            plate=plate.name,
+            link=self._link,
+            product=board.identity.product,
+            serial_number=board.identity.serial_number,
+            firmware=board.identity.firmware,
+            counter=plate.counter.kind,
+            frame_rate_hz=plate.counter.frame_rate_hz,
+            window_s=self._sensor.window_s,
+            step_s=self._sensor.step_s,
+            rates_hz=self._rates_hz(limits_hz),
+            units=UNITS,
+            commands=obeyed(self.allowed),
+            force_max_newton=plate.force_max_newton,
+            outline_m=_pairs(plate.outline_m),
+            transducers_m=_pairs(plate.transducers_m),
+            sites=tuple(
+                SiteInfo(site=int(site), position_m=position)
+                for site, position in zip(plate.site_ids, _pairs(plate.site_positions_m), strict=True)
+            ),
+            grid=self._grid(),
+            skin=self._skin(),
+            calibration=self._calibration(),
+        )
+
+    def _rates_hz(self, limits_hz: Mapping[str, float]) -> dict[str, float]:
+        rate_hz = self._sensor.rate_hz
+        rates_hz = {}
+        for topic in self._sensor.streams:
+            rates_hz[topic.path] = min(rate_hz, limits_hz.get(topic.path, rate_hz))
+            if topic.slow_hz is not None:
+                rates_hz[topic.slow_path] = min(rate_hz, topic.slow_hz)
+        return rates_hz
+
+    def _grid(self) -> GridInfo | None:
+        grid = self._plate.grid
+        if grid is None:
+            return None
+        origin_m, *_ = _pairs(self._plate.site_positions_m)
+        return GridInfo(origin_m=origin_m, pitch_m=grid.pitch_m, shape=grid.shape)
+
+    def _skin(self) -> SkinInfo | None:
+        skin = self._plate.skin
+        if not skin:
+            return None
+        return SkinInfo(
+            youngs_modulus_pascal=skin.youngs_modulus_pascal,
+            poisson_ratio=skin.poisson_ratio,
+            depth_m=skin.depth_m,
+            gain_std=skin.gain_std,
+            correlation_length_m=skin.correlation_length_m,
+            tangential_ratio=skin.tangential_ratio,
+        )
+
+    def _calibration(self) -> CalibrationInfo:
+        calibration = self._plate.calibration
+        return CalibrationInfo(
+            id=calibration.id,
+            date=calibration.date.isoformat() if calibration.date else None,
+            unit=calibration.unit,
+            expiry=calibration.expiry.isoformat() if calibration.expiry else None,
+            model_error=calibration.model_error,
+            sensitivity_std=calibration.sensitivity_std,
+            response="on" if self._plate.response else "off",
+        )
+
+
+def _pairs(positions_m: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in positions_m)

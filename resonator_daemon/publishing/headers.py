@@ -1,0 +1,83 @@
+"""Headers of messages: number, boots of daemon and board, time, losses."""
+
+from collections import Counter
+from collections.abc import Callable
+from typing import Any, TypedDict
+
+from resonator_daemon.publishing.payloads import Lost
+from resonator_daemon.publishing.topics import Topic
+
+
+class HeaderFields(TypedDict):
+    """The header that every message carries."""
+
+    seq: int
+    daemon_boot_id: str
+    board_boot_id: str | None
+    t_ns: int
+    t_unc_ns: int
+    lost: Lost
+
+
+class MeasuredFields(HeaderFields):
+    """The header of what was measured."""
+
+    board_ticks: int | None
+
+
+class Headers:
+    """Makes the headers of one run of the daemon; numbers the messages of each topic.
+
+    Parameters
+    ----------
+    daemon_boot_id
+        Identifier of the run.
+    lost
+        Returns the losses as they are when a header is made.
+
+    Attributes
+    ----------
+    board_boot_id
+        Of the board that counts; None before there is one.
+    """
+
+    def __init__(self, daemon_boot_id: str, lost: Callable[[], Lost]) -> None:
+        self._daemon_boot_id = daemon_boot_id
+        self.lost = lost
+        self._seq: Counter[str] = Counter()
+        self.board_boot_id: str | None = None
+
+    def of(self, topic: Topic[Any], utc_ns: int) -> HeaderFields:
+        """Return the header of a message about a moment on the host's clock."""
+        return {
+            "seq": self.next_seq(topic),
+            "daemon_boot_id": self._daemon_boot_id,
+            "board_boot_id": self.board_boot_id,
+            "t_ns": utc_ns,
+            "t_unc_ns": 0,
+            "lost": self.lost(),
+        }
+
+    def measured(self, topic: Topic[Any], t_ns: int, t_unc_ns: int, board_ticks: int) -> MeasuredFields:
+        """Return the header of a message about a window: the UTC of its middle, the board's ticks at its end."""
+        return {  # one dictionary, not one made of another: hundreds are made a second
+            "seq": self.next_seq(topic),
+            "daemon_boot_id": self._daemon_boot_id,
+            "board_boot_id": self.board_boot_id,
+            "t_ns": t_ns,
+            "t_unc_ns": t_unc_ns,
+            "lost": self.lost(),
+            "board_ticks": board_ticks,
+        }
+
+    def next_seq(self, topic: Topic[Any]) -> int:
+        """Return the next number `seq` of a topic."""
+        path = topic.path
+        seq = self._seq[path]
+        self._seq[path] = seq + 1
+        return seq
+
+    def skip(self, *topics: Topic[Any]) -> None:
+        """Skip one number `seq` of each topic, for a message that is not made."""
+        for topic in topics:
+            self._seq[topic.path] += 1

@@ -1,0 +1,133 @@
+"""Interface of a sensor: what a plate with its counter amounts to."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Generic, TypeVar
+
+from resonator_daemon.config import Decoding, Measurement
+from resonator_daemon.forces.readings import ForceReading, SkinReading
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
+from resonator_daemon.session.clock import Instant
+from resonator_daemon.session.frames import BoardOnline, Frame
+
+Reading = TypeVar("Reading", ForceReading, SkinReading)
+
+
+class Sensor(ABC, Generic[Reading]):
+    """Frames of one plate to readings, and readings to messages.
+
+    All that depends on the kind of sensor is an attribute or a method of this class. It reads no clock and never waits.
+    `connect` comes first, then `begin` with each board, then frames in their order.
+
+    Parameters
+    ----------
+    plate
+    measurement
+        Window and step.
+    decoding
+        Settings of the decoder.
+
+    Attributes
+    ----------
+    result
+        Topic of the results whose latency counts.
+    adjustable
+        Whether the zero can be tared and the window be set.
+    """
+
+    result: ClassVar[Topic[Any]]
+    adjustable: ClassVar[bool]
+
+    def __init__(self, plate: Plate, measurement: Measurement, decoding: Decoding) -> None:
+        self.plate = plate
+        self.measurement = measurement
+        self.decoding = decoding
+
+    @property
+    @abstractmethod
+    def summary(self) -> str:
+        """What an undisturbed sensor reads, and what it does not take out: the reason in its state."""
+
+    @property
+    @abstractmethod
+    def streams(self) -> tuple[Topic[Any], ...]:
+        """Topics that are published continually, decimated copies aside."""
+
+    @property
+    @abstractmethod
+    def window_s(self) -> float:
+        """Length of the window of a reading."""
+
+    @property
+    @abstractmethod
+    def step_s(self) -> float:
+        """Time from reading to reading."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Readings a second."""
+        return 1 / self.step_s
+
+    @property
+    def wake_frames(self) -> tuple[int, ...]:
+        """Numbers of frames that are worth waking for: every multiple of one of them."""
+        return (1,)
+
+    @abstractmethod
+    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+        """Set where messages go, and what decodes, if anything is decoded."""
+
+    @property
+    @abstractmethod
+    def ready(self) -> bool:
+        """Whether a board has begun."""
+
+    @abstractmethod
+    def begin(self, board: BoardOnline) -> None:
+        """Begin with a board, or anew with one whose ticks do not continue those of the past."""
+
+    @abstractmethod
+    def measure(self, frames: Sequence[Frame]) -> Sequence[Reading]:
+        """Return the readings that end with one of these adjacent frames; `publish` is to follow for each."""
+
+    @abstractmethod
+    def publish(self, reading: Reading, gate_middle: Instant) -> None:
+        """Publish what follows from a reading whose last gate has this middle."""
+
+    @abstractmethod
+    def end_contacts(self, reason: str) -> None:
+        """Release all contacts, because frames have stopped arriving."""
+
+    def set_window(self, measurement: Measurement) -> None:
+        """Measure over other windows from now on."""
+        self.measurement = measurement
+
+    @abstractmethod
+    def tare(self) -> str | None:
+        """Set the zero to the present readings; return why that cannot be done, None if it was done."""
+
+    @property
+    def common_mode(self) -> tuple[float, ...]:
+        """Relative frequency shift that is taken out of all readings now, by channel; empty if there is none."""
+        return ()
+
+    @property
+    def records_unusable(self) -> dict[str, int]:
+        """Number of records that gave no frequency, by cause."""
+        return {}
+
+    @property
+    def frames_not_decoded(self) -> int:
+        """Number of frames that were to be decoded and never will be."""
+        return 0
+
+    @property
+    def skipped_late(self) -> int:
+        """Number of messages that decoding was too slow for."""
+        return 0
+
+    async def run(self) -> None:
+        """Decode until cancelled; return at once if nothing is decoded."""

@@ -1,0 +1,132 @@
+"""Readings of force sites to payloads: forces, contacts and their events."""
+
+import math
+from typing import Final
+
+from resonator_daemon.forces import contacts as measured
+from resonator_daemon.forces.readings import Compensation as MeasuredCompensation
+from resonator_daemon.forces.readings import ForceReading
+from resonator_daemon.forces.site_identification import SiteForce as MeasuredForce
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.payloads import (
+    Compensation,
+    Contact,
+    ContactEvent,
+    Contacts,
+    EventContact,
+    Forces,
+    SiteForce,
+    Status,
+)
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
+from resonator_daemon.sensors.calendar import utc_day
+from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.surface_messages import ContactFields
+from resonator_daemon.session.clock import Instant
+
+_NS: Final = 1_000_000_000
+_STATUS = {str(word): word for word in Status}
+
+
+class ForceMessages:
+    """Makes the messages about readings of one plate.
+
+    Parameters
+    ----------
+    plate
+    output
+        Makes the headers.
+    """
+
+    def __init__(self, plate: Plate, output: MessageOutput) -> None:
+        self._plate = plate
+        self._output = output
+        self._site_ids: list[int] = plate.site_ids.tolist()
+        self._since_utc_ns: dict[int, int] = {}  # of the present contacts, by id
+
+    def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
+        """Return a message of `forces`; `gate_middle` is that of the last gate in the window."""
+        return Forces(
+            **self._output.header(FORCES, reading, gate_middle),
+            window_s=reading.window_s,
+            status=_STATUS[reading.status],
+            reason=reading.reason,
+            sites=tuple([self._site_force(force, gate_middle) for force in reading.sites]),
+            beats=reading.beats,
+            compensation=_compensation(reading.compensation),
+        )
+
+    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
+        return Contacts(
+            **self._output.header(CONTACTS, reading, gate_middle),
+            status=_STATUS[reading.status],
+            reason=reading.reason,
+            contacts=tuple([Contact(**self._contact(contact, reading, gate_middle)) for contact in reading.contacts]),
+        )
+
+    def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
+        contact = self._contact(event.contact, reading, gate_middle)
+        if event.event == "release":
+            del self._since_utc_ns[event.contact.id]
+        return ContactEvent(
+            **self._output.header(CONTACT_EVENT, reading, gate_middle),
+            event=event.event,
+            reason=event.reason,
+            contact=EventContact(**contact),
+        )
+
+    def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> SiteForce:
+        return SiteForce(
+            site=self._site_ids[force.site],
+            force_newton=force.force_newton,
+            noise_newton=force.noise_newton,
+            systematic_newton=force.systematic_newton,
+            hidden_newton=force.hidden_newton,
+            status=self._worth(force.status, gate_middle),
+            at_least_newton=force.at_least_newton,
+        )
+
+    def _worth(self, status: str, gate_middle: Instant) -> Status:
+        """Return what a force is worth: less once its calibration has expired."""
+        calibration = self._plate.calibration
+        if calibration.expiry is not None and calibration.expired(utc_day(gate_middle.utc_ns)):
+            status = "uncalibrated" if status in ("ok", "possibly_more") else status
+        return _STATUS[status]
+
+    def _contact(self, contact: measured.Contact, reading: ForceReading, gate_middle: Instant) -> ContactFields:
+        if contact.id not in self._since_utc_ns:
+            # Fixed once: computed again from the board's nominal rate, it would wander by milliseconds an hour.
+            age_s = (reading.board_ticks - contact.since_ticks) / self._plate.counter.reference_hz
+            self._since_utc_ns[contact.id] = self._output.window_middle_ns(reading, gate_middle) - round(age_s * _NS)
+        touch = contact.touch
+        (x_variance, covariance), (_, y_variance) = touch.position_covariance_m2.tolist()
+        x_std, y_std = math.sqrt(x_variance), math.sqrt(y_variance)
+        correlation = covariance / (x_std * y_std) if x_std * y_std > 0 else 0.0
+        return ContactFields(
+            id=contact.id,
+            site=self._site_ids[touch.site],
+            position_m=touch.position_m,
+            position_std_m=(x_std, y_std),
+            position_correlation=correlation,
+            force_newton=touch.force_newton,
+            noise_newton=touch.noise_newton,
+            systematic_newton=touch.systematic_newton,
+            hidden_newton=touch.hidden_newton,
+            peak_newton=contact.peak_newton,
+            since_t_ns=self._since_utc_ns[contact.id],
+            duration_s=contact.duration_ticks / self._plate.counter.reference_hz,
+            status=self._worth(touch.status, gate_middle),
+            reason=touch.reason,
+            at_least_newton=touch.at_least_newton,
+        )
+
+
+def _compensation(made: MeasuredCompensation) -> Compensation:
+    return Compensation(
+        baseline=made.baseline,
+        common_mode=made.common_mode,
+        common_mode_std=made.common_mode_std,
+        plate_kelvin=made.plate_kelvin,
+        plate_kelvin_std=made.plate_kelvin_std,
+        response=made.response,
+    )

@@ -1,0 +1,135 @@
+"""What sensors of force sites have in common: windows, tare, forces, contacts and their events."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Any, ClassVar, Protocol
+
+from resonator_daemon.arrays import Floats
+from resonator_daemon.config import Measurement
+from resonator_daemon.forces.contacts import ContactEvent
+from resonator_daemon.forces.readings import Compensation, ForceReading
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, Topic
+from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.sensors.force_messages import ForceMessages
+from resonator_daemon.sensors.output import MessageOutput
+from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
+from resonator_daemon.session.clock import Instant
+from resonator_daemon.session.compatibility import oscillator_hz
+from resonator_daemon.session.frames import BoardOnline, Frame
+
+
+class ForceProcessing(Protocol):
+    """Records of force sites to readings."""
+
+    def restart(self) -> tuple[ContactEvent, ...]: ...
+
+    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]: ...
+
+    def tare(self) -> str | None: ...
+
+    def set_window(self, window_frames: int, step_frames: int) -> None: ...
+
+    @property
+    def compensation(self) -> Compensation: ...
+
+    def process(self, frames: Sequence[Frame]) -> list[ForceReading]: ...
+
+
+class ForceSensor(Sensor[ForceReading]):
+    """Sensor of force sites; a subclass makes what processes its records."""
+
+    result: ClassVar[Topic[Any]] = FORCES
+    adjustable: ClassVar[bool] = True
+    _restriction: ClassVar[str] = ""
+    _processing: ForceProcessing | None = None
+    _last: tuple[ForceReading, Instant] | None = None
+
+    @property
+    def summary(self) -> str:
+        remark = "; hysteresis and creep of the sites are not taken out: not calibrated"
+        return f"site forces only{self._restriction}{'' if self.plate.response else remark}"
+
+    @property
+    def streams(self) -> tuple[Topic[Any], ...]:
+        return FORCES, CONTACTS
+
+    @property
+    def window_s(self) -> float:
+        return self.measurement.window_s
+
+    @property
+    def step_s(self) -> float:
+        return self.measurement.step_s
+
+    @property
+    def window_frames(self) -> int:
+        """Number of frames in a window."""
+        return round(self.measurement.window_s * self.plate.counter.frame_rate_hz)
+
+    @property
+    def step_frames(self) -> int:
+        """Number of frames from reading to reading."""
+        return round(self.measurement.step_s * self.plate.counter.frame_rate_hz)
+
+    @abstractmethod
+    def make_processing(self, oscillator_hz: Floats) -> ForceProcessing:
+        """Return what processes the records of a board that counts each tone against `oscillator_hz` (t,)."""
+
+    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+        self._output = output
+        self._messages = ForceMessages(self.plate, output)
+
+    @property
+    def ready(self) -> bool:
+        return self._processing is not None
+
+    def begin(self, board: BoardOnline) -> None:
+        if self._processing is None:
+            self._processing = self.make_processing(oscillator_hz(board.description))
+        else:
+            self._publish_events_now(self._processing.restart())
+
+    def measure(self, frames: Sequence[Frame]) -> Sequence[ForceReading]:
+        return self._processing.process(frames) if self._processing is not None else ()
+
+    def publish(self, reading: ForceReading, gate_middle: Instant) -> None:
+        output = self._output
+        self._last = (reading, gate_middle)
+        if reading.events:
+            self._publish_events(reading.events, reading, gate_middle)
+        if not reading.at_step:
+            return
+        compensation = reading.compensation
+        output.state.update(
+            reading.status, reading.reason, compensation.common_mode, gate_middle.utc_ns, compensation.plate_kelvin
+        )
+        if output.is_late(gate_middle):
+            output.skip(FORCES, CONTACTS)
+            return
+        output.publish_result(FORCES, self._messages.forces(reading, gate_middle), gate_middle)
+        output.publish(CONTACTS, self._messages.contacts(reading, gate_middle))
+
+    def end_contacts(self, reason: str) -> None:
+        if self._processing is not None:
+            self._publish_events_now(self._processing.end_contacts(reason))
+
+    def set_window(self, measurement: Measurement) -> None:
+        super().set_window(measurement)
+        if self._processing is not None:
+            self._processing.set_window(self.window_frames, self.step_frames)
+
+    def tare(self) -> str | None:
+        return self._processing.tare() if self._processing is not None else "no force sites are being measured"
+
+    @property
+    def common_mode(self) -> tuple[float, ...]:
+        return tuple(self._processing.compensation.common_mode) if self._processing is not None else ()
+
+    def _publish_events(self, events: Sequence[ContactEvent], reading: ForceReading, gate_middle: Instant) -> None:
+        for event in events:
+            self._output.publish(CONTACT_EVENT, self._messages.event(event, reading, gate_middle))
+
+    def _publish_events_now(self, events: Sequence[ContactEvent]) -> None:
+        """Publish events between readings, under the time of the last one."""
+        if self._last is not None:
+            self._publish_events(events, *self._last)

@@ -1,0 +1,80 @@
+"""Way out of a sensor: headers, lateness and latency of its messages, and its state."""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from resonator_daemon.config import Config, ReplayLink
+from resonator_daemon.forces.readings import ForceReading, SkinReading
+from resonator_daemon.monitoring.latency import Latencies
+from resonator_daemon.publishing.codec import Encoded
+from resonator_daemon.publishing.headers import Headers, MeasuredFields
+from resonator_daemon.publishing.payloads import Message
+from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.sensors.sensor_state import SensorState
+from resonator_daemon.session.clock import Instant
+
+Publish = Callable[[Topic[Any], Any], None]
+
+_NS: Final = 1_000_000_000
+
+
+class MessageOutput:
+    """Publishes the messages of one sensor.
+
+    Parameters
+    ----------
+    config
+    headers
+        Makes the headers.
+    state
+        State of the sensor, which follows its readings.
+    publish
+        Called with topic and message.
+    is_late
+        Returns whether a message about a window that ends at this instant is too late to be published.
+
+    Attributes
+    ----------
+    latencies
+        Histograms of the messages with results.
+    skipped_late
+        Number of messages that were skipped because they were late.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        headers: Headers,
+        state: SensorState,
+        publish: Publish,
+        is_late: Callable[[Instant], bool],
+    ) -> None:
+        self.headers = headers
+        self.state = state
+        self.is_late = is_late
+        self.publish = publish
+        self.skipped_late = 0
+        self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
+        self._gate_s = 1 / config.plate.counter.frame_rate_hz
+        self._is_live = not isinstance(config.link, ReplayLink)  # a recording has the clock of its time
+
+    def publish_result(self, topic: Topic[Any], message: Message | Encoded, gate_middle: Instant) -> None:
+        """Publish a message with a result; record its latency."""
+        if self._is_live:
+            self.latencies.count(topic, gate_middle)
+        self.publish(topic, message)
+
+    def skip(self, *topics: Topic[Any]) -> None:
+        """Skip a message of each topic because it would be late."""
+        self.headers.skip(*topics)
+        self.skipped_late += len(topics)
+
+    def header(self, topic: Topic[Any], reading: ForceReading | SkinReading, gate_middle: Instant) -> MeasuredFields:
+        """Return the header of a message about a reading whose last gate has this middle."""
+        return self.headers.measured(
+            topic, self.window_middle_ns(reading, gate_middle), gate_middle.uncertainty_ns, reading.board_ticks
+        )
+
+    def window_middle_ns(self, reading: ForceReading | SkinReading, gate_middle: Instant) -> int:
+        """Return the UTC of the middle of a reading's window."""
+        return gate_middle.utc_ns - round((reading.window_s - self._gate_s) * _NS / 2)

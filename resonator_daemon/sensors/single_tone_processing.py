@@ -1,0 +1,427 @@
+"""Counts of one captured tone per corner to forces, sites and contacts: the stages of measurement in their order."""
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from typing import Final, Literal
+
+import numpy as np
+
+from resonator_daemon.forces.baseline import CommonMode
+from resonator_daemon.forces.contacts import ContactEvent, ContactTracker, Touch, touch_of
+from resonator_daemon.forces.force import cell_std_m, hidden_fraction
+from resonator_daemon.forces.force_sites import ForceSites
+from resonator_daemon.forces.overload_latch import OverloadLatch
+from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
+from resonator_daemon.forces.site_errors import SiteErrors
+from resonator_daemon.forces.site_identification import Match, Matcher, SiteForce
+from resonator_daemon.session.frames import Frame, SingleToneFrame
+from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
+from resonator_daemon.tones.gate_block import GateBlock, WindowSums
+from resonator_daemon.tones.record_checks import CAPTURE_SWITCH
+from resonator_daemon.tones.tone_count import UNHEARD, ToneCount, count_tone
+from resonator_daemon.tones.tone_windows import ToneWindows
+
+PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
+BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
+BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
+UNKNOWN_CONTACT_S: Final = 0.5
+ONSET_FRAMES: Final = 2  # window of the fast path
+CROWDED_FRAMES: Final = 3
+
+
+class SingleToneProcessing:
+    """Frames of a single-tone board in, readings out."""
+
+    def __init__(
+        self,
+        sites: ForceSites,
+        *,
+        pilot_hz: float,
+        reference_hz: float,
+        gate_s: float,
+        window_frames: int,
+        step_frames: int,
+        load_sharing_exponent: float | None = None,
+    ) -> None:
+        """Take a plate's sites; a touch loads them by distance^-exponent, None where they are touched one by one."""
+        if step_frames < 1:
+            raise ValueError(f"step of {step_frames} frames, at least 1")
+        channels = sites.f0_hz.shape[1]
+        hidden = None
+        if load_sharing_exponent is not None:
+            hidden = hidden_fraction(sites.positions_m, sites.outline_m, load_sharing_exponent)
+        band_hz = (
+            (1 - BAND_MARGIN) * min(pilot_hz, float(sites.f0_hz.min())),
+            (1 + BAND_MARGIN) * max(pilot_hz, float(sites.f0_hz.max())),
+        )
+        self._sites = sites
+        self._pilot_hz = pilot_hz
+        self._reference_hz = reference_hz
+        self._gate_s = gate_s
+        self._windows = ToneWindows(channels, window_frames, reference_hz, band_hz)
+        reading_std = oscillator_std(window_frames * gate_s)
+        self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
+        self._matcher = Matcher(
+            sites.f0_hz,
+            sites.sensitivity,
+            sites.force_max_newton,
+            model_error=sites.model_error,
+            hidden_fraction=hidden,
+        )
+        # Two tones that are heard at once are so far apart at least, by channel.
+        shifted_hz = 2.0 * float(np.abs(sites.sensitivity).max()) * sites.force_max_newton * sites.f0_hz.max(axis=0)
+        codes_hz = np.diff(np.sort(sites.f0_hz, axis=0), axis=0)
+        apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
+        self._apart_hz: list[float] = (apart_hz - shifted_hz).tolist()
+        self._latch = OverloadLatch()
+        self._errors = SiteErrors(sites)
+        self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
+        self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
+        self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
+        self._unheard = (math.nan,) * channels
+        self._pilot_attenuation_db = [math.nan] * channels
+        self._told_sites: set[int] = set()  # by the last reading
+        self._quiet = [0] * channels
+        self._crowded = self._quiet  # frames in a row in which no tone was the strongest
+        self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
+        self._evaluated_ticks: int | None = None
+        self._pilot: tuple[float, ...] = self._unheard  # g by the pilot in the last reading
+        self.unusable: Counter[str] = Counter()  # records that gave no frequency, by cause
+        self._measure_over(window_frames, step_frames)
+
+    def end_contacts(self, reason: str) -> tuple[ContactEvent, ...]:
+        """Release every contact, as when frames have stopped coming; what is still touched then begins anew."""
+        return self._tracker.close(self._last[1], reason) if self._last else ()
+
+    def restart(self) -> tuple[ContactEvent, ...]:
+        """Forget the baseline and every contact: the board has booted or is configured anew."""
+        events = self.end_contacts("the board started anew")
+        self._windows.restart()
+        self._common_mode.reset()
+        self._errors.reset()
+        self._latch.release()
+        self._crowded = self._quiet
+        self._last = self._evaluated_ticks = None
+        self._pilot = self._unheard
+        return events
+
+    def tare(self) -> str | None:
+        """Set the common mode to the present pilot; return why that cannot be done, None if it was done."""
+        if any(map(math.isnan, self._pilot)):
+            return "the pilot is not heard on all channels: the plate is touched, or channels are silent"
+        self._common_mode.tare(self._pilot)
+        return None
+
+    def set_window(self, window_frames: int, step_frames: int) -> None:
+        """Measure over another window from the next reading on; a longer one grows to its length, frame by frame.
+
+        Raises
+        ------
+        ValueError
+            A step of less than one frame, or of more than the window.
+        """
+        if not 1 <= step_frames <= window_frames:
+            raise ValueError(f"step of {step_frames} frames, 1 to the window's {window_frames}")
+        self._windows.resize(window_frames)
+        self._common_mode.expect(oscillator_std(window_frames * self._gate_s))
+        self._measure_over(window_frames, step_frames)
+
+    def _measure_over(self, window_frames: int, step_frames: int) -> None:
+        self._step_frames = step_frames
+        self._window_frames = window_frames
+        self._onset_frames = min(ONSET_FRAMES, window_frames)
+        least_hz = 1.0 / (window_frames * self._gate_s)
+        self._distance_hz = [max(apart_hz, least_hz) for apart_hz in self._apart_hz]
+
+    @property
+    def compensation(self) -> Compensation:
+        """What is taken out now."""
+        return self._compensation(untouched=not any(map(math.isnan, self._pilot)))
+
+    def process(self, frames: Sequence[Frame]) -> list[ForceReading]:
+        """Return the readings that end with one of these adjacent frames."""
+        counted = [frame for frame in frames if isinstance(frame, SingleToneFrame)]
+        ticks = [frame.board_ticks for frame in counted]
+        return self.push(counted[0].index, ticks, b"".join([frame.payload for frame in counted])) if counted else []
+
+    def push(self, first_sequence: int, board_ticks: Sequence[int], payload: bytes) -> list[ForceReading]:
+        """Take adjacent frames: their records as on the wire, one of each channel, frame after frame.
+
+        Gives a reading at every `step_frames`-th sequence number, and between them where something has happened to a
+        contact; how the frames are cut into blocks changes none. `first_sequence` is that of the first frame and
+        `board_ticks` are those at the end of each; both are unwrapped. Frames that are missing between two calls
+        restart the windows.
+        """
+        if self._last is not None and first_sequence != self._last[0] + 1:
+            self._windows.restart()
+        block = self._windows.push(payload)
+        crowded = self._note(block)
+        changed, others = self._tone_has_changed(block), self._other_tone_heard(block)
+        step, count = self._step_frames, len(block)
+        self._last = first_sequence + count - 1, board_ticks[-1]
+        steps = range(-(first_sequence + 1) % step, count, step)
+        windows = self._windows_at(block, sorted({*steps, *changed}))
+        between: dict[int, _Window] = {}  # of gates that may show an onset: made on request
+        readings = []
+        for gate in range(count):
+            at_step = gate in steps
+            something_new = gate in (changed if self._tracker.any_open else others)
+            if not (at_step or (something_new and self._common_mode.known)):
+                continue
+            window = windows.get(gate) or between.get(gate)
+            if window is None:
+                between = self._windows_at(block, [later for later in others if later >= gate])
+                window = between[gate]
+            window.crowded = crowded[gate]
+            reading = self._read(first_sequence + gate, board_ticks[gate], window, at_step=at_step)
+            if at_step or reading.events:
+                readings.append(reading)
+        return readings
+
+    def _windows_at(self, block: GateBlock, gates: Sequence[int]) -> "dict[int, _Window]":
+        """Return the windows that end with these gates, by gate."""
+        if not gates:
+            return {}
+        # A window that has begun anew grows from that of the fast path: a new tone is known at once, and better soon.
+        most, onset = self._window_frames, self._onset_frames
+        frames = [
+            most if min(held) == most else min([count for count in held if count >= onset], default=most)
+            for held in [block.held[gate] for gate in gates]
+        ]
+        sums = block.windows(gates, frames)
+        return {
+            gate: _Window(block, gate, length, sums, index)
+            for index, (gate, length) in enumerate(zip(gates, frames, strict=True))
+        }
+
+    def _note(self, block: GateBlock) -> list[list[int]]:
+        """Count unusable records; return for how many frames in a row no tone was the strongest on each channel."""
+        if not block.faults:
+            self._crowded = self._quiet
+            return [self._quiet] * len(block)
+        self.unusable.update(block.count_faults())
+        rows = []
+        for faults in block.faults:
+            self._crowded = [
+                count + 1 if fault == CAPTURE_SWITCH else 0 for count, fault in zip(self._crowded, faults, strict=True)
+            ]
+            rows.append(self._crowded)
+        return rows
+
+    def _tone_has_changed(self, block: GateBlock) -> list[int]:
+        """Return the gates at which a channel has had a new tone, or its own again, for exactly an onset's time."""
+        first, second = self._onset_frames, self._onset_frames + 1
+        if block.steady and self._window_frames > second:
+            return []
+        return [gate for gate, held in enumerate(block.held) if first in held or second in held]
+
+    def _other_tone_heard(self, block: GateBlock) -> list[int]:
+        """Return the gates at which at least two channels have had another tone than the pilot for long enough."""
+        onset = self._onset_frames
+        return [
+            gate
+            for gate, (off, held) in enumerate(
+                zip(block.other_tones(self._pilot_hz, PILOT_TOLERANCE), block.held, strict=False)
+            )
+            if sum([other and count >= onset for other, count in zip(off, held, strict=True)]) >= 2
+        ]
+
+    def _read(self, sequence: int, board_ticks: int, window: "_Window", *, at_step: bool) -> ForceReading:
+        frames, heard_hz = window.frames, window.frequency_hz
+        pilot_hz, tolerance, unknown = self._pilot_hz, PILOT_TOLERANCE, math.nan
+        off = [f / pilot_hz - 1 for f in heard_hz]
+        pilot = tuple([g if -tolerance < g < tolerance else unknown for g in off])
+        silent, others = sum(map(math.isnan, heard_hz)), sum(map(math.isnan, pilot))
+        pilots, tones = len(pilot) - others, others - silent
+        untouched = tones == 0 and pilots >= 2
+        self._follow(board_ticks, pilot, window, untouched=untouched and frames == self._window_frames)
+
+        status: SensorStatus
+        forces: tuple[SiteForce, ...] = ()
+        beats: tuple[int, ...] = ()
+        if untouched:
+            status, reason = (
+                ("ok", self._missing(window)) if self._common_mode.known else self._learning(pilots, window)
+            )
+        elif tones and not self._common_mode.known:
+            status, reason = "pressed_at_start", "touched before the pilot was heard on all channels"
+        elif tones >= 2:
+            counts = self._counted(window, heard_hz, pilot)
+            beats = tuple([channel for channel, count in enumerate(counts) if count.beats])
+            match = self._latch.apply(self._match(counts, frames))
+            status, reason, forces = match.status, match.reason, match.forces
+            if status == "ok" and any(count.others for count in counts):
+                status, reason = "possibly_more", "more than the counted tone is heard"
+            elif status == "ok" and max(window.crowded) >= CROWDED_FRAMES:
+                status, reason = "possibly_more", f"two tones are alike: {self._missing(window)}"
+        else:
+            status, reason = self._silent(tones, pilots, window)
+
+        touches: list[Touch] = []
+        if forces:
+            time_s = board_ticks / self._reference_hz
+            forces = tuple([self._complete(force, time_s, status) for force in forces])
+            positions_m, covariance_m2 = self._positions_m, self._covariance_m2
+            touches = [touch_of(force, positions_m[force.site], covariance_m2[force.site]) for force in forces]
+        touches = self._confirmed(touches, frames)
+        unheard = ("no_signal", "another site is heard instead") if forces else (status, reason)
+        events = self._tracker.update(board_ticks, touches, complete=untouched, status=unheard[0], reason=unheard[1])
+        return ForceReading(
+            sequence,
+            board_ticks,
+            frames * self._gate_s,
+            at_step,
+            status,
+            reason,
+            forces,
+            self._tracker.contacts,
+            events,
+            self._compensation(untouched=untouched),
+            beats,
+        )
+
+    def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: "_Window", *, untouched: bool) -> None:
+        """Let the baseline follow the pilot while nothing is touched, and become less certain meanwhile."""
+        before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
+        self._evaluated_ticks = board_ticks
+        elapsed_s = max(board_ticks - before, 0) / self._reference_hz
+        # Channels without a signal stay out of it: a touch would have taken the pilot's place on the others, too.
+        self._common_mode.update(pilot if untouched else self._unheard, elapsed_s)
+        self._pilot = pilot
+        if untouched:
+            self._latch.release()
+            self._errors.silence(board_ticks / self._reference_hz)
+            self._pilot_attenuation_db = [
+                before if math.isnan(g) else now
+                for g, before, now in zip(pilot, self._pilot_attenuation_db, window.attenuation_db, strict=True)
+            ]
+
+    def _counted(self, window: "_Window", heard_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
+        """Tell what the channels that hear another tone than the pilot count, and how well."""
+        counts = [UNHEARD] * len(pilot)
+        attenuation_db = window.attenuation_db
+        gate_hz, residual_ticks2 = window.gates
+        for channel, (sums, g) in enumerate(zip(window.sums, pilot, strict=True)):
+            if sums is not None and math.isnan(g):
+                counts[channel] = count_tone(
+                    sums,
+                    heard_hz[channel],
+                    gate_hz[channel],
+                    residual_ticks2[channel],
+                    reference_hz=self._reference_hz,
+                    over_pilot_db=attenuation_db[channel] - self._pilot_attenuation_db[channel],
+                    distance_hz=self._distance_hz[channel],
+                    window_s=window.frames * self._gate_s,
+                )
+        return counts
+
+    def _match(self, counts: Sequence[ToneCount], frames: int) -> Match:
+        common_mode = self._common_mode
+        frequency_hz = [count.frequency_hz / (1.0 + g) for count, g in zip(counts, common_mode.value, strict=True)]
+        oscillator = oscillator_std(frames * self._gate_s)
+        return self._matcher.match(frequency_hz, [count.std for count in counts], oscillator, common_mode.std)
+
+    def _complete(self, force: SiteForce, time_s: float, status: SensorStatus) -> SiteForce:
+        """Return the force with the site's response taken out and with every systematic error."""
+        if force.status == "overload":
+            return force
+        per_shift = self._sites.newton_per_shift(force.site, force.channels)
+        pressed = self._errors.press(
+            force.site, force.force_newton, force.noise_newton, force.systematic_newton, per_shift, time_s
+        )
+        worth: Literal["ok", "possibly_more"] = "possibly_more" if status == "possibly_more" else "ok"
+        return SiteForce(
+            force.site,
+            pressed.force_newton,
+            pressed.noise_newton,
+            math.hypot(pressed.systematic_newton, pressed.untold_newton),
+            worth if pressed.calibrated else "uncalibrated",
+            force.at_least_newton,
+            force.hidden_newton,
+            force.channels,
+        )
+
+    def _confirmed(self, touches: list[Touch], frames: int) -> list[Touch]:
+        """Leave out touches of a window that has just begun and that the frame before did not tell of.
+
+        While a tone takes over a corner, a window of two gates may say anything.
+        """
+        before, self._told_sites = self._told_sites, {touch.site for touch in touches}
+        if frames > self._onset_frames:
+            return touches
+        known = before | {contact.touch.site for contact in self._tracker.contacts}
+        return [touch for touch in touches if touch.site in known]
+
+    def _compensation(self, *, untouched: bool) -> Compensation:
+        common_mode = self._common_mode
+        return Compensation(
+            common_mode.value,
+            common_mode.std,
+            ("followed" if untouched else "held") if common_mode.known else "unknown",
+            math.nan,
+            math.nan,
+            "off" if self._sites.response is None else "on",
+        )
+
+    def _learning(self, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+        if pilots == self._windows.channels or self._settling(window):
+            return "settling", "the common mode is being learnt"
+        return "pilot_lost", self._missing(window)
+
+    def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
+        """Status where too few channels are heard to tell a touch from none."""
+        if self._settling(window):
+            return "settling", self._missing(window)
+        if tones:
+            return "rejected", "heard on 1 channel, at least 2 needed"
+        if "capture_switch" in window.faults:
+            return "rejected", f"no tone is the strongest for long: {self._missing(window)}"
+        return ("pilot_lost" if pilots else "no_signal"), self._missing(window)
+
+    def _settling(self, window: "_Window") -> bool:
+        return any(
+            fault is None and held < self._window_frames for fault, held in zip(window.faults, window.held, strict=True)
+        )
+
+    def _missing(self, window: "_Window") -> str:
+        """Name the channels that give no frequency, each with its cause."""
+        if min(window.held) == self._window_frames:
+            return ""
+        causes = [
+            f"channel {channel}: {fault or 'window not full yet'}"
+            for channel, (fault, held) in enumerate(zip(window.faults, window.held, strict=True))
+            if held < self._window_frames
+        ]
+        return ", ".join(causes)
+
+
+class _Window:
+    """What the channels have counted in the last gates of a block, up to one of them."""
+
+    def __init__(self, block: GateBlock, gate: int, frames: int, sums: WindowSums, index: int) -> None:
+        self.frames = frames
+        self.held = block.held[gate]
+        self.crowded: Sequence[int] = ()
+        self._block, self._gate = block, gate
+        self._sums, self._index = sums, index
+
+    @property
+    def frequency_hz(self) -> list[float]:
+        return self._sums.frequency_hz(self._index)
+
+    @property
+    def sums(self) -> list[Sums | None]:
+        return self._sums.sums(self._index)
+
+    @property
+    def gates(self) -> tuple[list[list[float]], list[list[float]]]:
+        return self._block.last(self._gate, self.frames)
+
+    @property
+    def faults(self) -> list[str | None]:
+        return self._block.fault_names(self._gate)
+
+    @property
+    def attenuation_db(self) -> list[float]:
+        return self._block.attenuation_db(self._gate)
