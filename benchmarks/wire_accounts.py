@@ -150,7 +150,7 @@ class Board:
             self._runs, self._sequence = self.session.started, BEFORE_THE_WRAP
             self._since_start = self._reported = 0
         if answers:
-            outgoing.append(Outgoing((answers,)))
+            outgoing.append(Outgoing(answers))
         return b"".join(self._on_the_wire(packets, ticks, now_ns) for packets in outgoing)
 
     def _close_gate(self, ticks: int) -> list[Outgoing]:
@@ -163,19 +163,19 @@ class Board:
         if self._reported != self._since_start:
             self._reported = self._since_start
             status = self.session.status(BoardStatus(self._since_start), ticks)
-            out.append(Outgoing((status,)))
-        return [*out, Outgoing((self.session.frame(sequence, ticks, RECORDS),), sequence)]
+            out.append(Outgoing(status))
+        return [*out, Outgoing(self.session.frame(sequence, ticks, RECORDS), sequence)]
 
     def _on_the_wire(self, outgoing: Outgoing, ticks: int, now_ns: int) -> bytes:
-        data, harm = b"".join(outgoing.packets), None
+        data, harm = outgoing.data, None
         if self.heard:  # what comes as seldom as answers would be hit each time
-            data, harm = self._faults.damage(outgoing, now_ns * 1e-9)
+            data, harm = self._faults.damage(data, now_ns * 1e-9)
         if not self.plugged_in:
             return b""
         if outgoing.is_frame:
             self.sent += 1
             self.duplicated += len(harm.frame_sequences_duplicated) if harm else 0
-            self._reader.knows(outgoing.packets[0], self.boot_id, ticks)
+            self._reader.knows(outgoing.data, self.boot_id, ticks)
         self._reader.read(data)
         return data
 

@@ -13,9 +13,11 @@ SYNC = b"\xa5\x5a"
 MAX_PAYLOAD_BYTES = 8944  # so that a packet fits one datagram in a jumbo Ethernet frame
 
 _HEADER = struct.Struct("<HBBIQIHH")
+_CHECKED_HEADER = struct.Struct("<HBBIQIH")  # all but header_check
+_HEADER_CHECK = struct.Struct("<H")
 _HEADER_BYTES = _HEADER.size
 _CRC = struct.Struct("<I")
-_CHECKED_HEADER_BYTES = _HEADER_BYTES - 2  # all but header_check itself
+_CHECKED_HEADER_BYTES = _CHECKED_HEADER.size
 _SYNC_NUMBER = int.from_bytes(SYNC, "little")
 _SOUND = 0x2144DF1C  # CRC-32 of anything followed by its own CRC-32
 
@@ -90,7 +92,7 @@ def encode_packet(
     """
     if len(payload) > MAX_PAYLOAD_BYTES:
         raise ValueError(f"payload must have at most {MAX_PAYLOAD_BYTES} bytes, got {len(payload)}")
-    head = _HEADER.pack(
+    head = _CHECKED_HEADER.pack(
         _SYNC_NUMBER,
         major,
         message_type,
@@ -98,10 +100,9 @@ def encode_packet(
         board_ticks & 0xFFFFFFFFFFFFFFFF,
         boot_id,
         len(payload),
-        0,
-    )[:_CHECKED_HEADER_BYTES]
-    checked_head = head + crc_hqx(head, 0xFFFF).to_bytes(2, "little")
-    return b"".join((checked_head, payload, _CRC.pack(crc32(payload, crc32(checked_head)))))
+    )
+    checked = head + _HEADER_CHECK.pack(crc_hqx(head, 0xFFFF)) + payload
+    return checked + _CRC.pack(crc32(checked))
 
 
 class PacketDecoder:

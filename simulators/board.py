@@ -28,18 +28,14 @@ class MadeFrame(NamedTuple):
 
 
 class Outgoing(NamedTuple):
-    """Packets that go out together: an answer, or all parts of a frame, after a STATUS where it is due."""
+    """Packets that are sent together: an answer, or all parts of a frame, after a STATUS where it is due."""
 
-    packets: tuple[bytes, ...]
+    data: bytes
     sequence: int | None = None  # of a frame; None of all else
 
     @property
     def is_frame(self) -> bool:
         return self.sequence is not None
-
-    @property
-    def size_bytes(self) -> int:
-        return sum(map(len, self.packets))
 
 
 @dataclass(slots=True)
@@ -47,7 +43,6 @@ class _Run:
     """From one START to the next."""
 
     gate_ticks: int
-    gate_start_ticks: int  # of the gate that is open, as `now_ticks`
     frames_taken: int = 0  # from the queue, to be sent
     frames_dropped_reported: int = 0
     frames_packed: int = 0
@@ -77,6 +72,11 @@ class Board:
         What it does against its word.
     gate_ticks
         The only length of a gate that it offers; None: every one that the plate can be counted with.
+
+    Attributes
+    ----------
+    next_frame_ticks
+        When the gate that is open closes, as `now_ticks`; None while the board does not count.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Board:
         gate_ticks: int | None = None,
     ) -> None:
         self._plate = plate
-        self._single_tone = plate.description.counter_kind == CounterKind.SINGLE_TONE
+        self.single_tone = plate.description.counter_kind == CounterKind.SINGLE_TONE
         self._lies = misbehaviour or Misbehaviour()
         description = replace(plate.description, queue_bytes=queue_limit_bytes, capabilities=int(Capability.LOCATE))
         if gate_ticks is not None:
@@ -124,12 +124,14 @@ class Board:
         self._session = DeviceSession(replace(self.identity, reset_cause=cause), self._description, self._boot_id)
         self._runs_begun = 0
         self._run: _Run | None = None
+        self.next_frame_ticks: int | None = None
         self._queue: deque[Outgoing] = deque()
         self._queued_bytes = 0
 
     def begin(self) -> None:
         """Become idle with an empty output, as a host's BEGIN asks for."""
         self._session.begin()
+        self.next_frame_ticks = None
         self.discard_output()
 
     def step_ticks(self, ticks: int) -> None:
@@ -159,34 +161,26 @@ class Board:
         if self._session.started != self._runs_begun and configuration is not None:
             self._runs_begun = self._session.started
             self._begin_run(self._lies.gate_ticks(configuration.gate_ticks))
-        for answer in self._lies.answers(_single_packets(answers)):
-            self._enqueue(Outgoing((answer,)))
+        elif not self.running:
+            self.next_frame_ticks = None
+        for answer in self._lies.answers(packets_in(answers)):
+            self._enqueue(Outgoing(answer))
 
     def advance(self, now_ticks: int) -> list[MadeFrame]:
         """Let time pass; return the frames of all gates that have closed, which now wait for `next_output`."""
         self._now_ticks = now_ticks
         made: list[MadeFrame] = []
-        run = self._run
-        if run is not None and self.running:
-            while run.gate_start_ticks + run.gate_ticks <= now_ticks:
-                made.append(self._close_gate(run))
+        while (run := self._run) is not None and (end := self.next_frame_ticks) is not None and end <= now_ticks:
+            made.append(self._close_gate(run, end))
         return made
-
-    @property
-    def next_frame_ticks(self) -> int | None:
-        """When the gate that is open closes; None while the board does not count."""
-        run = self._run
-        if run is None or not self.running:
-            return None
-        return run.gate_start_ticks + run.gate_ticks
 
     def count_ahead(self) -> None:
         """Count and pack the next frames ahead, so that they are ready when their gates close."""
-        run = self._run
-        if run is None or run.ahead or not self.running:
+        run, end_ticks = self._run, self.next_frame_ticks
+        if run is None or run.ahead or end_ticks is None:
             return
         self._step()
-        end_ticks = run.gate_start_ticks
+        end_ticks -= run.gate_ticks
         board_ticks = end_ticks - self._boot_ticks
         scenario_ticks = end_ticks - (self.first_start_ticks or 0)
         for frame in self._plate.count(board_ticks, scenario_ticks, run.gate_ticks, self._plate.block_frames):
@@ -203,7 +197,7 @@ class Board:
         if not self._queue:
             return None
         outgoing = self._queue.popleft()
-        self._queued_bytes -= outgoing.size_bytes
+        self._queued_bytes -= len(outgoing.data)
         run, sequence = self._run, outgoing.sequence
         if sequence is None or run is None:
             return outgoing
@@ -214,7 +208,7 @@ class Board:
         run.frames_dropped_reported = dropped
         # Together with the frame that it speaks of: none is dropped between the two.
         status = self._session.status(self._status(dropped), self._board_ticks)
-        return Outgoing((status, *outgoing.packets), sequence)
+        return Outgoing(status + outgoing.data, sequence)
 
     def discard_output(self) -> None:
         """Empty the queue because its host is gone; frames in it count as dropped."""
@@ -232,23 +226,24 @@ class Board:
         if self.first_start_ticks is None:
             self.first_start_ticks = self._now_ticks
         self.discard_output()  # frames of another run, which nobody could tell from those of this one
-        self._run = _Run(gate_ticks, self._now_ticks)
+        self._run = _Run(gate_ticks)
+        self.next_frame_ticks = self._now_ticks + gate_ticks
         self._plate.start()
 
     def _packed(self, counted: CountedFrame, sequence: int, end_ticks: int) -> tuple[MadeFrame, Outgoing]:
         board_ticks = end_ticks - self._boot_ticks
-        if self._single_tone:
-            packets = [self._session.frame(sequence, board_ticks, b"".join(counted.channels))]
+        if self.single_tone:
+            data = self._session.frame(sequence, board_ticks, b"".join(counted.channels))
         else:
-            packets = self._session.frame_parts(sequence, board_ticks, counted.channels)
+            data = b"".join(self._session.frame_parts(sequence, board_ticks, counted.channels))
         made = MadeFrame(sequence, board_ticks, end_ticks, counted.contacts, counted.plate_kelvin)
-        return made, Outgoing(tuple(packets), sequence)
+        return made, Outgoing(data, sequence)
 
-    def _close_gate(self, run: _Run) -> MadeFrame:
+    def _close_gate(self, run: _Run, end_ticks: int) -> MadeFrame:
         if not run.ahead:
             self.count_ahead()
         made, outgoing = run.ahead.popleft()
-        run.gate_start_ticks = made.end_ticks
+        self.next_frame_ticks = end_ticks + run.gate_ticks
         self.frames_made += 1
         if self._drop_rate > 0.0 and self._random.random() < self._drop_rate:
             self.frames_lost += 1
@@ -259,7 +254,7 @@ class Board:
         return made
 
     def _enqueue(self, outgoing: Outgoing) -> None:
-        size_bytes = outgoing.size_bytes
+        size_bytes = len(outgoing.data)
         while self._queued_bytes + size_bytes > self._queue_limit_bytes:
             oldest = next((index for index, waiting in enumerate(self._queue) if waiting.is_frame), None)
             if oldest is None:
@@ -267,20 +262,18 @@ class Board:
                 return
             dropped = self._queue[oldest]
             del self._queue[oldest]
-            self._queued_bytes -= dropped.size_bytes
+            self._queued_bytes -= len(dropped.data)
             self.frames_crowded_out += 1
         self._queue.append(outgoing)
         self._queued_bytes += size_bytes
 
 
-def _single_packets(answers: bytes) -> list[bytes]:
+def packets_in(data: bytes) -> list[bytes]:
+    """Split undamaged packets that follow each other."""
     packets, start = [], 0
-    while start < len(answers):
-        end = (
-            start
-            + PACKET_OVERHEAD_BYTES
-            + int.from_bytes(answers[start + _LENGTH_AT : start + _LENGTH_AT + 2], "little")
-        )
-        packets.append(answers[start:end])
+    while start < len(data):
+        payload_bytes = int.from_bytes(data[start + _LENGTH_AT : start + _LENGTH_AT + 2], "little")
+        end = start + PACKET_OVERHEAD_BYTES + payload_bytes
+        packets.append(data[start:end])
         start = end
     return packets

@@ -138,18 +138,21 @@ class Emulator:
         # A second thread of the linear algebra would only spin.
         with self._resources, threadpool_limits(1):
             self._origin_ns = time.monotonic_ns()
-            readable = False
+            board, readable = self._board, False
             while not self._stopping:
                 if self._script.next_s is not None:
                     self._follow_script(self._now_ticks())
                 data = self.link.read() if readable else b""
-                now_ticks = self._now_ticks()  # when the request came, whatever is to be done before it is answered
-                self._made += self._board.advance(now_ticks)
+                now_ns = time.monotonic_ns() - self._origin_ns
+                now_ticks = int(now_ns * self._ticks_per_ns)  # at which a request came
+                made = board.advance(now_ticks)
                 if data:
                     self._receive(data, now_ticks)
-                self._output.send(time.monotonic_ns() - self._origin_ns, self._elapsed_s(now_ticks))
-                self._write_truth()
-                self._board.count_ahead()
+                self._output.send(now_ns, self._elapsed_s(now_ticks))
+                if made:
+                    self._made += made
+                    self._write_truth()
+                board.count_ahead()
                 readable = self._wait()
             self._write_truth()
 
@@ -283,19 +286,20 @@ class Emulator:
         self._truth.write("".join(lines))
 
     def _wait(self) -> bool:
-        """Wait for what is due next, for the link or for `stop`; tell whether the link has something to read."""
-        write_fd = self.link.write_fd
-        writers = [write_fd] if write_fd is not None and self._output.waits_for_room else []
-        readers = [] if self._output.held else self.link.read_fds
-        due_ticks = (self._board.next_frame_ticks, self._next_step_ticks)
-        due_ns = [ticks / self._ticks_per_ns for ticks in due_ticks if ticks is not None]
-        if write_fd is not None and (output_ns := self._output.next_ns) is not None:
-            due_ns.append(output_ns)
-        wait_s = None
-        if due_ns:
-            wait_s = max(0.0, (self._origin_ns + min(due_ns) - time.monotonic_ns()) * 1e-9)
-        readable, _, _ = select.select([self._wake_read_fd, *readers], writers, [], wait_s)
-        return any(fd != self._wake_read_fd for fd in readable)
+        """Wait for what is due next, for the link or for `stop`; return whether the link has something to read."""
+        link, output = self.link, self._output
+        writers = [link.write_fd] if link.write_fd is not None and output.waits_for_room else []
+        readers = [self._wake_read_fd] if output.held else [self._wake_read_fd, *link.read_fds]
+        due_ns = math.inf
+        if (frame_ticks := self._board.next_frame_ticks) is not None:
+            due_ns = frame_ticks / self._ticks_per_ns
+        if (step_ticks := self._next_step_ticks) is not None:
+            due_ns = min(due_ns, step_ticks / self._ticks_per_ns)
+        if link.write_fd is not None and (output_ns := output.next_ns) is not None:
+            due_ns = min(due_ns, output_ns)
+        wait_s = (self._origin_ns + due_ns - time.monotonic_ns()) * 1e-9
+        readable, _, _ = select.select(readers, writers, [], None if wait_s == math.inf else max(wait_s, 0.0))
+        return bool(readable) and readable != [self._wake_read_fd]
 
 
 def _draw_boot_id() -> int:

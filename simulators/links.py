@@ -3,6 +3,7 @@
 import os
 import socket
 import tty
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -17,12 +18,12 @@ class Link(Protocol):
         """What a host's configuration calls it."""
 
     @property
-    def read_fds(self) -> list[int]:
-        """To wait for before `read`."""
+    def read_fds(self) -> Sequence[int]:
+        """Descriptors that become readable before `read` returns something."""
 
     @property
     def write_fd(self) -> int | None:
-        """To wait for before `write`; None where no host is there."""
+        """Descriptor that becomes writable before `write` accepts more; None while no host is connected."""
 
     def read(self) -> bytes:
         """Return what the host has sent, b"" where nothing."""
@@ -52,7 +53,8 @@ class PtyLink:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._master_fd: int | None = None
+        self.read_fds: Sequence[int] = ()
+        self.write_fd: int | None = None  # of the terminal's own end
         self._slave_fd = -1
         self.plug_in()
 
@@ -60,64 +62,59 @@ class PtyLink:
     def address(self) -> str:
         return f"serial:{self._path}?baud=4000000"
 
-    @property
-    def read_fds(self) -> list[int]:
-        return [] if self._master_fd is None else [self._master_fd]
-
-    @property
-    def write_fd(self) -> int | None:
-        return self._master_fd
-
     def read(self) -> bytes:
-        if self._master_fd is None:
+        if self.write_fd is None:
             return b""
         try:
-            return os.read(self._master_fd, _READ_BYTES)
+            return os.read(self.write_fd, _READ_BYTES)
         except BlockingIOError:
             return b""
 
     def write(self, data: bytes | memoryview) -> int:
-        if self._master_fd is None:
+        if self.write_fd is None:
             return 0
         try:
-            return os.write(self._master_fd, data)
+            return os.write(self.write_fd, data)
         except BlockingIOError:
             return 0
 
     def hang_up(self) -> None:
-        if self._master_fd is None:
+        if self.write_fd is None:
             return
         if self._path.is_symlink() and os.readlink(self._path) == os.ttyname(self._slave_fd):
             self._path.unlink()
-        os.close(self._master_fd)
-        os.close(self._slave_fd)
-        self._master_fd = None
+        self._close_terminal()
+
+    def _close_terminal(self) -> None:
+        if self.write_fd is not None:
+            os.close(self.write_fd)
+            os.close(self._slave_fd)
+        self.write_fd, self.read_fds = None, ()
 
     def plug_in(self) -> None:
-        if self._master_fd is not None:
+        if self.write_fd is not None:
             return
         if self._path.exists():  # a link whose terminal is gone does not
             what = "is in use" if self._path.is_symlink() else "exists and is no symbolic link"
             raise FileExistsError(f"{self._path} {what}; remove it or name another")
         # This end keeps the slave open as well: without any holder, reading from the master fails.
-        self._master_fd, self._slave_fd = os.openpty()
+        self.write_fd, self._slave_fd = os.openpty()
+        self.read_fds = (self.write_fd,)
         tty.setraw(self._slave_fd)
-        os.set_blocking(self._master_fd, False)
+        os.set_blocking(self.write_fd, False)
         try:
             fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
             fresh.symlink_to(os.ttyname(self._slave_fd))
             fresh.replace(self._path)
         except OSError as error:
-            os.close(self._master_fd)
-            os.close(self._slave_fd)
-            self._master_fd = None
+            self._close_terminal()
             raise type(error)(
                 f"{self._path} cannot be made: {error.strerror}; name a file in a directory that is there and yours"
             ) from error
 
     def rename(self, name: str) -> None:
         """Take another name, in the same directory; a host notices as of a cable that was pulled."""
-        plugged = self._master_fd is not None
+        plugged = self.write_fd is not None
         self.hang_up()
         self._path = self._path.with_name(name)
         if plugged:
@@ -138,6 +135,8 @@ class TcpLink:
 
     def __init__(self, host: str, port: int) -> None:
         self._host, self._port = host, port
+        self.read_fds: Sequence[int] = ()
+        self.write_fd: int | None = None
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
         self.plug_in()
@@ -147,18 +146,11 @@ class TcpLink:
         host = f"[{self._host}]" if ":" in self._host else self._host
         return f"tcp://{host}:{self._port}"
 
-    @property
-    def read_fds(self) -> list[int]:
-        return [end.fileno() for end in (self._listener, self._client) if end is not None]
-
-    @property
-    def write_fd(self) -> int | None:
-        return None if self._client is None else self._client.fileno()
-
     def read(self) -> bytes:
         """As of `Link`; also notices that a client came or went. A second one is turned away."""
         if self._client is None:
             self._client = self._accept()
+            self._list_descriptors()
             return b""
         try:
             if data := self._client.recv(_READ_BYTES):
@@ -192,6 +184,7 @@ class TcpLink:
         if self._listener is not None:
             self._listener.close()
             self._listener = None
+            self._list_descriptors()
 
     def plug_in(self) -> None:
         if self._listener is None:
@@ -205,6 +198,7 @@ class TcpLink:
                 ) from error
             self._listener.setblocking(False)
             self._port = self._listener.getsockname()[1]
+            self._list_descriptors()
 
     def close(self) -> None:
         self.hang_up()
@@ -224,3 +218,8 @@ class TcpLink:
         if self._client is not None:
             self._client.close()
             self._client = None
+            self._list_descriptors()
+
+    def _list_descriptors(self) -> None:
+        self.read_fds = [end.fileno() for end in (self._listener, self._client) if end is not None]
+        self.write_fd = None if self._client is None else self._client.fileno()

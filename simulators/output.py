@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 
-from firmware_protocol.layouts import MessageType
-from simulators.board import Board, Outgoing
+from simulators.board import Board
 from simulators.faults import FaultPlan
 from simulators.faults.account import FaultCounts
-from simulators.faults.byte_faults import TYPE_AT, ByteFaults
+from simulators.faults.byte_faults import ByteFaults
 from simulators.faults.timing import Line, Lot, Splitter
 from simulators.links import Link
 
@@ -24,8 +23,9 @@ class Output:
         self._line = Line(plan, seed)
         self._splitter = Splitter(plan, seed)
         self._faultless = self._faults.harmless and self._line.straight
+        self._unlimited = self._splitter.unlimited
         self._lot: Lot | None = None  # is being written
-        self._unsent = memoryview(b"")  # of it
+        self._unsent: bytes | memoryview = b""  # of it
         self._after_cut: Callable[[], None] | None = None
         self.asked = True  # a host that has come after another gets nothing before it asks (PROTOCOL.md, section 8)
         self.held = False  # the board is frozen: what it has sent already still arrives
@@ -54,7 +54,8 @@ class Output:
 
     def send(self, now_ns: int, elapsed_s: float) -> None:
         """Write what can be written now, `elapsed_s` after the first START."""
-        while self._link.write_fd is not None:
+        link = self._link
+        while link.write_fd is not None:
             if not self.asked:
                 self._board.discard_output()
                 return
@@ -62,8 +63,8 @@ class Output:
                 self._lot = self._next_lot(now_ns, elapsed_s)
                 if self._lot is None:
                     return
-                self._unsent = memoryview(self._lot.data)
-            if not self._write(now_ns) and self._link.write_fd is not None:
+                self._unsent = self._lot.data
+            if not self._write(self._lot, now_ns) and link.write_fd is not None:
                 return  # the host does not take more now
         self.lose()
 
@@ -76,7 +77,7 @@ class Output:
 
     def clear(self) -> None:
         """Forget what has left the board's queue and not the link."""
-        self._lot, self._unsent = None, memoryview(b"")
+        self._lot, self._unsent = None, b""
         self._line.clear()
 
     def _next_lot(self, now_ns: int, elapsed_s: float) -> Lot | None:
@@ -85,21 +86,20 @@ class Output:
             return self._line.take(now_ns)
         if self._faultless and self._after_cut is None:
             outgoing = self._board.next_output()
-            return None if outgoing is None else Lot(b"".join(outgoing.packets), int(outgoing.is_frame))
+            return None if outgoing is None else Lot(outgoing.data, 0 if outgoing.sequence is None else 1)
         self._fill_line(now_ns, elapsed_s)
         return self._line.take(now_ns)
 
     def _fill_line(self, now_ns: int, elapsed_s: float) -> None:
         """Take from the board until something is due."""
         while not self._line.has_due(now_ns) and (outgoing := self._board.next_output()) is not None:
-            sequence = _single_tone_sequence(outgoing)
+            sequence = outgoing.sequence if self._board.single_tone else None
             if self._after_cut is not None and outgoing.is_frame:
-                whole = b"".join(outgoing.packets)
                 harm = FaultCounts(frame_sequences_cut=[] if sequence is None else [sequence])
-                self._line.put(Lot(whole[: len(whole) // 2], frames=0, harm=harm), now_ns)
+                self._line.put(Lot(outgoing.data[: len(outgoing.data) // 2], frames=0, harm=harm), now_ns)
                 self._end_board()
                 continue
-            data, harm_done = self._faults.damage(outgoing, elapsed_s)
+            data, harm_done = self._faults.damage(outgoing.data, elapsed_s)
             self._line.put(Lot(data, int(outgoing.is_frame), harm_done), now_ns, sequence)
 
     def _end_board(self) -> None:
@@ -107,24 +107,20 @@ class Output:
             then, self._after_cut = self._after_cut, None
             then()
 
-    def _write(self, now_ns: int) -> bool:
-        """Write a piece; tell whether more may be tried at once."""
+    def _write(self, lot: Lot, now_ns: int) -> bool:
+        """Write a piece of the lot; return whether more may be tried at once."""
         piece = self._unsent
-        if not self._splitter.unlimited:
+        if not self._unlimited:
             piece = piece[: self._splitter.piece_bytes(len(piece), now_ns)]
         written = self._link.write(piece) if piece else 0
-        if not self._splitter.unlimited:
+        if not self._unlimited:
             self._splitter.wrote(written)
         self.bytes_sent += written
         if written < len(self._unsent):
-            self._unsent = self._unsent[written:]
-        elif self._lot is not None:
-            self.frames_sent += self._lot.frames
-            if self._lot.harm is not None:
-                self.counts.add(self._lot.harm)
-            self._lot, self._unsent = None, memoryview(b"")
+            self._unsent = memoryview(self._unsent)[written:]
+        else:
+            self.frames_sent += lot.frames
+            if lot.harm is not None:
+                self.counts.add(lot.harm)
+            self._lot, self._unsent = None, b""
         return 0 < written == len(piece)
-
-
-def _single_tone_sequence(outgoing: Outgoing) -> int | None:
-    return outgoing.sequence if outgoing.packets[-1][TYPE_AT] == MessageType.FRAME else None

@@ -55,7 +55,7 @@ class QuartzPlate:
         the same for the same seed.
     """
 
-    block_frames = 40
+    block_frames = 80
 
     def __init__(
         self, plate: Plate, scenario: Scenario, seed: int, *, counter: Literal["sums", "stamps"] = "sums"

@@ -7,8 +7,9 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT
 from firmware_protocol.messages import CounterKind, Description
 from resonator_daemon.plate import Plate, Skin
-from simulators.arrays import Floats
+from simulators.arrays import Floats, Singles
 from simulators.contact import PressedSpot, hertz_parts
+from simulators.normal_noise import normal_noise
 from simulators.plate import (
     REFERENCE_ERROR,
     Contact,
@@ -61,6 +62,7 @@ class SkinPlate:
         self._reference_hz = reference_hz
         self._tick_rate_hz = reference_hz * (1.0 + reference_error)
         self._random = np.random.default_rng(seed)
+        self._noise_bits = self._random.spawn(1)[0].bit_generator
         self._where = tones.signal_index, tones.site_index
         self._oscillator_hz = oscillator_hz
         self._half_spacing_hz = spacing_hz / 2.0
@@ -78,7 +80,8 @@ class SkinPlate:
         self._own_sigma_hz = self._noise_hz(plate, skin, level_db)
         self._attenuation = attenuation_db256(level_db)
         self._gate_s = 0.0  # of the following
-        self._sigma_hz: Floats
+        self._offset_std_hz: Singles
+        self._middle_std_turns: Singles
         self._records: ToneRecords
         self.start()
 
@@ -104,19 +107,21 @@ class SkinPlate:
     def _set_gate(self, gate_s: float) -> None:
         # White phase noise: the slope of a gate is off by length^(-3/2).
         self._gate_s = gate_s
-        self._sigma_hz = self._own_sigma_hz * (self._own_gate_s / gate_s) ** 1.5
-        self._records = ToneRecords(self._sigma_hz, self._attenuation, self._half_spacing_hz)
+        sigma_hz = self._own_sigma_hz * (self._own_gate_s / gate_s) ** 1.5
+        self._offset_std_hz = sigma_hz.astype(np.float32)
+        # The middle of a gate is off by length/sqrt(12) times the deviation of its slope.
+        self._middle_std_turns = (sigma_hz * (gate_s / math.sqrt(12.0))).astype(np.float32)
+        self._records = ToneRecords(sigma_hz, self._attenuation, self._half_spacing_hz)
 
     def _count_gate(self, signals: Floats | None) -> list[bytes]:
         """Return the records of each channel in the next gate, under signals (3, sites)."""
         true_hz = self._still_hz  # (1 or channels, tones)
         if signals is not None:
             true_hz = self._f0_hz / (1.0 - self._sensitivity * signals[self._where]) - self._oscillator_hz
-        noise = self._random.standard_normal((2, *self._turns.shape), dtype=np.float32)
-        offset_hz = true_hz + self._sigma_hz * noise[0]
-        # The middle of a gate is off by length/sqrt(12) times the deviation of its slope.
+        noise = normal_noise(self._noise_bits, (2, *self._turns.shape))
+        offset_hz = true_hz + self._offset_std_hz * noise[0]
         middle_turns = self._turns + true_hz * (self._gate_s / 2.0)
-        middle_turns += self._sigma_hz * noise[1] * (self._gate_s / math.sqrt(12.0))
+        middle_turns += self._middle_std_turns * noise[1]
         self._turns += true_hz * self._gate_s
         self._turns -= np.floor(self._turns)
         return self._records.gate(offset_hz, middle_turns)

@@ -57,6 +57,6 @@ class ToneRecords:
         """
         records = self._records
         records["phase_turn32"] = np.rint(middle_turns * 2.0**32).astype(np.int64)  # modulo a turn
-        records["offset_hz16"] = np.rint(offset_hz * 2.0**16)
+        records["offset_hz16"] = np.rint(offset_hz * 2.0**16).astype(np.int32)
         records["flags"] = (np.abs(offset_hz) > self._half_spacing_hz) * _OUT_OF_BAND
         return [channel.tobytes() for channel in records]

@@ -1,7 +1,6 @@
 """The truth beside the bytes: what pressed during each frame, one JSON object a line, into a file or a pipe."""
 
 import errno
-import json
 import os
 import stat
 from functools import lru_cache
@@ -92,7 +91,15 @@ def truth_line(frame: MadeFrame, t_ns: int) -> str:
 
 @lru_cache(_CONTACTS_CACHED)
 def _contact(contact: Contact) -> str:
-    truth = contact._asdict()
-    if contact.friction_coefficient is None:
-        del truth["friction_coefficient"], truth["stick_radius_m"]
-    return json.dumps(truth)
+    (x, y), (force_x, force_y, force_z) = contact.position_m, contact.force_newton
+    site, radius_m, friction = (
+        "null" if value is None else repr(value)
+        for value in (contact.site, contact.radius_m, contact.friction_coefficient)
+    )
+    text = (
+        f'{{"id": {contact.id}, "site": {site}, "position_m": [{x!r}, {y!r}], '
+        f'"force_newton": [{force_x!r}, {force_y!r}, {force_z!r}], "radius_m": {radius_m}'
+    )
+    if contact.friction_coefficient is not None:
+        text += f', "stick_radius_m": {contact.stick_radius_m!r}, "friction_coefficient": {friction}'
+    return text + "}"

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from firmware_protocol.layouts import MessageType
-from simulators.board import Outgoing
+from simulators.board import packets_in
 from simulators.faults.account import FaultCounts
 from simulators.faults.plan import FaultPlan
 
-TYPE_AT = 3  # in a packet
+_TYPE_AT = 3  # in a packet
 
 _SEQUENCE_AT = slice(4, 8)
 _LONGEST_GARBAGE_BYTES = 64
@@ -34,18 +34,17 @@ class ByteFaults:
         nearest_s = min(self._next_garbage_s, self._next_burst_s, self._next_loss_s)
         self.harmless = math.isinf(self._clean_bits) and math.isinf(nearest_s) and not self._draws_for_each
 
-    def damage(self, outgoing: Outgoing, elapsed_s: float) -> tuple[bytes, FaultCounts | None]:
-        """Return the bytes that go out instead, `elapsed_s` after the first START, and what was done to them."""
-        harmless = b"".join(outgoing.packets)
-        bits = 8 * len(harmless)
+    def damage(self, data: bytes, elapsed_s: float) -> tuple[bytes, FaultCounts | None]:
+        """Return what is sent instead of these packets, `elapsed_s` after the first START, and the damage done."""
+        bits = 8 * len(data)
         due_s = min(self._next_garbage_s, self._next_burst_s, self._next_loss_s)
         busy = self._draws_for_each or self._still_to_lose_bytes > 0
         if self._clean_bits >= bits and elapsed_s < due_s and not busy:
             self._clean_bits -= bits
-            return harmless, None
+            return data, None
         harm = FaultCounts()
         garbage = self._garbage(elapsed_s, harm)
-        packets = b"".join(self._damaged(packet, elapsed_s, harm) for packet in outgoing.packets)
+        packets = b"".join(self._damaged(packet, elapsed_s, harm) for packet in packets_in(data))
         return garbage + packets, harm
 
     def _damaged(self, packet: bytes, elapsed_s: float, harm: FaultCounts) -> bytes:
@@ -58,7 +57,7 @@ class ByteFaults:
             damaged = damaged[cut:] + damaged[:cut]
             harm.chunks_reordered += 1
         damaged = self._lose(damaged, elapsed_s, harm)
-        kind, sequence = packet[TYPE_AT], int.from_bytes(packet[_SEQUENCE_AT], "little")
+        kind, sequence = packet[_TYPE_AT], int.from_bytes(packet[_SEQUENCE_AT], "little")
         if damaged != packet:
             harm.packets_hit += 1
             harm.parts_hit += kind == MessageType.FRAME_PART

@@ -62,7 +62,8 @@ def test_both_plates_against_the_truth() -> None:
     assert skin["position_error_mm_rms"] <= 0.1
     # Whether a busy computer finds every touch is not decided here; that the exit code follows from it is.
     complete = all(
-        plate["contacts_found"] == plate["contacts_true"] and not any(plate["lost"].values())
+        plate["contacts_found"] == plate["contacts_true"]
+        and not any(count for cause, count in plate["lost"].items() if cause != "skipped_late")
         for plate in (quartz, skin)
     )
     assert run.returncode == (0 if complete else 1)

@@ -77,8 +77,8 @@ class Bench:
             outgoing = self.board.next_output()
             if outgoing is None and not request:
                 return events
-            for packet in outgoing.packets if outgoing else ():
-                events += self.host.receive(packet)
+            if outgoing is not None:
+                events += self.host.receive(outgoing.data)
 
     def start(self) -> list[HostEvent]:
         events = self.exchange()
@@ -218,7 +218,7 @@ def test_answers_alone_do_not_overfill_the_queue() -> None:
     waiting = []
     while (outgoing := bench.board.next_output()) is not None:
         waiting.append(outgoing)
-    assert sum(len(packet) for out in waiting for packet in out.packets) <= 100
+    assert sum(len(outgoing.data) for outgoing in waiting) <= 100
     assert waiting
 
 
@@ -340,7 +340,7 @@ def test_a_repeated_start_goes_on_counting() -> None:
         bench.board.receive(requests[-1], 0)
         outgoing = bench.board.next_output()
         assert outgoing is not None
-        bench.host.receive(outgoing.packets[0])
+        bench.host.receive(outgoing.data)
     bench.advance(2 * GATE_TICKS)
     bench.board.receive(requests[-1], bench.now)  # START again
     bench.advance(GATE_TICKS)
@@ -363,8 +363,9 @@ def test_a_channelised_frame_goes_out_whole_in_parts() -> None:
     bench.start()
     bench.advance(4 * GATE_TICKS)
     frames: list[Outgoing] = list(iter(bench.board.next_output, None))
-    assert [len(frame.packets) for frame in frames] == [1 + 20, 20]
-    status, *parts = [event for frame in frames for packet in frame.packets for event in bench.host.receive(packet)]
+    events = [bench.host.receive(frame.data) for frame in frames]
+    assert [len(each) for each in events] == [1 + 20, 20]
+    status, *parts = events[0] + events[1]
     assert status == BoardStatus(2, bytes_discarded=0)
     assert all(isinstance(part, FramePart) for part in parts)
     tones = np.zeros((2, 4, 3072), dtype=int)

@@ -7,7 +7,6 @@ import pytest
 
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
-from simulators.board import Outgoing
 from simulators.faults import FaultPlan
 from simulators.faults.account import FaultCounts
 from simulators.faults.byte_faults import ByteFaults
@@ -23,19 +22,19 @@ class Wire:
         self.counts = FaultCounts()
         self.sent_bytes = 0
 
-    def send(self, outgoing: Outgoing, elapsed_s: float = 0.0) -> bytes:
-        data, harm = self._faults.damage(outgoing, elapsed_s)
+    def send(self, packets: bytes, elapsed_s: float = 0.0) -> bytes:
+        data, harm = self._faults.damage(packets, elapsed_s)
         self.counts.add(harm or FaultCounts())
         self.sent_bytes += len(data)
         return data
 
 
-def frame(sequence: int) -> Outgoing:
-    return Outgoing((encode_packet(MessageType.FRAME, sequence, bytes(176)),), sequence)
+def frame(sequence: int) -> bytes:
+    return encode_packet(MessageType.FRAME, sequence, bytes(176))
 
 
-def parts(sequence: int) -> Outgoing:
-    return Outgoing(tuple(encode_packet(MessageType.FRAME_PART, sequence, bytes(8000)) for _ in range(20)), sequence)
+def part(sequence: int) -> bytes:
+    return encode_packet(MessageType.FRAME_PART, sequence, bytes(8000))
 
 
 def flipped_bits(before: bytes, after: bytes) -> list[int]:
@@ -46,7 +45,7 @@ def flipped_bits(before: bytes, after: bytes) -> list[int]:
 def test_without_faults_nothing_is_touched() -> None:
     wire = Wire()
     for sequence in range(100):
-        assert wire.send(frame(sequence), 1e6) == frame(sequence).packets[0]
+        assert wire.send(frame(sequence), 1e6) == frame(sequence)
     assert wire.counts == FaultCounts()
 
 
@@ -55,7 +54,7 @@ def test_bits_flip_independently_at_the_rate_asked_for_and_are_counted() -> None
     positions: list[int] = []
     hit = []
     for sequence in range(3000):
-        whole = frame(sequence).packets[0]
+        whole = frame(sequence)
         flipped = flipped_bits(whole, wire.send(frame(sequence)))
         positions += [sequence * 8 * FRAME_BYTES + bit for bit in flipped]
         hit += [sequence] if flipped else []
@@ -75,7 +74,7 @@ def test_bits_flip_independently_at_the_rate_asked_for_and_are_counted() -> None
 def test_at_a_rate_of_1_every_bit_flips() -> None:
     wire = Wire(bit_error_rate=1.0)
     for sequence in range(3):
-        whole = frame(sequence).packets[0]
+        whole = frame(sequence)
         assert wire.send(frame(sequence)) == bytes(255 - byte for byte in whole)
     assert wire.counts.bits_flipped == 3 * 8 * FRAME_BYTES
 
@@ -84,10 +83,9 @@ def test_parts_are_counted_one_by_one() -> None:
     wire = Wire(bit_error_rate=3e-6, seed=2)
     hit = 0
     for sequence in range(40):
-        whole = parts(sequence)
-        damaged = wire.send(whole)
-        size = len(whole.packets[0])
-        hit += sum(damaged[k * size : (k + 1) * size] != packet for k, packet in enumerate(whole.packets))
+        whole = part(sequence)
+        size, damaged = len(whole), wire.send(whole * 20)
+        hit += sum(damaged[at : at + size] != whole for at in range(0, 20 * size, size))
     assert wire.counts.parts_hit == wire.counts.packets_hit == hit > 50
     assert wire.counts.frames_hit == 0
     assert wire.counts.bits_flipped >= hit
@@ -98,7 +96,7 @@ def test_a_burst_is_as_long_as_asked_for_and_hits_one_frame(length: int) -> None
     wire = Wire(burst_rate_hz=100.0, burst_bits=length)
     inner, places = Counter[int](), set()
     for sequence in range(4000):
-        flipped = flipped_bits(frame(sequence).packets[0], wire.send(frame(sequence), sequence * 1e-3))
+        flipped = flipped_bits(frame(sequence), wire.send(frame(sequence), sequence * 1e-3))
         if flipped:
             assert sequence == wire.counts.frame_sequences_hit[-1]
             assert flipped[-1] - flipped[0] == length - 1
@@ -132,7 +130,7 @@ def test_pieces_in_the_wrong_order_hold_all_bytes_and_hit_their_frame() -> None:
     hit, cuts = [], set()
     for sequence in range(2000):
         packet = encode_packet(MessageType.FRAME, sequence, content.bytes(176))
-        data = wire.send(Outgoing((packet,), sequence))
+        data = wire.send(packet)
         assert sorted(data) == sorted(packet)
         if data != packet:
             hit.append(sequence)

@@ -48,15 +48,15 @@ def talk(board: Board, host: HostSession, now_ticks: int = 0) -> list[HostEvent]
         outgoing = board.next_output()
         if outgoing is None and not request:
             return events
-        for packet in outgoing.packets if outgoing else ():
-            events += host.receive(packet)
+        if outgoing is not None:
+            events += host.receive(outgoing.data)
 
 
 def answer(board: Board, kind: MessageType, payload: bytes = b"") -> Packet:
     board.receive(encode_packet(kind, 1, payload), 0)
     outgoing = board.next_output()
     assert outgoing is not None
-    (packet,) = PacketDecoder(from_board=True).feed(b"".join(outgoing.packets))
+    (packet,) = PacketDecoder(from_board=True).feed(outgoing.data)
     assert isinstance(packet, Packet)
     return packet
 

@@ -87,7 +87,7 @@ def test_pulling_the_plug_ends_the_host_and_its_return_has_the_same_name(pty: tu
     link.hang_up()
     assert not path.is_symlink()
     assert link.write_fd is None
-    assert link.read_fds == []
+    assert not link.read_fds
     assert (link.read(), link.write(b"x")) == (b"", 0)
     with suppress(OSError):  # EIO, as of a real port that is pulled, or nothing ever more
         assert os.read(host_fd, 1) == b""
