@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import aiomqtt
 import psutil
+from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Measurement, Mqtt
 from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
@@ -24,8 +24,9 @@ from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, start_emulator, start_verb
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError, failure_told
 from resonator_daemon.plate import load_plate
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import DECODED, FORCES, HEALTH, full_topic
 
 _HEAD_BYTES: Final = 512  # of arrays; the keys that are read are within
@@ -219,15 +220,16 @@ async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[Non
     """Listen as long as the context lasts; what comes goes to the subscriber in the callback that read it."""
     closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
-    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(broker, version, on_message=subscriber.take)
+    def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(broker, version, on_message=subscriber.take)
 
-    async def serve(client: BrokerClient) -> None:
+    async def serve(client: BrokerConnection, _at_once: bool) -> None:
         for topic in subscriber.topics:
-            await client.subscribe(topic, qos=0)
+            client.subscribe(topic, qos=0)
         await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
-    connection = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
+    session = connection_session(make_connection, serve, closing)
+    connection = asyncio.create_task(keep_connected(broker, session, closing))
     try:
         yield
     finally:

@@ -8,15 +8,16 @@ import statistics
 from collections.abc import Iterator
 from typing import Final
 
-import aiomqtt
+from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
-from resonator_daemon.publishing import refusals
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing import connection_errors
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
 
 RESOLVES: Final = Check("broker.name", Area.SOFTWARE, "name of the broker")
@@ -86,16 +87,14 @@ class _Probe:
     def round_trips_s(self) -> dict[int, float]:
         return {number: self._arrived[number] - at_s for number, at_s in self.sent.items() if number in self._arrived}
 
-    def make_client(self, broker: Mqtt, version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(broker, version, on_message=self._take)
+    def make_connection(self, broker: Mqtt, version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(broker, version, on_message=self._take)
 
-    async def serve(self, client: BrokerClient) -> None:
-        self.version = "MQTT 5" if client.version is aiomqtt.ProtocolVersion.V5 else "MQTT 3.1.1"
+    async def serve(self, client: BrokerConnection, _at_once: bool) -> None:
+        self.version = "MQTT 5" if client.version is MQTT_5 else "MQTT 3.1.1"
         self.accepted.set()
-        try:
-            await client.subscribe(self._topic, qos=0)
-        except aiomqtt.MqttCodeError as error:
-            self.denied = str(error)
+        if (denied := await client.subscribe(self._topic, qos=0)) is not None:
+            self.denied = denied
             self.done.set()
             return
         for turn in range(_TURNS):
@@ -109,7 +108,7 @@ class _Probe:
         self.done.set()
         await asyncio.wait([client.lost])
 
-    def _send(self, client: BrokerClient, number: int) -> None:
+    def _send(self, client: BrokerConnection, number: int) -> None:
         if client.writable:
             self.sent[number] = asyncio.get_running_loop().time()
             client.send(self._topic, str(number).encode(), qos=0)
@@ -129,26 +128,18 @@ class _Probe:
             self._came.set()
 
 
-def _delay_acknowledgements(client: BrokerClient) -> None:
+def _delay_acknowledgements(client: BrokerConnection) -> None:
     """Acknowledge as a socket does that has long been open; the system is quick about it on a new one."""
-    descriptor = client._client.socket()  # noqa: SLF001 - the library keeps it to itself
-    if isinstance(descriptor, socket.socket):
-        descriptor.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
+    if client.socket is not None:
+        client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
 async def _ask(broker: Mqtt) -> tuple[_Probe, str]:
     """Return what was measured, and what was last said of the connection."""
     probe, closing = _Probe(broker), asyncio.get_running_loop().create_future()
     said = ["no answer"]
-    keeping = asyncio.create_task(
-        keep_connected(
-            broker,
-            lambda version: probe.make_client(broker, version),
-            probe.serve,
-            closing,
-            tell=lambda _, text: said.append(text),
-        )
-    )
+    session = connection_session(lambda version: probe.make_connection(broker, version), probe.serve, closing)
+    keeping = asyncio.create_task(keep_connected(broker, session, closing, report=lambda _, text: said.append(text)))
     try:
         async with asyncio.timeout(_ACCEPT_S):
             await probe.accepted.wait()
@@ -163,7 +154,7 @@ async def _ask(broker: Mqtt) -> tuple[_Probe, str]:
 
 
 def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:
-    if not probe.accepted.is_set() and refusals.SILENT in said:
+    if not probe.accepted.is_set() and connection_errors.SILENT in said:
         yield ACCEPTS.fault(
             said.removesuffix("; trying again"),
             "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it",

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
 from resonator_daemon.publishing.bounded_queue import BoundedQueue
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, InFlight
 from resonator_daemon.publishing.broker_limits import LargestMessages, packet_bytes
-from resonator_daemon.publishing.connection import BrokerClient, InFlight
 from resonator_daemon.publishing.event_queue import Event, EventQueue
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.packed_properties import PackedProperties, properties_of
@@ -76,7 +76,7 @@ class Outbox:
 
     def __init__(self, account: Account, spool_directory: Path | None, stream_wait_max_s: float) -> None:
         self._account = account
-        self._client: BrokerClient | None = None
+        self._client: BrokerConnection | None = None
         self._retained: dict[str, Packet] = {}  # last message by topic
         self._states: dict[str, Packet] = {}  # those of them that wait
         self.events = EventQueue(account, spool_directory, self.pump_soon)
@@ -119,7 +119,7 @@ class Outbox:
         if client is None:
             self._account.drop(Cause.NO_CONNECTION, packet.topic)
             return
-        properties = packet.properties if client.version is client.version.V5 else None
+        properties = packet.properties if client.version is MQTT_5 else None
         stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload), self._now_s())
         if stream.size_bytes > self._size_max(client):
             self._drop_too_large(packet.topic, stream.size_bytes, client.limits.packet_bytes_max)
@@ -127,9 +127,9 @@ class Outbox:
             self._drop_late()
             self._put(self._streams, stream)
 
-    def connected(self, client: BrokerClient) -> None:
+    def connected(self, client: BrokerConnection, *, at_once: bool) -> None:
         self._client = client
-        self._largest.connected(at_once=client.at_once)
+        self._largest.connected(at_once=at_once)
         if not client.limits.retains:
             log.warning("broker keeps no retained messages: who subscribes later sees no states")
         self.events.connected()
@@ -213,7 +213,7 @@ class Outbox:
         finally:
             self._pumping = False
 
-    def _send_next(self, client: BrokerClient) -> bool:
+    def _send_next(self, client: BrokerConnection) -> bool:
         """Send one message that is acknowledged, or drop it as too large; False: none can be sent now."""
         if client.unacknowledged >= min(UNACKNOWLEDGED_MAX, client.limits.receive_maximum):
             return False
@@ -232,7 +232,7 @@ class Outbox:
             return True
         return False
 
-    def _send_streams(self, client: BrokerClient) -> bool:
+    def _send_streams(self, client: BrokerConnection) -> bool:
         """Send the streams that wait, as many as one write should hold; False: none waits."""
         self._drop_late()
         packets: list[bytes] = []
@@ -250,9 +250,9 @@ class Outbox:
             self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
         return True
 
-    def _send(self, client: BrokerClient, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
+    def _send(self, client: BrokerConnection, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
         """Write a message to the socket; False: the broker would not take one of this size."""
-        properties = packet.properties if client.version is client.version.V5 else None
+        properties = packet.properties if client.version is MQTT_5 else None
         size_bytes = packet_bytes(
             packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
         )
@@ -293,7 +293,7 @@ class Outbox:
     def _now_s() -> float:
         return asyncio.get_running_loop().time()
 
-    def _size_max(self, client: BrokerClient) -> int:
+    def _size_max(self, client: BrokerConnection) -> int:
         """Return the size of the largest packet that the broker takes."""
         return min(client.limits.packet_bytes_max, self._largest.bytes_max(self._now_s()))
 

@@ -9,26 +9,24 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
-import aiomqtt
 from paho.mqtt.client import topic_matches_sub
+from paho.mqtt.enums import MQTTProtocolVersion
 from paho.mqtt.packettypes import PacketTypes
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.bounded_queue import Pace
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes, Will
 from resonator_daemon.publishing.broker_limits import BrokerLimits
 from resonator_daemon.publishing.codec import Encoded, encode
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import pack, properties_of
 from resonator_daemon.publishing.payloads import Header, MessageAccount, State
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import JSON, MessageT, Topic
 
-CLOSE_TIMEOUT_S: Final = 2.0
 FRESH_S: Final = 0.25  # streams of a live sensor that have waited longer are dropped
-
-_WATCH_S: Final = 1.0
 
 log = logging.getLogger(__name__)
 
@@ -75,6 +73,8 @@ class Publisher:
         Called with filter and reason when the broker refuses a subscription.
     stream_wait_max_s
         How long a stream may wait for the connection, in seconds; older ones are dropped.
+    times
+        Of the connections.
     """
 
     def __init__(
@@ -88,15 +88,17 @@ class Publisher:
         on_connected: Callable[[int], None] = ignore,
         on_denied: Callable[[str, str], None] = ignore,
         stream_wait_max_s: float = math.inf,
+        times: ConnectionTimes | None = None,
     ) -> None:
         self._broker = broker
+        self._times = times or ConnectionTimes()
         self._identifier = identifier
         self._make_will = make_will
         self._subscriptions = subscriptions
-        self._tell_connected = on_connected
-        self._tell_denied = on_denied
-        self._client: BrokerClient | None = None
-        self._attempt: BrokerClient | None = None  # to connect, the last one
+        self._on_connected = on_connected
+        self._on_denied = on_denied
+        self._client: BrokerConnection | None = None
+        self._attempt: BrokerConnection | None = None  # to connect, the last one
         self._limits = BrokerLimits()  # that attempts have shown since the last connection, for the next last will
         self._connections = 0
         self._account = Account()
@@ -119,7 +121,7 @@ class Publisher:
         """Version of MQTT of the present connection; None where there is none."""
         if self._client is None:
             return None
-        return "5" if self._client.version is aiomqtt.ProtocolVersion.V5 else "3.1.1"
+        return "5" if self._client.version is MQTT_5 else "3.1.1"
 
     @property
     def dropped(self) -> int:
@@ -201,7 +203,8 @@ class Publisher:
         self._ended.clear()
         self._outbox.events.start(self._end)
         try:
-            await keep_connected(self._broker, self._make_client, self._serve, self._closing)
+            session = connection_session(self._make_connection, self._serve, self._closing)
+            await keep_connected(self._broker, session, self._closing, times=self._times)
         finally:
             self._closed = True
             self._outbox.close()
@@ -228,7 +231,7 @@ class Publisher:
         self._closed = True
         if self.connected or wait_for_broker:
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(CLOSE_TIMEOUT_S):
+                async with asyncio.timeout(self._times.close_s):
                     await self._outbox.all_sent()
         self._end()
         await self._ended.wait()
@@ -265,43 +268,42 @@ class Publisher:
             for name in wanted:
                 self._outbox.put_stream(Packet(name, payload, properties))
 
-    def _make_client(self, version: aiomqtt.ProtocolVersion) -> BrokerClient:
+    def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()
         if self._attempt is not None:
             self._limits = self._limits.within(self._attempt.limits)
         properties = None
-        if version is aiomqtt.ProtocolVersion.V5:
+        if version is MQTT_5:
             properties = pack(content_type=JSON, expiry_s=will.expiry_s, packet_type=PacketTypes.WILLMESSAGE)
-        self._attempt = BrokerClient(
+        self._attempt = BrokerConnection(
             self._broker,
             version,
             identifier=self._identifier,
-            will=aiomqtt.Will(
+            will=Will(
                 will.topic,
                 will.payload,
                 qos=min(1, self._limits.qos_max),
                 retain=will.retained and self._limits.retains,
                 properties=properties,
             ),
-            on_published=self._outbox.published,
+            on_completed=self._outbox.published,
             on_message=self._received if self._subscriptions else None,
-            on_denied=self._on_denied,
+            on_denied=self._denied_by_broker,
+            times=self._times,
         )
         return self._attempt
 
-    async def _serve(self, client: BrokerClient) -> None:
+    async def _serve(self, client: BrokerConnection, at_once: bool) -> None:
         self._client = client
         self._limits = client.limits
         self._connections += 1
-        self._outbox.connected(client)
+        self._outbox.connected(client, at_once=at_once)
         for subscription in self._subscriptions:
-            client.listen(subscription.topic_filter, subscription.qos)
-        self._tell_connected(self._connections)
+            client.subscribe(subscription.topic_filter, subscription.qos)
+        self._on_connected(self._connections)
         self._outbox.restore()
         try:
-            while not client.overdue:  # noqa: ASYNC110  it is the passing of time that is watched
-                await asyncio.sleep(_WATCH_S)
-            raise aiomqtt.MqttError("no answer")
+            await asyncio.wait([client.lost])
         finally:
             self._client = None
             self._outbox.disconnected()
@@ -317,9 +319,9 @@ class Publisher:
                         self._defects.add(kind)
                         log.exception("a message on %s failed; further such failures are not logged", message.topic)
 
-    def _on_denied(self, topic_filter: str, reason: str) -> None:
-        """Say once what is not heard; with each new connection it would be said again."""
+    def _denied_by_broker(self, topic_filter: str, reason: str) -> None:
+        """Log a denied subscription once, not with each new connection."""
         if topic_filter not in self._denied:
             self._denied.add(topic_filter)
-            log.warning("broker denies %s (%s): nothing is heard there", topic_filter, reason)
-        self._tell_denied(topic_filter, reason)
+            log.warning("broker denies %s (%s): no messages are received there", topic_filter, reason)
+        self._on_denied(topic_filter, reason)

@@ -5,12 +5,13 @@ import json
 import secrets
 from typing import Any, Final
 
-import aiomqtt
+from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import ExitCode, UserError
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
 
 REACH_S: Final = 5.0
@@ -99,23 +100,24 @@ async def request(
         if not answer.done():
             answer.set_exception(DeniedError(f"the broker denies {topic}; see its access rules for this user"))
 
-    async def serve(client: BrokerClient) -> None:
-        client.listen(own_topic if client.version is aiomqtt.ProtocolVersion.V5 else common_topic)
+    async def serve(client: BrokerConnection, _at_once: bool) -> None:
+        client.subscribe(own_topic if client.version is MQTT_5 else common_topic)
         client.send(
             command_topic, json.dumps(payload).encode(), qos=1, correlation=number.encode(), response_topic=own_topic
         )
         await asyncio.wait([client.lost, closing], return_when=asyncio.FIRST_COMPLETED)
 
-    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(
+    def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(
             broker,
             version,
-            on_published=lambda _sent, refused: denied(command_topic) if refused else None,
+            on_completed=lambda _sent, refused: denied(command_topic) if refused else None,
             on_message=take,
             on_denied=lambda topic_filter, _reason: denied(topic_filter),
         )
 
-    connection = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
+    session = connection_session(make_connection, serve, closing)
+    connection = asyncio.create_task(keep_connected(broker, session, closing))
     try:
         async with asyncio.timeout(answer_s):
             return await answer

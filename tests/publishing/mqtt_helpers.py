@@ -1,6 +1,7 @@
 """What the tests of publishing share: a scripted broker, and a publisher that must account for everything."""
 
 import asyncio
+import math
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from sample_messages import HEADER as HEADER
 from sample_messages import Messages as Messages
 
 from resonator_daemon.config import Mqtt
+from resonator_daemon.publishing.broker_connection import ConnectionTimes
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.publisher import Publisher, Subscription
@@ -19,6 +21,8 @@ from resonator_daemon.publishing.topics import CONTACT_EVENT, STATE_DAEMON
 
 LEFT = "resonator/left"  # base of the topics of the plate "left"
 EVENTS = f"{LEFT}/contacts/event"
+IMPATIENT = ConnectionTimes(connect_s=0.5, progress_s=0.3, check_s=0.1, close_s=0.1)
+QUICK = ConnectionTimes(first_pause_s=0.02, longest_pause_s=0.02, refused_pause_s=0.02, connect_s=0.2)
 
 
 @dataclass(frozen=True)
@@ -121,6 +125,8 @@ async def publishing(
     spool_directory: Path | None = None,
     subscriptions: tuple[Subscription, ...] = (),
     on_connected: Callable[[int], None] = lambda number: None,
+    stream_wait_max_s: float = math.inf,
+    times: ConnectionTimes | None = None,
 ) -> AsyncIterator[Publisher]:
     """A running publisher of the plate "left"; closed at the end, when nothing but what is on disk still waits."""
     publisher = Publisher(
@@ -130,6 +136,8 @@ async def publishing(
         subscriptions=subscriptions,
         spool_directory=spool_directory,
         on_connected=on_connected,
+        stream_wait_max_s=stream_wait_max_s,
+        times=times,
     )
     running = asyncio.create_task(publisher.run())
     yield publisher

@@ -6,15 +6,17 @@ from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import aiomqtt
 import pytest
 import trustme
 from brokers import Mosquitto, free_port
 from mosquitto_passwords import password_line
 from mqtt_helpers import until
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.reasoncodes import ReasonCode
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.connection import BrokerClient
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, Will
+from resonator_daemon.publishing.connection_errors import BrokerError
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.topics import TOPICS
 
@@ -86,10 +88,13 @@ class Plates:
         return Mqtt(url=url, username=name, password_file=str(self.directory / "password"), **files)
 
     async def client(self, name: str, door: str, will: str | None = None, identifier: str | None = None) -> "Client":
-        return await self.clients.enter_async_context(Client(self.way_in(name, door), will, identifier))
+        client = Client(self.way_in(name, door), will, identifier)
+        await client.connect()
+        self.clients.push_async_callback(client.disconnect)
+        return client
 
 
-class Client(BrokerClient):
+class Client(BrokerConnection):
     """Remembers what it got, and what the broker refused to take."""
 
     def __init__(self, broker: Mqtt, will: str | None, identifier: str | None) -> None:
@@ -97,11 +102,11 @@ class Client(BrokerClient):
         self.refused: dict[str, bool] = {}
         super().__init__(
             broker,
-            aiomqtt.ProtocolVersion.V5,
+            MQTT_5,
             identifier=identifier,
-            will=aiomqtt.Will(will, b"will", qos=1) if will else None,
+            will=Will(will, b"will") if will else None,
             on_message=self.got.append,
-            on_published=lambda sent, refused: self.refused.update({str(sent.token): refused}),
+            on_completed=lambda sent, refused: self.refused.update({str(sent.token): refused}),
         )
 
     async def send_all(self, topics: set[str], *, retain: bool = False) -> set[str]:
@@ -222,12 +227,13 @@ async def test_whose_last_will_is_published(name: str, door: str, topic: str, al
 )
 async def test_a_name_of_another_door_does_not_get_in(name: str, door: str, plates: Plates) -> None:
     broker = plates.way_in(name, "people").anonymous() if door == "nobody" else plates.way_in(name, door)
-    with pytest.raises(aiomqtt.MqttCodeError, match="Not authorized"):
-        await Client(broker, None, None).__aenter__()
+    with pytest.raises(BrokerError) as refused:
+        await Client(broker, None, None).connect()
+    assert refused.value.code == ReasonCode(PacketTypes.CONNACK, "Not authorized").value
 
 
 async def test_a_password_does_not_take_the_place_of_a_certificate(plates: Plates) -> None:
     right = plates.way_in("left", "people")
     broker = right.model_copy(update={"url": f"mqtts://localhost:{plates.ports['certificates']}"})
-    with pytest.raises(aiomqtt.MqttError, match="asks for a client certificate"):
-        await Client(broker, None, None).__aenter__()
+    with pytest.raises(BrokerError, match=r"mqtt\.certificate_file"):
+        await Client(broker, None, None).connect()

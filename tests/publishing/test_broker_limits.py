@@ -7,6 +7,7 @@ import pytest
 from brokers import Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
 from observer import observe
+from relay import relay
 
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.broker_limits import FORGET_S, LargestMessages
@@ -148,11 +149,11 @@ async def test_a_broker_that_ends_the_connection_upon_a_large_stream_is_not_aske
 async def test_a_broker_that_dies_twice_after_large_messages_it_took_is_not_suspected(
     mosquitto, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async with publishing(mosquitto.url) as left:
+    async with relay(mosquitto.url) as way, publishing(way.url) as left:
         left.retain(f"{LEFT}/schema", b"x" * 90_000, topics.JSON)
         for _ in range(3):
             await until(lambda: left.account.waiting == 0 and left.connected)
-            left._client.abort()  # to be back at once
+            way.cut()  # to be back at once
             await until(lambda: not left.connected)
         await until(lambda: left.account.acknowledged == 4)
         assert left.account.dropped == {}

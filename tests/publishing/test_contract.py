@@ -3,14 +3,17 @@
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import aiomqtt
 import pytest
+from brokers import Amqtt, Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, until
+from relay import relay
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import asyncapi, connection
+from resonator_daemon.publishing import asyncapi
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.publisher import Publisher
 from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, JSON, SCHEMA_PATH, TOPICS
@@ -33,23 +36,25 @@ class Way(NamedTuple):
     """How messages go to a broker, and by which version a subscriber hears of them."""
 
     url: str
+    publisher_url: str
     publisher: str
     subscriber: aiomqtt.ProtocolVersion
     tells_qos: bool  # amqtt hands everything on with the QoS that the subscriber asked for
 
 
 @pytest.fixture(params=["mosquitto, 5", "mosquitto, 3.1.1", "amqtt, 3.1.1"])
-def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Way:
+async def way(request: pytest.FixtureRequest, tmp_path: Path) -> AsyncIterator[Way]:
     name, version = request.param.split(", ")
-    broker = request.getfixturevalue(name)
-    if version == "3.1.1" and name == "mosquitto":  # which cannot be told to refuse MQTT 5
-
-        async def refused(*_: object) -> aiomqtt.ProtocolVersion:
-            return aiomqtt.ProtocolVersion.V311
-
-        monkeypatch.setattr(connection, "_find_version", refused)
+    broker = Mosquitto(tmp_path) if name == "mosquitto" else Amqtt()
+    await broker.start()
     newest = aiomqtt.ProtocolVersion.V5 if name == "mosquitto" else aiomqtt.ProtocolVersion.V311
-    return Way(broker.url, version, newest, tells_qos=name == "mosquitto")
+    made = Way(broker.url, broker.url, version, newest, tells_qos=name == "mosquitto")
+    if version == "3.1.1" and name == "mosquitto":  # which has no setting to refuse MQTT 5
+        async with relay(broker.url, refuse_mqtt_5=True) as before:
+            yield made._replace(publisher_url=before.url)
+    else:
+        yield made
+    await broker.kill()
 
 
 @asynccontextmanager
@@ -89,7 +94,7 @@ def publish_all(publisher: Publisher) -> dict[str, bytes]:
 
 
 async def test_payload_and_quality_of_service_of_each_topic(way: Way) -> None:
-    async with subscribed(way) as heard, publishing(way.url) as left:
+    async with subscribed(way) as heard, publishing(way.publisher_url) as left:
         await until(lambda: left.connected)
         expected = publish_all(left)
         await until(lambda: heard.keys() >= expected.keys())
@@ -103,7 +108,7 @@ async def test_payload_and_quality_of_service_of_each_topic(way: Way) -> None:
 
 
 async def test_a_late_subscriber_has_what_is_retained_and_nothing_else(way: Way) -> None:
-    async with publishing(way.url) as left:
+    async with publishing(way.publisher_url) as left:
         await until(lambda: left.connected)
         expected = publish_all(left)
         await until(lambda: left.account.waiting == 0)
@@ -117,7 +122,7 @@ async def test_a_late_subscriber_has_what_is_retained_and_nothing_else(way: Way)
 
 
 async def test_properties_where_both_speak_mqtt_5_and_none_elsewhere(way: Way) -> None:
-    async with subscribed(way) as heard, publishing(way.url) as left:
+    async with subscribed(way) as heard, publishing(way.publisher_url) as left:
         await until(lambda: left.connected)
         expected = publish_all(left)
         await until(lambda: heard.keys() >= expected.keys())

@@ -7,24 +7,19 @@ import random
 
 import aiomqtt
 import pytest
-from mqtt_helpers import LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
+from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
 from observer import observe
+from relay import relay
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import connection, outbox, publisher, topics
+from resonator_daemon.publishing import outbox, topics
+from resonator_daemon.publishing.broker_connection import ConnectionTimes
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.publisher import Publisher
 
 ONLINE = Messages.state("online", "all is well")
-
-
-@pytest.fixture
-def _short_timeouts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "PUBLISH_TIMEOUT_S", 0.3)
-    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.5)
-    monkeypatch.setattr(publisher, "_WATCH_S", 0.1)
 
 
 async def test_messages_reach_a_subscriber_as_they_were_made(broker) -> None:
@@ -131,9 +126,8 @@ async def test_close_takes_leave_of_the_broker_so_that_the_will_is_not_published
         await until(lambda: script.farewells == 2)
 
 
-async def test_while_closing_nothing_new_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(publisher, "CLOSE_TIMEOUT_S", 0.2)
-    async with scripted_broker() as (url, script), publishing(url) as left:
+async def test_while_closing_nothing_new_is_taken() -> None:
+    async with scripted_broker() as (url, script), publishing(url, times=IMPATIENT) as left:
         script.answer = lambda number: None
         await until(lambda: left.connected)
         farewell = (LEFT, topics.STATE_DAEMON, Messages.state("offline", "stopped"))
@@ -192,10 +186,10 @@ async def test_the_last_will_says_its_schema_with_mqtt_5(mosquitto) -> None:
 
 
 async def test_after_a_lost_connection_the_birth_comes_after_the_will(broker) -> None:
-    async with observe(broker.url) as observer, publishing(broker.url) as left:
+    async with observe(broker.url) as observer, relay(broker.url) as way, publishing(way.url) as left:
         left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
         await observer.until_last("resonator/left/state/daemon", state="online")
-        left._client.abort()
+        way.cut()
         await observer.until_last("resonator/left/state/daemon", state="offline")
         await observer.until_last("resonator/left/state/daemon", state="online")
         await until(lambda: left.account.waiting == 0)
@@ -234,9 +228,9 @@ async def test_a_message_that_the_broker_refuses_was_not_published() -> None:
         assert (left.account.acknowledged, left.account.dropped) == (2, {"refused": 1})
 
 
-async def test_acknowledgements_that_do_not_come_delay_no_stream(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(publisher, "CLOSE_TIMEOUT_S", 0.1)
-    async with scripted_broker() as (url, script), publishing(url) as left:
+async def test_acknowledgements_that_do_not_come_delay_no_stream() -> None:
+    times = ConnectionTimes(close_s=0.1)
+    async with scripted_broker() as (url, script), publishing(url, times=times) as left:
         script.answer = lambda number: None
         await until(lambda: left.connected)
         for number in range(100):
@@ -247,9 +241,8 @@ async def test_acknowledgements_that_do_not_come_delay_no_stream(monkeypatch: py
         assert left.account.waiting == 100
 
 
-@pytest.mark.usefixtures("_short_timeouts")
 async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
-    async with scripted_broker() as (url, script), publishing(url) as left:
+    async with scripted_broker() as (url, script), publishing(url, times=IMPATIENT) as left:
         script.answer = lambda number: None
         await until(lambda: left.connected)
         left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
@@ -288,10 +281,8 @@ async def test_close_without_a_broker_returns_at_once() -> None:
     assert left.account.dropped == {"closed": 2}
 
 
-@pytest.mark.usefixtures("_short_timeouts")
-async def test_close_does_not_wait_for_a_frozen_broker(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(publisher, "CLOSE_TIMEOUT_S", 0.1)
-    async with publishing(mosquitto.url) as left:
+async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:
+    async with publishing(mosquitto.url, times=IMPATIENT) as left:
         await until(lambda: left.connected)
         mosquitto.freeze()
         for number in range(5):
@@ -375,23 +366,6 @@ async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
         assert left.account.dropped == {"withdrawn": 2}
         await until(lambda: left.account.waiting == 0)
     assert "asker" not in {message.topic for message in script.received}
-
-
-async def test_a_defect_in_sending_does_not_end_it(mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    async with observe(mosquitto.url) as observer, publishing(mosquitto.url) as left:
-        await until(lambda: left.connected)
-        defects: list[object] = []
-        asyncio.get_running_loop().set_exception_handler(lambda _, context: defects.append(context["exception"]))
-
-        def failing(_client: object) -> bool:
-            monkeypatch.undo()
-            raise ZeroDivisionError
-
-        monkeypatch.setattr(left._outbox, "_send_next", failing)
-        left.publish(LEFT, topics.HEALTH, Messages.health(1))
-        await until(lambda: len(defects) == 1)
-        left.publish(LEFT, topics.HEALTH, Messages.health(2))
-        await observer.until(lambda: len(observer.heard) == 2)
 
 
 async def test_a_message_that_cannot_be_sent_stops_no_other(mosquitto) -> None:

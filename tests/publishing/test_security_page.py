@@ -5,12 +5,12 @@ import shutil
 import subprocess
 from pathlib import Path
 
-import aiomqtt
 import pytest
 from brokers import Mosquitto
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing.connection import BrokerClient
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
+from resonator_daemon.publishing.connection_errors import BrokerError
 
 PAGE = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
 COMMANDS = re.findall(r"<!-- runs in tests -->\n```sh\n(.*?)```", PAGE, re.DOTALL)
@@ -29,17 +29,17 @@ async def test_the_commands_of_the_page_make_certificates_that_work(tmp_path: Pa
     try:
         refused: dict[object, bool] = {}
         broker = mqtt(tmp_path, running.tls_url, "left-index")
-        async with BrokerClient(
-            broker,
-            aiomqtt.ProtocolVersion.V5,
-            on_published=lambda sent, denied: refused.update({sent.token: denied}),
-        ) as client:
-            for topic in ("left-index", "right-index"):
-                client.send(topic, b"", qos=1, token=topic)
-            await client.subscribe("left-index")
+        client = BrokerConnection(
+            broker, MQTT_5, on_completed=lambda sent, denied: refused.update({sent.token: denied})
+        )
+        await client.connect()
+        for topic in ("left-index", "right-index"):
+            client.send(topic, b"", qos=1, token=topic)
+        await client.subscribe("left-index")
+        await client.disconnect()
         assert refused == {"left-index": False, "right-index": True}
-        with pytest.raises(aiomqtt.MqttError, match="it refuses the TLS connection"):  # a broker's is no client's
-            await BrokerClient(mqtt(tmp_path, running.tls_url, "broker"), aiomqtt.ProtocolVersion.V5).__aenter__()
+        with pytest.raises(BrokerError, match=r"mqtt\.certificate_file"):  # a broker's is no client's
+            await BrokerConnection(mqtt(tmp_path, running.tls_url, "broker"), MQTT_5).connect()
     finally:
         await running.kill()
 

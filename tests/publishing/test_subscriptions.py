@@ -3,6 +3,7 @@
 import aiomqtt
 import pytest
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
+from relay import relay
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import topics
@@ -17,13 +18,16 @@ async def test_what_is_subscribed_to_is_heard_on_every_connection(broker) -> Non
     connections: list[int] = []
     mine = Subscription(f"{LEFT}/cmd/+", 1, heard.append)
     other = Subscription("resonator/+/info", 1, lambda message: pytest.fail(f"{message}"))
-    async with publishing(broker.url, subscriptions=(mine, other), on_connected=connections.append) as left:
+    async with (
+        relay(broker.url) as way,
+        publishing(way.url, subscriptions=(mine, other), on_connected=connections.append) as left,
+    ):
         for number in (1, 2):
             await until(lambda: left.connected)
             async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as asker:
                 await asker.publish(f"{LEFT}/cmd/ping", str(number).encode())
                 await until(lambda: len(heard) == number)  # noqa: B023
-            left._client.abort()
+            way.cut()
             await until(lambda: not left.connected)
     assert [(message.topic, message.payload) for message in heard] == [
         (f"{LEFT}/cmd/ping", b"1"),

@@ -1,36 +1,33 @@
 """Encrypted connections: who is let in, what is refused, and one line of log for each thing that is wrong."""
 
 import asyncio
+import socket
 import ssl
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import aiomqtt
 import pytest
 import trustme
 from brokers import Mosquitto, free_port
 from mosquitto_passwords import password_line
-from mqtt_helpers import until
+from mqtt_helpers import QUICK, scripted_broker, until
+from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.publishing import connection
-from resonator_daemon.publishing.connection import BrokerClient, keep_connected
+from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.packed_properties import pack
+from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.stream_packets import stream_packet
 from resonator_daemon.publishing.tls import make_tls
 
 TO_NOBODY = "anonymous"
+QUICK_TLS = replace(QUICK, connect_s=5.0)
 NOT_AUTHORIZED = b"\x20\x03\x00\x87\x00"
-
-
-@pytest.fixture(autouse=True)
-def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    for pause in ("FIRST_PAUSE_S", "LONGEST_PAUSE_S", "REFUSED_PAUSE_S"):
-        monkeypatch.setattr(connection, pause, 0.02)
 
 
 class Files:
@@ -88,7 +85,7 @@ class Attempts:
 
     def __init__(self) -> None:
         self.made = 0  # attempts to connect, those included that only ask for the version
-        self.served: list[BrokerClient] = []
+        self.served: list[BrokerConnection] = []
         self.heard: list[Incoming] = []
 
     @property
@@ -99,25 +96,26 @@ class Attempts:
 @asynccontextmanager
 async def keeping_connected(broker: Mqtt, monkeypatch: pytest.MonkeyPatch) -> AsyncIterator[Attempts]:
     attempts = Attempts()
-    connect = BrokerClient._client_connect
+    create_connection = socket.create_connection
 
-    def counted(client: BrokerClient) -> None:
+    def counted(*arguments: object, **options: object) -> socket.socket:
         attempts.made += 1
-        connect(client)
+        return create_connection(*arguments, **options)  # type: ignore[arg-type]
 
-    def make_client(version: aiomqtt.ProtocolVersion) -> BrokerClient:
-        return BrokerClient(broker, version, identifier="left", on_message=attempts.heard.append)
+    def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
+        return BrokerConnection(broker, version, identifier="left", on_message=attempts.heard.append, times=QUICK_TLS)
 
-    async def serve(client: BrokerClient) -> None:
-        await client.subscribe("echo/#", qos=1)
-        attempts.served.append(client)
-        await asyncio.wait([client.lost])
+    async def serve(connection: BrokerConnection, _at_once: bool) -> None:
+        await connection.subscribe("echo/#", qos=1)
+        attempts.served.append(connection)
+        await asyncio.wait([connection.lost])
 
     closing = asyncio.get_running_loop().create_future()
     before = asyncio.all_tasks()
     with monkeypatch.context() as patch:
-        patch.setattr(BrokerClient, "_client_connect", counted)
-        running = asyncio.create_task(keep_connected(broker, make_client, serve, closing))
+        patch.setattr(socket, "create_connection", counted)
+        session = connection_session(make_connection, serve, closing)
+        running = asyncio.create_task(keep_connected(broker, session, closing, times=QUICK_TLS))
         try:
             yield attempts
         finally:
@@ -404,27 +402,14 @@ async def test_a_broker_that_hangs_up_on_clients_without_a_name_is_told_it(monke
     assert [name for _, name in record.flags[:2]] == [TO_NOBODY, "robot"]
 
 
-async def test_after_a_broker_was_away_it_is_not_asked_without_a_name_again(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    passwords = files.write("passwords", password_line("robot", "sesame").encode())
-    running = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}")
-    await running.start()
-    broker = Mqtt(url=running.url.replace("//", "//robot:sesame@"))
-    anonymous: list[str | None] = []
-    connect = BrokerClient._client_connect
-
-    def noted(client: BrokerClient) -> None:
-        anonymous.append(client._broker.username)
-        connect(client)
-
-    monkeypatch.setattr(BrokerClient, "_client_connect", noted)
-    async with keeping_connected(broker, monkeypatch) as attempts:
-        await until(lambda: attempts.connected)
-        attempts.served[0].abort()
-        await until(lambda: len(attempts.served) == 2)
-    await running.kill()
-    assert anonymous == [None, "robot", "robot"]
+async def test_after_a_broker_was_away_it_is_not_asked_without_a_name_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    async with scripted_broker() as (url, script):
+        broker = Mqtt(url=url.replace("//", "//robot:sesame@"))
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: attempts.connected)
+            script.hang_up()
+            await until(lambda: len(attempts.served) == 2)
+        assert [b"robot" in connect for connect in script.greetings] == [False, True, True]
 
 
 async def test_a_host_without_a_broker_is_not_a_matter_of_tls(

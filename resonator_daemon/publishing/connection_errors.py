@@ -1,16 +1,17 @@
-"""Why there is no connection to a broker, in one sentence that says where to look."""
+"""Errors of a connection to a broker, each with a sentence that names the key to check."""
 
 import re
 import socket
 import ssl
 from typing import Any, Final
 
-import aiomqtt
+from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config.broker_files import UnusableFileError
 from resonator_daemon.config.mqtt import Mqtt
 
 UNSUPPORTED_VERSION: Final = 132
+UNSPECIFIED: Final = 128  # the library's code for a connection that ended without a DISCONNECT packet
 SILENT: Final = "it accepts connections and does not answer as an MQTT broker; see mqtt.url"
 
 _PROTOCOL_ERROR: Final = 130  # the library's word for bytes that are not MQTT, and for a 3.1.1 broker's "no 3.1.1"
@@ -24,53 +25,62 @@ _ANOTHER_HOST: Final = (62, 64)
 _UNTRUSTED: Final = (18, 19, 20, 21)
 
 
-class RefusalError(aiomqtt.MqttError):
-    """Somebody has to change something at either end: asking again soon would only fill the broker's log."""
+class BrokerError(Exception):
+    """There is no connection to the broker, or no longer; `code` is MQTT's reason code if the broker sent one."""
+
+    def __init__(self, message: str, *, code: int | None = None) -> None:
+        super().__init__(message)
+        self.code = code
 
 
-class NoAnswerError(aiomqtt.MqttError):
-    """The other end took the connection and ended it, without a word."""
+class RefusalError(BrokerError):
+    """The user has to change something at either end: frequent attempts would only fill the broker's log."""
 
 
-def of_opening(error: OSError, broker: Mqtt) -> aiomqtt.MqttError:
+class NoAnswerError(BrokerError):
+    """The other end accepted the connection and closed it without an answer."""
+
+
+def of_opening(error: OSError, broker: Mqtt) -> BrokerError:
     """Return why the connection could not be opened, TLS included."""
     match error:
         case UnusableFileError():
-            return aiomqtt.MqttError(str(error))
+            return BrokerError(str(error))
         case ssl.SSLCertVerificationError():
             return RefusalError(_certificate(error, broker))
         case ssl.SSLError() if (alert := _alert(error)) is not None:
             return RefusalError(_refused_by_tls(alert, broker))
         case ssl.SSLEOFError() | ConnectionResetError():
-            return aiomqtt.MqttError(_NO_TLS)
+            return BrokerError(_NO_TLS)
         case ssl.SSLError() if error.reason == "WRONG_VERSION_NUMBER":
-            return aiomqtt.MqttError(_NO_TLS)
+            return BrokerError(_NO_TLS)
         case TimeoutError() if "handshake" in str(error):
-            return aiomqtt.MqttError(_NO_TLS)
+            return BrokerError(_NO_TLS)
         case socket.gaierror():
-            return aiomqtt.MqttError(f"no host of this name ({error.strerror}); see mqtt.url")
+            return BrokerError(f"no host of this name ({error.strerror}); see mqtt.url")
         case _:
-            return aiomqtt.MqttError(str(error))
+            return BrokerError(str(error))
 
 
-def of_silent_end(reason_code: int, version: aiomqtt.ProtocolVersion, broker: Mqtt) -> aiomqtt.MqttError:
+def of_silent_end(reason_code: int, version: MQTTProtocolVersion, broker: Mqtt) -> BrokerError:
     """Return why the broker ended a connection that it had not accepted nor refused by a word of MQTT."""
-    if reason_code == _PROTOCOL_ERROR and version is aiomqtt.ProtocolVersion.V311:
+    if reason_code == _PROTOCOL_ERROR and version is MQTTProtocolVersion.MQTTv311:
         return RefusalError(_NEITHER_VERSION)
     other = "not for TLS, mqtt.url is mqtt://" if broker.tls else "for TLS, mqtt.url is mqtts://"
     return NoAnswerError(f"it ended the connection without an answer; if the port is {other}")
 
 
 def of_answer(error: Exception, broker: Mqtt) -> Exception:
-    """Return a refusal where the broker's answer was one; any other error as it is."""
+    """Return a refusal if the broker's answer was one; any other error as it is."""
     code = code_of(error)
     if code == UNSUPPORTED_VERSION:
-        return RefusalError(_NEITHER_VERSION)
+        return RefusalError(_NEITHER_VERSION, code=code)
     if code in _REFUSED_CLIENTS:
-        name = "a client without a name" if broker.username is None else f"user {broker.username!r}"
-        shown = "" if broker.certificate_file is None else ", mqtt.certificate_file"
-        where = f"mqtt.username, mqtt.password_file{shown}"
-        return RefusalError(f"it refuses {name} ({getattr(error, 'rc', code)}); see {where}")
+        client = "a client without a name" if broker.username is None else f"user {broker.username!r}"
+        certificate = "" if broker.certificate_file is None else ", mqtt.certificate_file"
+        return RefusalError(
+            f"it refuses {client} ({error}); see mqtt.username, mqtt.password_file{certificate}", code=code
+        )
     return error
 
 
@@ -79,10 +89,8 @@ WILL_LIMITS: Final[dict[int, dict[str, Any]]] = {154: {"retains": False}, 155: {
 
 
 def code_of(error: Exception) -> int | None:
-    """Return the reason code of MQTT in an error, None where there is none."""
-    reason = getattr(error, "rc", None)
-    code: int | None = getattr(reason, "value", reason)
-    return code
+    """Return the reason code of MQTT in an error; None if there is none."""
+    return error.code if isinstance(error, BrokerError) else None
 
 
 def _certificate(error: ssl.SSLCertVerificationError, broker: Mqtt) -> str:
