@@ -15,7 +15,7 @@ from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_c
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.publishing import connection_errors
-from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection
+from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnection, ConnectionTimes
 from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.topics import full_topic
@@ -37,7 +37,7 @@ _SPIKES_SHARE: Final = 0.1
 _TOPIC_LEVEL: Final = "doctor"
 
 
-async def check_broker(broker: Mqtt, host: Host) -> list[Finding]:
+async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None = None) -> list[Finding]:
     """Return what there is to say of a broker, link by link; what comes after the first fault is not looked at."""
     where = f"{broker.host}:{broker.port}"
     loop = asyncio.get_running_loop()
@@ -63,7 +63,7 @@ async def check_broker(broker: Mqtt, host: Host) -> list[Finding]:
     with contextlib.suppress(OSError):
         await writer.wait_closed()
     with Load(host) as load:
-        probe, said = await _ask(broker)
+        probe, said = await _ask(broker, times)
     return [resolved, LISTENS.ok(where), *_told(probe, said, load.busy())]
 
 
@@ -73,7 +73,8 @@ class _Probe:
     A broker with Nagle's algorithm holds the second of a pair back until the first is acknowledged.
     """
 
-    def __init__(self, broker: Mqtt) -> None:
+    def __init__(self, broker: Mqtt, times: ConnectionTimes | None) -> None:
+        self._times = times
         self._topic = full_topic(broker.prefix, _TOPIC_LEVEL, secrets.token_hex(8))
         self._arrived: dict[int, float] = {}
         self._came = asyncio.Event()
@@ -88,7 +89,7 @@ class _Probe:
         return {number: self._arrived[number] - at_s for number, at_s in self.sent.items() if number in self._arrived}
 
     def make_connection(self, broker: Mqtt, version: MQTTProtocolVersion) -> BrokerConnection:
-        return BrokerConnection(broker, version, on_message=self._take)
+        return BrokerConnection(broker, version, on_message=self._take, times=self._times)
 
     async def serve(self, client: BrokerConnection, _at_once: bool) -> None:
         self.version = "MQTT 5" if client.version is MQTT_5 else "MQTT 3.1.1"
@@ -134,12 +135,14 @@ def _delay_acknowledgements(client: BrokerConnection) -> None:
         client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
-async def _ask(broker: Mqtt) -> tuple[_Probe, str]:
+async def _ask(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe, str]:
     """Return what was measured, and what was last said of the connection."""
-    probe, closing = _Probe(broker), asyncio.get_running_loop().create_future()
+    probe, closing = _Probe(broker, times), asyncio.get_running_loop().create_future()
     said = ["no answer"]
     session = connection_session(lambda version: probe.make_connection(broker, version), probe.serve, closing)
-    keeping = asyncio.create_task(keep_connected(broker, session, closing, report=lambda _, text: said.append(text)))
+    keeping = asyncio.create_task(
+        keep_connected(broker, session, closing, report=lambda _, text: said.append(text), times=times)
+    )
     try:
         async with asyncio.timeout(_ACCEPT_S):
             await probe.accepted.wait()

@@ -13,16 +13,16 @@ from resonator_daemon.doctor import broker_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.publishing import connection
+from resonator_daemon.publishing.broker_connection import ConnectionTimes
 
 HOST = Host(Path("/none"))  # which tells of no load
 HALTED = "this computer is busy"
 ATTEMPTS = 20
 
 
-async def found(url: str) -> dict[str, Finding]:
+async def found(url: str, times: ConnectionTimes | None = None) -> dict[str, Finding]:
     for _ in range(ATTEMPTS):
-        findings = await check_broker(Mqtt(url=url), HOST)
+        findings = await check_broker(Mqtt(url=url), HOST, times)
         if not any(finding.evidence.startswith(HALTED) for finding in findings):
             break
     return {finding.id: finding for finding in findings}
@@ -83,10 +83,9 @@ async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatc
 
 
 async def test_who_takes_connections_and_says_nothing_is_no_matter_of_accounts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "CONNECT_TIMEOUT_S", 0.1)
     monkeypatch.setattr(broker_checks, "_ACCEPT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        findings = await found(f"mqtt://127.0.0.1:{silent.getsockname()[1]}")
+        findings = await found(f"mqtt://127.0.0.1:{silent.getsockname()[1]}", times=ConnectionTimes(connect_s=0.1))
     assert findings["broker.accepts"].outcome is Outcome.FAULT
     assert "accepts connections and does not answer as an MQTT broker" in findings["broker.accepts"].evidence
     assert "mqtt.url" in findings["broker.accepts"].remedy
