@@ -23,11 +23,10 @@ def load_support(pressure: Floats) -> Mask:
     """Pixels (ny, nx) that carry load: above the threshold, in blobs that are no noise, and their neighbours."""
     above = pressure > _THRESHOLD * pressure.max()
     labels, count = ndimage.label(above, _EIGHT)
-    index = np.arange(1, count + 1)
-    peaks = np.atleast_1d(ndimage.maximum(pressure, labels, index))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    kept = np.zeros(count + 1, np.bool_)
-    kept[1:] = (peaks >= BLOB_PEAK * pressure.max()) & (sizes >= _BLOB_PIXELS)
+    peaks = np.zeros(count + 1, pressure.dtype)
+    np.maximum.at(peaks, labels.ravel(), pressure.ravel())
+    kept = (peaks >= BLOB_PEAK * pressure.max()) & (np.bincount(labels.ravel()) >= _BLOB_PIXELS)
+    kept[0] = False
     return dilated(kept[labels])
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import lapack
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_fit import minimise
@@ -174,10 +175,10 @@ class SlipProblem:
         """Return how far parameters are from others; 1 is a depth, the normal force, or 0.7 of the margin."""
         largest = 0.0
         depth_m = self._model.shallowest_m
-        moved = (found - before).tolist()
+        moved = np.abs(found - before).tolist()
         for first in range(0, len(moved), PARAMETERS):
-            by_depth = max(abs(part) for part in moved[first : first + FORCE_X]) / depth_m
-            by_force = max(abs(part) for part in moved[first + FORCE_X : first + MARGIN])
+            by_depth = max(moved[first : first + FORCE_X]) / depth_m
+            by_force = max(moved[first + FORCE_X : first + MARGIN])
             by_force /= float(before[first + FORCE_Z])
             margin, margin_before = float(found[first + MARGIN]), float(before[first + MARGIN])
             by_margin = abs(margin - margin_before) / _MARGIN_SCALE
@@ -199,30 +200,48 @@ def _least(
     at: Linearisation, chi_square: float, gradient: Floats, laws: Sequence[FrictionLaw], lower: Floats, upper: Floats
 ) -> _Least:
     """Minimise between bounds as if the signals were linear, though not the laws of friction."""
-    parameters = np.minimum(np.maximum(at.parameters, lower), upper)
-    moved = parameters - at.parameters
+    parameters, here, precision = at.parameters, gradient, at.precision
+    inside = _are_inside(parameters, lower, upper)
+    if not inside:
+        parameters = np.clip(parameters, lower, upper)
+        here = gradient - at.precision @ (parameters - at.parameters)
     breaches = [law.breach(parameters) for law in laws]
     chi_before = chi_square + sum_of_squares(breaches)
-    precision = at.precision
     for _ in range(_STEPS):
-        here = gradient - at.precision @ moved
         if laws:
             here, precision = add_laws(laws, breaches, here, at.precision)
-        tried = parameters + _newton_step(parameters, lower, upper, here, precision)
-        stopped = np.minimum(np.maximum(tried, lower), upper)
+        step = _free_step(here, precision) if inside else _bounded_step(parameters, lower, upper, here, precision)
+        stopped = tried = parameters + step
+        inside = _are_inside(tried, lower, upper)
+        if not inside:
+            stopped = np.clip(tried, lower, upper)
         before, breaches = breaches, [law.breach(stopped) for law in laws]
-        is_least = bool((stopped == tried).all()) and are_linear(laws, before, breaches, stopped - parameters)
+        is_least = (inside or bool((stopped == tried).all())) and are_linear(laws, before, breaches, step)
         parameters, moved = stopped, stopped - at.parameters
+        curved = at.precision @ moved
         if is_least:
             break
-    least = chi_square - float(moved @ (2.0 * gradient - at.precision @ moved)) + sum_of_squares(breaches)
+        here = gradient - curved
+    least = chi_square - float(moved @ (2.0 * gradient - curved)) + sum_of_squares(breaches)
     return _Least(parameters, least, max(chi_before - least, 0.0), precision)
 
 
-def _newton_step(parameters: Floats, lower: Floats, upper: Floats, gradient: Floats, precision: Floats) -> Floats:
+def _are_inside(parameters: Floats, lower: Floats, upper: Floats) -> bool:
+    """Whether parameters lie between bounds, none of them at one."""
+    triples = zip(lower.tolist(), parameters.tolist(), upper.tolist(), strict=True)
+    return all(low < value < high for low, value, high in triples)
+
+
+def _free_step(gradient: Floats, precision: Floats) -> Floats:
+    """Return the step to the minimum; LinAlgError if the precision is not positive definite."""
+    _, step, failed = lapack.dposv(precision, gradient)
+    if failed:
+        raise np.linalg.LinAlgError("precision is not positive definite")
+    return np.asarray(step, np.float64)
+
+
+def _bounded_step(parameters: Floats, lower: Floats, upper: Floats, gradient: Floats, precision: Floats) -> Floats:
     """Return the step to the minimum among the parameters that do not press against a bound."""
-    if ((lower < parameters) & (parameters < upper)).all():
-        return np.asarray(np.linalg.solve(precision, gradient), np.float64)
     stuck = ((parameters <= lower) & (gradient <= 0.0)) | ((parameters >= upper) & (gradient >= 0.0))
     free = np.flatnonzero(~stuck & (lower < upper))
     step = np.zeros_like(parameters)
