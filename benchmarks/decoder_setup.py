@@ -18,6 +18,7 @@ import numpy as np
 from decoding_scenes import DEPTH_M, NOISE_STD, grid
 from threadpoolctl import threadpool_limits
 
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.decoding.streaming import set_up
@@ -40,8 +41,7 @@ def shipped(name: str) -> Skin:
         plate.site_positions_m,
         plate.skin.depth_m,
         plate.skin.gain_std,
-        plate.skin.correlation_length_m,
-        plate.skin.tangential_ratio,
+        Prior(plate.skin.correlation_length_m, plate.skin.tangential_ratio),
     )
 
 

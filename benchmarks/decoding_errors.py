@@ -21,6 +21,7 @@ from decoding_scenes import (
 )
 
 from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding.prior import Prior
 
 SIDE = 32
 SITES_M = grid(SIDE)
@@ -38,7 +39,7 @@ def on_grid(side: int) -> dict[str, Estimate]:
 
 def equal_powers() -> Estimate:
     """Return the open-plane estimate under a prior of equal power of all components."""
-    return open_plane(OpenPlaneDecoder(SKIN, SITES_M, DEPTH_M, NOISE_STD, tangential_ratio=1.0))
+    return open_plane(OpenPlaneDecoder(SKIN, SITES_M, DEPTH_M, NOISE_STD, prior=Prior(tangential_ratio=1.0)))
 
 
 def open_plane(decoder: OpenPlaneDecoder) -> Estimate:

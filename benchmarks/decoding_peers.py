@@ -12,6 +12,7 @@ from scipy.sparse.linalg import LinearOperator, aslinearoperator, lsqr
 from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import SpectralGrid
 from simulators.half_space_fields import hertz_fields
 
@@ -43,7 +44,8 @@ class DenseEstimates:
     """Single matrices of the open-plane estimate, C_fs (C_ss + R)^-1, solved without modes or symmetry."""
 
     def __init__(self, sites_m: Floats, queries_m: Floats) -> None:
-        covariance = SiteCovariance(StationaryPrior(SKIN, 1.0, 1e-3, 0.3), sites_m, np.full(len(sites_m), DEPTH_M))
+        prior = StationaryPrior(SKIN, Prior(1e-3, 0.3), 1.0)
+        covariance = SiteCovariance(prior, sites_m, np.full(len(sites_m), DEPTH_M))
         self._signals, self._traction = covariance.signals(), covariance.surface("traction", queries_m)
 
     def matrix(self, prior_std_pascal: float) -> NDArray[np.float32]:

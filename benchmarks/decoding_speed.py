@@ -17,6 +17,7 @@ from decoding_scenes import DEPTH_M, LEVELS_DB, NOISE_STD, PITCH_M, SKIN, Floats
 from scipy import fft
 
 from resonator_daemon.decoding import FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding.prior import Prior
 
 TIMED_DB = 30
 GIVEN = 0.5  # standard deviation of f_z given to the prior, over the rms in the array: about the most likely one
@@ -63,7 +64,7 @@ def side_by_side(layout: str, decoder: OpenPlaneDecoder, side: int) -> None:
     for level, (frame, truth) in frames(sites_m, side).items():
         found: dict[str, Decode] = {}
         if on_grid and dense:
-            given = OpenPlaneDecoder(SKIN, sites_m, DEPTH_M, NOISE_STD, prior_std_pascal=GIVEN * rms(truth[2]))
+            given = OpenPlaneDecoder(SKIN, sites_m, DEPTH_M, NOISE_STD, prior=Prior(std_pascal=GIVEN * rms(truth[2])))
             found[GIVEN_SCALE] = lambda frame, given=given: given.decode(frame).traction_pascal
         found[FOUND_SCALE] = lambda frame: decoder.decode(frame).traction_pascal
         found["open-plane, with displacement"] = lambda frame: decoder.decode(frame, displacement=True).traction_pascal

@@ -13,7 +13,8 @@ import numpy as np
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.decoding.open_plane.prior_fit import USUAL_LENGTH_M, USUAL_RATIO, PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.prior import DEFAULT_PRIOR
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.plate import Plate, Skin
@@ -149,7 +150,7 @@ def _error(std: float) -> str:
 
 
 def _gain(found: PriorFit) -> str:
-    usual = f"{USUAL_LENGTH_M * 1e3:g} mm and {USUAL_RATIO:g}"
+    usual = f"{DEFAULT_PRIOR.correlation_length_m * 1e3:g} mm and {DEFAULT_PRIOR.tangential_ratio:g}"
     used = f"# {found.frames_used} frames with load"
     if found.log_evidence_gain < 1.0:
         return f"{used}: no likelier than with the defaults, {usual}."

@@ -12,17 +12,6 @@ UNEXPLAINED_LIMIT = 0.5  # ... and of half the frame's energy: no load on a half
 GAIN_FLOOR = 1.5  # standard deviations of the gain that count as noise of the signals' rms
 
 
-def check_prior(correlation_length_m: float, tangential_ratio: float, prior_std_pascal: float | None) -> None:
-    """Refuse what makes no prior; its standard deviation may be None, for one chosen in each frame."""
-    for name, value in (
-        ("correlation_length_m", correlation_length_m),
-        ("tangential_ratio", tangential_ratio),
-        ("prior_std_pascal", 1.0 if prior_std_pascal is None else prior_std_pascal),
-    ):
-        if not 0.0 < value < np.inf:
-            raise ValueError(f"{name} is {value}, must be finite and above 0")
-
-
 def check_gain(gain_std: float) -> None:
     """Refuse what is no relative standard deviation of gains."""
     if not 0.0 <= gain_std < 1.0:

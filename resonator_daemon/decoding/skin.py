@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace
 
 
@@ -15,8 +16,7 @@ class Skin:
     site_positions_m: Floats  # (n, 2); those of a grid row by row, x running first
     depth_m: float
     gain_std: float = 0.0
-    correlation_length_m: float = 1e-3
-    tangential_ratio: float = 0.3
+    prior: Prior = DEFAULT_PRIOR
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,7 @@ class MapReader:
                 grid.pitch_x_m,
                 skin.depth_m,
                 noise_std.reshape(3, *grid.shape),
-                correlation_length_m=skin.correlation_length_m,
-                tangential_ratio=skin.tangential_ratio,
+                prior=skin.prior,
             )
         else:
             self._linear = OpenPlaneDecoder(
@@ -65,8 +64,7 @@ class MapReader:
                 skin.depth_m,
                 noise_std,
                 gain_std=skin.gain_std,
-                correlation_length_m=skin.correlation_length_m,
-                tangential_ratio=skin.tangential_ratio,
+                prior=skin.prior,
             )
             if wanted.contact_physics:
                 progress("contact physics")

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import decode
@@ -41,8 +42,7 @@ class SkinPlate:
         """What two skins have in common that one decoder serves."""
         skin = self.skin
         elastic = (skin.half_space.youngs_modulus_pascal, skin.half_space.poisson_ratio, skin.depth_m)
-        prior = (skin.gain_std, skin.correlation_length_m, skin.tangential_ratio)
-        return (skin.site_positions_m.tobytes(), *elastic, *prior)
+        return (skin.site_positions_m.tobytes(), *elastic, skin.gain_std, skin.prior)
 
     def is_same(self, other: "SkinPlate | None") -> bool:
         """Whether nothing that matters to decoding has changed."""
@@ -178,16 +178,10 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
     try:
         half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)
+        prior = Prior(info.skin.correlation_length_m, info.skin.tangential_ratio)
     except ValueError as error:
         raise _UnusableInfoError(f"skin in info: {told(error)}") from error
-    skin = Skin(
-        half_space,
-        positions_m,
-        info.skin.depth_m,
-        info.skin.gain_std,
-        info.skin.correlation_length_m,
-        info.skin.tangential_ratio,
-    )
+    skin = Skin(half_space, positions_m, info.skin.depth_m, info.skin.gain_std, prior)
     if problem := _problem(info, skin):
         raise _UnusableInfoError(f"info: {problem}")
     return SkinPlate(skin, np.array([site.site for site in info.sites], np.intp), info.grid), 1 / info.frame_rate_hz
@@ -216,7 +210,6 @@ def _problem(info: Info, skin: Skin) -> str:
         return "numbers of sites must be in 0 .. 2^63 - 1"
     if not 1e-9 < info.frame_rate_hz < math.inf:
         return f"frame_rate_hz is {info.frame_rate_hz}, must be above 0"
-    numbers = (skin.depth_m, skin.correlation_length_m, skin.tangential_ratio)
-    if not all(0.0 < number < np.inf for number in numbers) or not 0.0 <= skin.gain_std < 1.0:
-        return f"depth, correlation length and tangential ratio {numbers} must be above 0, gain_std in 0 .. 1"
+    if not 0.0 < skin.depth_m < np.inf or not 0.0 <= skin.gain_std < 1.0:
+        return f"depth {skin.depth_m} m must be above 0, gain_std {skin.gain_std} in 0 .. 1"
     return ""

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.forces.readings import SkinReading
@@ -68,8 +69,7 @@ class SkinSensor(Sensor[SkinReading]):
                 plate.site_positions_m,
                 skin.depth_m,
                 skin.gain_std,
-                skin.correlation_length_m,
-                skin.tangential_ratio,
+                Prior(skin.correlation_length_m, skin.tangential_ratio),
             ),
             Wanted(decoding.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement),
             plate.site_ids,

@@ -13,6 +13,7 @@ from scipy.stats import multivariate_normal
 from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.decoding import FourierDecoder
 from resonator_daemon.decoding.fourier.spectra import prior_root, weighted_norm
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 SKIN = HalfSpace(E, 0.5)
@@ -51,7 +52,7 @@ def test_the_printed_recipe_is_a_setting(centred: Scene, decibel: float):
     forward = transfer((32, 32))
     adjoint = forward.conj().swapaxes(-1, -2)
     expected = filtered(np.linalg.inv(power * adjoint @ forward + std**2 * np.eye(3)) @ (power * adjoint), frame)
-    printed = decoder(centred, decibel, extension="periodic", prior="white", prior_std_pascal=np.sqrt(power))
+    printed = decoder(centred, decibel, extension="periodic", spectra="white", prior=Prior(std_pascal=np.sqrt(power)))
     found = printed.decode(frame)
     np.testing.assert_allclose(found.traction_pascal, expected, atol=1e-10 * np.abs(expected).max())
     assert centred.error(found) > 1.3 * centred.error(decoder(centred, decibel).decode(frame))
@@ -64,8 +65,8 @@ def test_errors_of_the_printed_recipe_on_record(centred: Scene):
     settings: list[dict[str, Any]] = [
         {
             "extension": "periodic",
-            "prior": lambda x, y: np.broadcast_to(powers, (y.size, x.size, 3)),
-            "prior_std_pascal": np.sqrt(powers[2]),
+            "spectra": lambda x, y: np.broadcast_to(powers, (y.size, x.size, 3)),
+            "prior": Prior(std_pascal=np.sqrt(powers[2])),
         },
         {"extension": "periodic"},
         {},
@@ -85,7 +86,7 @@ def test_errors_of_the_printed_recipe_on_record(centred: Scene):
 
 def test_without_regularisation_only_a_frame_without_noise_decodes(centred: Scene):
     forward = transfer((32, 32))
-    plain = decoder(centred, 30, extension="periodic", prior="white", prior_std_pascal=1e30)
+    plain = decoder(centred, 30, extension="periodic", spectra="white", prior=Prior(std_pascal=1e30))
     model_signals = filtered(forward, centred.traction)
     np.testing.assert_allclose(
         plain.decode(model_signals).traction_pascal, centred.traction, atol=1e-8 * centred.traction.max()
@@ -105,7 +106,9 @@ def test_displacement_of_a_periodic_load_on_an_oblong_array():
     pressure[2] = 1e3 + 2e3 * np.cos(omega * x)
     body = HalfSpace(E, nu)
     forward = SpectralGrid(shape, PITCH).transfer_matrix(body, "sensor", "traction", DEPTH)
-    plain = FourierDecoder(body, shape, PITCH, DEPTH, 1e-6, extension="periodic", prior="white", prior_std_pascal=1e15)
+    plain = FourierDecoder(
+        body, shape, PITCH, DEPTH, 1e-6, extension="periodic", spectra="white", prior=Prior(std_pascal=1e15)
+    )
     found = plain.decode(filtered(forward, pressure), displacement=True)
     assert found.displacement_m is not None
     expected = 2 * (1 - nu**2) / (E * omega) * 2e3 * np.cos(omega * x)
@@ -135,10 +138,12 @@ def test_weighted_norm_is_the_minimum_of_tikhonovs_functional():
     forward, norm = dense(transfer(ODD), ODD), dense(weights, ODD)
     frame = 5e-3 * np.random.default_rng(1).standard_normal((3, *ODD))
     expected = np.linalg.solve(forward.T @ forward + alpha * norm, forward.T @ frame.ravel()).reshape(frame.shape)
-    keywords: dict[str, Any] = {"extension": "periodic", "prior_std_pascal": prior_std}
-    found = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, prior=weighted_norm(coupled_weights), **keywords).decode(frame)
+    keywords: dict[str, Any] = {"extension": "periodic", "prior": Prior(std_pascal=prior_std)}
+    found = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, spectra=weighted_norm(coupled_weights), **keywords).decode(
+        frame
+    )
     np.testing.assert_allclose(found.traction_pascal, expected, atol=1e-9 * np.abs(expected).max())
-    plain = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, prior="white", **keywords).decode(frame)
+    plain = FourierDecoder(SKIN, ODD, PITCH, DEPTH, std, spectra="white", **keywords).decode(frame)
     assert np.abs(plain.traction_pascal - expected).max() > 0.1 * np.abs(expected).max()
 
 
@@ -147,14 +152,14 @@ def test_spectra_count_up_to_a_factor_and_name_the_standard_deviation(centred: S
         return 7e5 / (1 + (omega_x**2 + omega_y**2)[..., None] * 1e-6) ** 2 * [0.3, 0.3, 1.0]
 
     frame = centred.noisy(30, 0)
-    for keywords in ({}, {"prior_std_pascal": 1e4}):
+    for keywords in ({}, {"prior": Prior(std_pascal=1e4)}):
         own = decoder(centred, 30, **keywords).decode(frame)
-        given = decoder(centred, 30, prior=smooth, **keywords).decode(frame)
+        given = decoder(centred, 30, spectra=smooth, **keywords).decode(frame)
         np.testing.assert_allclose(given.traction_pascal, own.traction_pascal, rtol=1e-9, atol=1e-6)
         assert given.log_evidence == pytest.approx(own.log_evidence, rel=1e-12)
     lost = np.full((3, 3, *ODD), np.nan)[0]
     lost[:, :, :4] = 0.0  # the columns beyond are unknown: there the prior's own deviation holds
-    blind = FourierDecoder(SKIN, ODD, PITCH, 0.0, 10.0, prior=smooth, prior_std_pascal=1e3).decode(lost)
+    blind = FourierDecoder(SKIN, ODD, PITCH, 0.0, 10.0, spectra=smooth, prior=Prior(std_pascal=1e3)).decode(lost)
     assert blind.traction_std_pascal[2, 2, 6] == pytest.approx(1e3, rel=0.01)
 
 
@@ -179,7 +184,7 @@ def test_a_nyquist_frequency_stands_for_both_its_signs():
 @pytest.mark.parametrize(
     ("prior", "message"),
     [
-        ("rough", "prior is 'rough', must be 'smooth', 'white'"),
+        ("rough", "spectra is 'rough', must be 'prior', 'white'"),
         (lambda x, y: np.ones((3, 3)), r"prior has shape \(3, 3\), must be \(48, 25, 3\) or \(48, 25, 3, 3\)"),
         (lambda x, y: np.full((y.size, x.size, 3), np.inf), "prior holds values that are not finite"),
         (lambda x, y: np.full((y.size, x.size, 3), -1.0), "prior has the eigenvalue -1, must have none below 0"),
@@ -194,7 +199,7 @@ def test_a_nyquist_frequency_stands_for_both_its_signs():
 )
 def test_refuses_what_is_no_prior(prior: Any, message: str):
     with pytest.raises(ValueError, match=message):
-        FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, 1e-3, prior=prior)
+        FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, 1e-3, spectra=prior)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +208,7 @@ def test_refuses_what_is_no_prior(prior: Any, message: str):
         ({"extension": "mirror"}, "extension is 'mirror', must be 'taper' or 'periodic'"),
         ({"sliding_friction": 0.0}, "sliding_friction is 0.0, must be finite and above 0"),
         ({"sliding_friction": np.nan}, "sliding_friction is nan"),
-        ({"prior_std_pascal": 1e200}, r"prior_std_pascal is 1e\+200, must be at most 1e\+30"),
+        ({"prior": Prior(std_pascal=1e200)}, r"std_pascal is 1e\+200, must be at most 1e\+30"),
     ],
 )
 def test_refuses_parameters(keywords: Any, message: str):
@@ -219,7 +224,7 @@ def test_the_printed_spectra_of_a_sliding_contact_are_no_covariance():
     printed = np.array([[mu**2, 0, mu], [0, mu**2, mu], [mu, mu, 1]])
     with pytest.raises(ValueError, match=r"prior has the eigenvalue -0\.175, must have none below 0"):
         FourierDecoder(
-            SKIN, (32, 32), PITCH, DEPTH, 1e-3, prior=lambda x, y: np.broadcast_to(printed, (y.size, x.size, 3, 3))
+            SKIN, (32, 32), PITCH, DEPTH, 1e-3, spectra=lambda x, y: np.broadcast_to(printed, (y.size, x.size, 3, 3))
         )
 
 
@@ -256,8 +261,8 @@ def test_sliding_is_a_mixture_of_gaussians_over_the_directions():
         5e-4,
         std,
         extension="periodic",
-        prior="white",
-        prior_std_pascal=prior_std,
+        spectra="white",
+        prior=Prior(std_pascal=prior_std),
         sliding_friction=mu,
     ).decode(signals.reshape(3, *ODD))
     assert found.chi2 < 1.0
@@ -292,7 +297,7 @@ def test_without_friction_every_direction_is_the_same(centred: Scene):
     """Then the average is any one of its members, evidence included."""
     frame = centred.noisy(30, 0)
     found = decoder(centred, 30, sliding_friction=1e-4).decode(frame)
-    plain = decoder(centred, 30, tangential_ratio=5e-9).decode(frame)
+    plain = decoder(centred, 30, prior=Prior(tangential_ratio=5e-9)).decode(frame)
     assert found.log_evidence == pytest.approx(plain.log_evidence, abs=1.0)
     np.testing.assert_allclose(
         found.traction_pascal[2], plain.traction_pascal[2], atol=1e-3 * plain.traction_pascal.max()
@@ -320,8 +325,8 @@ def test_lost_signals_of_a_sliding_contact():
     "keywords",
     [
         {},
-        {"extension": "periodic", "prior": "white", "prior_std_pascal": 1e4},
-        {"prior": weighted_norm(coupled_weights)},
+        {"extension": "periodic", "spectra": "white", "prior": Prior(std_pascal=1e4)},
+        {"spectra": weighted_norm(coupled_weights)},
         {"sliding_friction": 0.5},
     ],
 )

@@ -11,9 +11,10 @@ from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridCovarian
 from resonator_daemon.decoding.open_plane.modes import DenseModes
 from resonator_daemon.decoding.open_plane.parity import CLASSES
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
-PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), 10.0, 1e-3, 0.3)
+PRIOR = StationaryPrior(HalfSpace(2e5, 0.3), Prior(1e-3, 0.3), 10.0)
 DEPTH = 1e-3
 NOISE = np.array([2e-5, 1e-5, 3e-5])
 SCALES = np.logspace(-2, 4, 7)

@@ -7,6 +7,7 @@ from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions, scene
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 
@@ -63,7 +64,7 @@ def test_recovers_the_prior_that_loads_are_drawn_from(sites_m: Floats, length_m:
     assert len(told) < 40
 
     def evidence(length_m: float, ratio: float) -> float:
-        decoder = OpenPlaneDecoder(SKIN, sites_m, DEPTH_M, std, correlation_length_m=length_m, tangential_ratio=ratio)
+        decoder = OpenPlaneDecoder(SKIN, sites_m, DEPTH_M, std, prior=Prior(length_m, ratio))
         return float(np.sum(decoder.decode(frames).log_evidence))
 
     best = evidence(found.correlation_length_m, found.tangential_ratio)
@@ -120,8 +121,7 @@ def test_load_is_energy_beyond_noise() -> None:
 def test_starts_from_the_prior_that_decoders_take_by_default() -> None:
     skin = Skin(SKIN, SITES_M, DEPTH_M)
     decoder = OpenPlaneDecoder(SKIN, SITES_M[:30], DEPTH_M, 1e-5)
-    for usual in (skin, decoder):
-        assert (usual.correlation_length_m, usual.tangential_ratio) == (1e-3, 0.3)
+    assert skin.prior == decoder.prior == Prior(1e-3, 0.3)
 
 
 def test_refuses() -> None:
@@ -132,3 +132,16 @@ def test_refuses() -> None:
         fit_prior(SKIN, SITES_M, DEPTH_M, frames[0], 1.0)
     with pytest.raises(ValueError, match="noise_std spans 0"):
         fit_prior(SKIN, SITES_M, DEPTH_M, frames, 0.0)
+
+
+@pytest.mark.parametrize("name", ["correlation_length_m", "tangential_ratio", "std_pascal"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.inf, np.nan])
+def test_a_prior_has_finite_parameters_above_0(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        Prior(**{name: value})
+
+
+def test_the_spectrum_of_the_prior_has_unit_variance() -> None:
+    omega = np.linspace(0.0, 1e5, 200_001)  # of a Prior of 1 mm: it has faded by 1e-8 at the end
+    power = Prior().spectrum_m2(omega**2) * omega / (2.0 * np.pi)
+    assert power.sum() * (omega[1] - omega[0]) == pytest.approx(1.0, rel=1e-3)

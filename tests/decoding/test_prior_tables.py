@@ -6,13 +6,14 @@ from scipy.integrate import quad
 from scipy.special import jv, k1
 
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
 L, Z, RATIO, STD = 1.3e-3, 0.8e-3, 0.3, 700.0
 
 
 def prior(nu: float = 0.5) -> StationaryPrior:
-    return StationaryPrior(HalfSpace(2e5, nu), STD, L, RATIO)
+    return StationaryPrior(HalfSpace(2e5, nu), Prior(L, RATIO), STD)
 
 
 def hankel(order: int, of_t, distance_m: float, depths: float) -> float:

@@ -10,6 +10,7 @@ from skin_scenes import SKIN as SKIN_LONG
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin, Wanted
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.elastic import HalfSpace
@@ -70,7 +71,7 @@ def test_the_fourier_decoder_needs_a_square_grid(stretch: tuple[float, float] | 
         build(replace(SKIN, site_positions_m=sites_m), FOURIER)
 
 
-TOLD = replace(SKIN, gain_std=0.05, correlation_length_m=0.7e-3, tangential_ratio=0.8)
+TOLD = replace(SKIN, gain_std=0.05, prior=Prior(0.7e-3, 0.8))
 
 
 def test_what_is_known_of_the_skin_reaches_the_open_plane_decoder() -> None:
@@ -84,8 +85,7 @@ def test_what_is_known_of_the_skin_reaches_the_open_plane_decoder() -> None:
                 DEPTH_M,
                 NOISE,
                 gain_std=0.05,
-                correlation_length_m=0.7e-3,
-                tangential_ratio=0.8,
+                prior=Prior(0.7e-3, 0.8),
             ),
         ),
         (
@@ -97,8 +97,7 @@ def test_what_is_known_of_the_skin_reaches_the_open_plane_decoder() -> None:
                 PITCH_M,
                 DEPTH_M,
                 NOISE.reshape(3, *SHAPE),
-                correlation_length_m=0.7e-3,
-                tangential_ratio=0.8,
+                prior=Prior(0.7e-3, 0.8),
             ),
         ),
     ):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from decoder_bench import SITES, SITES_M, info, signals
 
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import SiteInfo
 from resonator_daemon.remote_decoding import plate as plate_module
@@ -39,7 +40,7 @@ def test_sites_and_skin_come_from_info(plate: RemotePlate) -> None:
     assert plate.skin.grid == info().grid
     skin = plate.skin.skin
     assert (skin.half_space.youngs_modulus_pascal, skin.half_space.poisson_ratio, skin.depth_m) == (2e5, 0.5, 1e-3)
-    assert (skin.gain_std, skin.correlation_length_m, skin.tangential_ratio) == (0.0, 1e-3, 0.3)
+    assert (skin.gain_std, skin.prior) == (0.0, Prior(1e-3, 0.3))
 
 
 def test_what_is_decoded_has_the_header_of_its_signals(plate: RemotePlate) -> None:

@@ -7,6 +7,7 @@ from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.prior_tables import Kernel, StationaryPrior
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
 _WHITE_DEPTHS = 1e-3  # correlation length over depth of a traction that is white to the signals
@@ -142,5 +143,5 @@ def _interpolation(place: float) -> tuple[int, Singles]:
 def _green(half_space: HalfSpace, depth_m: float, reach_m: float) -> Kernel:
     """Signals under a unit point force: the covariance of signals with a white traction of unit power."""
     length_m = _WHITE_DEPTHS * depth_m
-    white = StationaryPrior(half_space, 1.0 / (np.sqrt(4.0 * np.pi) * length_m), length_m, 1.0)
+    white = StationaryPrior(half_space, Prior(length_m, 1.0), 1.0 / (np.sqrt(4.0 * np.pi) * length_m))
     return white.kernel("sensor", depth_m, "traction", 0.0, reach_m)

@@ -28,6 +28,7 @@ from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
 Mask = NDArray[np.bool_]
@@ -72,9 +73,7 @@ class LinearDecoder(Protocol):
     @property
     def query_positions_m(self) -> Floats: ...  # (m, 2)
     @property
-    def correlation_length_m(self) -> float: ...
-    @property
-    def tangential_ratio(self) -> float: ...
+    def prior(self) -> Prior: ...
 
     def estimate(self, signals: ArrayLike) -> Estimate: ...
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded: ...
@@ -151,8 +150,8 @@ class SupportSearch:
         noise_std = np.broadcast_to(linear.noise_std, (3, len(sites)))
         self._rows = SignalRows(site_kernel(linear.half_space, sites, linear.depths_m, noise_std, lattice))
         self._gain_floor = (GAIN_FLOOR * linear.gain_std) ** 2
-        self._prior = PixelPrior(lattice, linear.correlation_length_m)
-        self._tangential_ratio = linear.tangential_ratio
+        self._prior = PixelPrior(lattice, linear.prior.correlation_length_m)
+        self._tangential_ratio = linear.prior.tangential_ratio
         self._lattice = lattice
         self._centres_m = lattice.centres_m
         self.places = SurfacePlaces(linear.half_space, lattice, positions_m)

@@ -24,16 +24,16 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
 from resonator_daemon.decoding.fourier.refill import Refill
-from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, smooth, white
+from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener, product
 from resonator_daemon.decoding.parameters import (
     CHI2_LIMIT,
     KNOWN_LIMIT,
     SIGNAL_LIMIT,
     UNEXPLAINED_LIMIT,
-    check_prior,
     noise_of_signals,
 )
+from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
 _BANK = np.logspace(-1.0, 5.0, 30)  # standard deviation of the prior over the traction that makes a signal of the noise
@@ -48,8 +48,9 @@ class FourierDecoder:
     """Linear minimum-mean-square estimate of tractions and displacements on a grid of sites.
 
     The Wiener inverse of Karason, Srinivasan and Annaswamy, "Encoding and Decoding of Static Information in Tactile
-    Sensing Systems", eq. (5). The printed recipe is `extension="periodic", prior="white"` with a `prior_std_pascal`;
-    without regularisation, one far above any traction; their weighted-norm filter, `prior=weighted_norm(...)`.
+    Sensing Systems", eq. (5). The printed recipe is `extension="periodic", spectra="white"` with a `prior` of given
+    standard deviation; without regularisation, one far above any traction; their weighted-norm filter,
+    `spectra=weighted_norm(...)`.
 
     Parameters
     ----------
@@ -65,21 +66,18 @@ class FourierDecoder:
         The solution uses the mean variance of each channel, because it works frequency by frequency.
     extension
         "taper", to a square of 1.5 times the longer side; "periodic", not at all.
+    spectra
+        Power spectra of the traction up to a common factor: "prior", those of the prior; "white", the same for all
+        frequencies and components; or spectra and cross-spectra as a function of omega_x and omega_y, see
+        `spectra.Spectra`.
     prior
-        Power spectra of the traction up to a common factor: "smooth"; "white", the same for all frequencies and
-        components; or spectra and cross-spectra given as a function of omega_x and omega_y, see `spectra.Spectra`.
-    correlation_length_m
-        l of the smooth prior; between 0.5 and 2 mm results hardly change for sites 1 mm deep.
-    tangential_ratio
-        r of the smooth prior: power of f_x and of f_y over that of f_z.
-    prior_std_pascal
-        Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame. Give one
-        with a white prior, whose likelihood chooses badly.
+        Prior of the traction. With white spectra, only its standard deviation counts; give one, because their
+        likelihood chooses badly.
     sliding_friction
-        Friction coefficient of a contact that slides as a whole: f_t is this times f_z, in one direction. Of `prior`
-        only the power of f_z counts; estimates for 36 sectors of directions are averaged by their evidence, at the cost
-        of as many. Where a part of the contact sticks, f_t comes out too large there and its error bars too small;
-        above about 30 dB `chi2` shows it.
+        Friction coefficient of a contact that slides as a whole: f_t is this times f_z, in one direction. Of the
+        spectra only the power of f_z counts. Estimates for 36 sectors of directions are averaged by their evidence, at
+        the cost of as many. Where a part of the contact sticks, f_t comes out too large there and its error bars too
+        small; above about 30 dB `chi2` shows it.
 
     Raises
     ------
@@ -97,19 +95,17 @@ class FourierDecoder:
         noise_std: ArrayLike,
         *,
         extension: ExtensionName = "taper",
-        prior: Literal["smooth", "white"] | Spectra = "smooth",
-        correlation_length_m: float = 1e-3,
-        tangential_ratio: float = 0.3,
-        prior_std_pascal: float | None = None,
+        spectra: Literal["prior", "white"] | Spectra = "prior",
+        prior: Prior = DEFAULT_PRIOR,
         sliding_friction: float | None = None,
     ) -> None:
         SpectralGrid(shape, pitch_m)  # refuses what is no grid
-        check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
         if sliding_friction is not None and not 0.0 < sliding_friction < np.inf:
             raise ValueError(f"sliding_friction is {sliding_friction}, must be finite and above 0")
-        if prior_std_pascal is not None and prior_std_pascal > _PRIOR_LIMIT_PASCAL:
+        std_pascal = prior.std_pascal
+        if std_pascal is not None and std_pascal > _PRIOR_LIMIT_PASCAL:
             limit = f"must be at most {_PRIOR_LIMIT_PASCAL:.0e}, where it no longer regularises"
-            raise ValueError(f"prior_std_pascal is {prior_std_pascal}, {limit}")
+            raise ValueError(f"std_pascal is {std_pascal}, {limit}")
         channel_std = np.sqrt(np.mean(noise_of_signals(noise_std, shape) ** 2, axis=(1, 2)))
 
         self._shape = shape
@@ -119,20 +115,20 @@ class FourierDecoder:
         forward = grid.transfer_matrix(half_space, "sensor", "traction", depth_m)
         bin_std = np.sqrt(bin_power)[..., None] * channel_std
         noise_traction = 2.0 * half_space.shear_modulus_pascal * np.sqrt(np.mean(channel_std**2))
-        bank = (noise_traction * _BANK) ** 2 if prior_std_pascal is None else np.array([prior_std_pascal**2])
+        bank = (noise_traction * _BANK) ** 2 if std_pascal is None else np.array([std_pascal**2])
 
         def wiener(spectra: Spectra) -> SpectralWiener:
             return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, bank)
 
         self._inverse: SpectralWiener | AveragedWiener
-        spectra = _spectra(prior, correlation_length_m, tangential_ratio)
+        chosen = _spectra(spectra, prior)
         if sliding_friction is None:
-            self._inverse = predictor = wiener(spectra)
+            self._inverse = predictor = wiener(chosen)
         else:
             sector = 2.0 * np.pi / _SECTORS
-            ways = [wiener(sliding(spectra, sliding_friction, n * sector, sector)) for n in range(_SECTORS)]
+            ways = [wiener(sliding(chosen, sliding_friction, n * sector, sector)) for n in range(_SECTORS)]
             self._inverse = AveragedWiener(ways, self._transform.samples_share)
-            predictor = wiener(sliding(spectra, sliding_friction, 0.0, 2.0 * np.pi))
+            predictor = wiener(sliding(chosen, sliding_friction, 0.0, 2.0 * np.pi))
 
         self._noise_variance = float(np.mean(channel_std**2))
         self._refill = Refill(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
@@ -251,13 +247,11 @@ class FourierDecoder:
         return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)
 
 
-def _spectra(
-    prior: Literal["smooth", "white"] | Spectra, correlation_length_m: float, tangential_ratio: float
-) -> Spectra:
-    if prior == "smooth":
-        return smooth(correlation_length_m, tangential_ratio)
-    if prior == "white":
+def _spectra(spectra: Literal["prior", "white"] | Spectra, prior: Prior) -> Spectra:
+    if spectra == "prior":
+        return spectra_of(prior)
+    if spectra == "white":
         return white
-    if isinstance(prior, str):
-        raise ValueError(f"prior is {prior!r}, must be 'smooth', 'white' or a function of omega_x and omega_y")
-    return prior
+    if isinstance(spectra, str):
+        raise ValueError(f"spectra is {spectra!r}, must be 'prior', 'white' or a function of omega_x and omega_y")
+    return spectra

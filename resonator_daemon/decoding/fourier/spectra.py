@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import SpectralGrid
 
 Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]
@@ -15,12 +16,11 @@ Spectra = Callable[[Floats, Floats], NDArray[np.inexact[Any]]]
 _ROUNDING = 1e-12  # eigenvalues below this share of the largest are those of a singular matrix
 
 
-def smooth(correlation_length_m: float, tangential_ratio: float) -> Spectra:
-    """Power (r, r, 1) / (1 + omega^2 l^2)^2."""
+def spectra_of(prior: Prior) -> Spectra:
+    """Return the power spectra of a prior."""
 
     def power(omega_x: Floats, omega_y: Floats) -> Floats:
-        decay = 1.0 / (1.0 + (omega_x**2 + omega_y**2) * correlation_length_m**2) ** 2
-        return np.asarray(decay[..., None] * [tangential_ratio, tangential_ratio, 1.0], np.float64)
+        return np.asarray(prior.spectrum_m2(omega_x**2 + omega_y**2)[..., None] * prior.powers, np.float64)
 
     return power
 

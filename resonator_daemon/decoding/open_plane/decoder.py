@@ -16,7 +16,8 @@ from resonator_daemon.decoding.open_plane.linear_map import Estimate, LinearMap,
 from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
-from resonator_daemon.decoding.parameters import check_gain, check_prior, noise_of_signals, positions, positive
+from resonator_daemon.decoding.parameters import check_gain, noise_of_signals, positions, positive
+from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace
 
 _SCALES = np.logspace(-1.0, 4.0, 126)  # standard deviation of f_z over the traction that makes a signal of the noise
@@ -44,13 +45,9 @@ class OpenPlaneDecoder:
         of the frame's signals; where the noise differs between signals, in proportion to it.
     query_positions_m
         Where the traction is asked for, (m, 2); by default at the sites.
-    correlation_length_m
-        l of the prior; between 1 and 2 mm results hardly change for sites 1 mm deep.
-    tangential_ratio
-        r of the prior: power of f_x and of f_y over that of f_z.
-    prior_std_pascal
-        Standard deviation of f_z under the prior, for a linear map in place of a scale chosen for each frame. It
-        holds at the declared noise; noise beyond that raises both in proportion.
+    prior
+        Prior of the traction. A standard deviation holds at the declared noise; noise beyond that raises both in
+        proportion.
 
     Attributes bear the names of these parameters, broadcast: `depths_m` (n,), `noise_std` (3, n).
 
@@ -69,16 +66,13 @@ class OpenPlaneDecoder:
         *,
         gain_std: float = 0.0,
         query_positions_m: ArrayLike | None = None,
-        correlation_length_m: float = 1e-3,
-        tangential_ratio: float = 0.3,
-        prior_std_pascal: float | None = None,
+        prior: Prior = DEFAULT_PRIOR,
     ) -> None:
         sites = positions("site_positions_m", site_positions_m)
         count = len(sites)
         depths = positive("depth_m", np.asarray(depth_m, np.float64), (count,))
         noise = noise_of_signals(noise_std, (count,))
         places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
-        check_prior(correlation_length_m, tangential_ratio, prior_std_pascal)
         check_gain(gain_std)
         refuse_duplicates(sites, depths)
         self.half_space = half_space
@@ -87,19 +81,18 @@ class OpenPlaneDecoder:
         self.noise_std = noise
         self.gain_std = gain_std
         self.query_positions_m = places
-        self.correlation_length_m = correlation_length_m
-        self.tangential_ratio = tangential_ratio
+        self.prior = prior
 
         unit_pascal = 2.0 * half_space.shear_modulus_pascal * float(np.sqrt(np.mean(noise**2)))
-        scales = _SCALES**2 if prior_std_pascal is None else np.array([(prior_std_pascal / unit_pascal) ** 2])
-        prior = StationaryPrior(half_space, unit_pascal, correlation_length_m, tangential_ratio)
+        scales = _SCALES**2 if prior.std_pascal is None else np.array([(prior.std_pascal / unit_pascal) ** 2])
+        stationary = StationaryPrior(half_space, prior, unit_pascal)
         grid = as_grid(sites)
         modes: dict[float, Modes]
         if grid and query_positions_m is None and np.ptp(depths) == 0.0 and not np.ptp(noise, axis=1).any():
-            whole = GridCovariance(prior, grid, float(depths[0]), noise[:, 0], float(scales.max()))
+            whole = GridCovariance(stationary, grid, float(depths[0]), noise[:, 0], float(scales.max()))
             modes = {level.power: GridModes(whole, level) for level in LEVELS}
         else:
-            covariance = SiteCovariance(prior, sites, depths)
+            covariance = SiteCovariance(stationary, sites, depths)
             modes = {
                 np.inf: DenseModes(
                     covariance.signals(),
@@ -114,8 +107,8 @@ class OpenPlaneDecoder:
             [Tier(level, kept, ScaleBank(kept.eigenvalues, scales, log_noise)) for level, kept in modes.items()],
             noise.ravel(),
             gain_std,
-            np.repeat(prior.traction_variance, len(places)),
-            _CONTACT_FACTOR * tangential_ratio**_CONTACT_EXPONENT,
+            np.repeat(stationary.traction_variance, len(places)),
+            _CONTACT_FACTOR * prior.tangential_ratio**_CONTACT_EXPONENT,
             at_border(sites, places),
         )
         self._count = count

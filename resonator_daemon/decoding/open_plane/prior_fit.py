@@ -10,12 +10,12 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals
+from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace
 
 Place = tuple[int, int]  # in finest steps of log l and log r from the usual prior
 Progress = Callable[[int, float, float], None]
 
-USUAL_LENGTH_M, USUAL_RATIO = 1e-3, 0.3
 _STEP = 2.0**0.25  # factor between neighbours of the finest search
 _FIRST_STRIDE = 4  # finest steps at the start
 _LONGEST = 16  # finest steps from the usual prior: a factor of 16 either way
@@ -86,8 +86,7 @@ def fit_prior(
             noise_std,
             gain_std=gain_std,
             query_positions_m=places,
-            correlation_length_m=float(length_m),
-            tangential_ratio=float(ratio),
+            prior=Prior(float(length_m), float(ratio)),
         )
 
     usual = decoder((0, 0)).decode(signals)
@@ -142,7 +141,8 @@ def has_load(frames: ArrayLike, noise_std: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _prior(place: Floats | NDArray[np.intp]) -> Floats:
-    return np.array([USUAL_LENGTH_M, USUAL_RATIO]) * _STEP ** np.asarray(place, np.float64)
+    default = np.array([DEFAULT_PRIOR.correlation_length_m, DEFAULT_PRIOR.tangential_ratio])
+    return np.asarray(default * _STEP ** np.asarray(place, np.float64), np.float64)
 
 
 def _summit(likelihood: Floats) -> tuple[Floats, Floats]:

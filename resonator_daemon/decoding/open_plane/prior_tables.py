@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
 from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
 Field = Literal["sensor", "traction", "displacement"]
@@ -35,28 +36,25 @@ _SCALAR_FIRST = {"sensor": (0, 1, 2), "traction": (2, 0, 1), "displacement": (2,
 
 @dataclass(frozen=True)
 class StationaryPrior:
-    """Prior of the traction, and covariances under it.
+    """Covariances under a prior of the traction.
 
     Parameters
     ----------
     half_space
+    prior
+        Its standard deviation is not used.
     std_pascal
         Standard deviation of f_z, above 0.
-    correlation_length_m
-        l, above 0.
-    tangential_ratio
-        r, power of f_x and of f_y over that of f_z, above 0.
     """
 
     half_space: HalfSpace
+    prior: Prior
     std_pascal: float
-    correlation_length_m: float
-    tangential_ratio: float
 
     @property
     def traction_variance(self) -> Floats:
         """Of f_x, f_y, f_z, shape (3,)."""
-        return self.std_pascal**2 * np.array([self.tangential_ratio, self.tangential_ratio, 1.0])
+        return self.std_pascal**2 * self.prior.powers
 
     def kernel(self, row: Field, row_depth_m: float, column: Field, column_depth_m: float, reach_m: float) -> "Kernel":
         """Covariance of two fields for places at most `reach_m` apart.
@@ -89,8 +87,7 @@ class StationaryPrior:
     ) -> Complexes:
         """Return A P B* at spatial frequencies in rad/m, (..., 3, 3); see the head of this file."""
         omega_x, omega_y = np.broadcast_arrays(omega_x, omega_y)
-        squared = (omega_x**2 + omega_y**2) * self.correlation_length_m**2
-        power = 4.0 * np.pi * self.correlation_length_m**2 / (1.0 + squared) ** 2
+        power = self.prior.spectrum_m2(omega_x**2 + omega_y**2)
         left, right = (
             self._response(field, omega_x, omega_y, depth_m)
             for field, depth_m in ((row, row_depth_m), (column, column_depth_m))
@@ -102,7 +99,7 @@ class StationaryPrior:
     def _quadrature(self, depth_m: float, reach_m: float) -> tuple[Floats, Floats]:
         """Nodes and weights from 0 to where everything has faded, fine enough for the Bessel functions and for p."""
         highest = _FADED / depth_m
-        width = min(_PANEL_PHASE / reach_m, 2.0 / self.correlation_length_m)
+        width = min(_PANEL_PHASE / reach_m, 2.0 / self.prior.correlation_length_m)
         edges = np.linspace(0.0, highest, 1 + int(np.ceil(highest / width)))
         nodes, weights = np.polynomial.legendre.leggauss(_PANEL_NODES)
         half = (edges[1] - edges[0]) / 2.0
