@@ -1,4 +1,4 @@
-"""What a person sets: the configuration file of a board, a decoder's, a client's, and what they are checked for."""
+"""Models and checks of the configuration files: of a board, of a decoder, of a client."""
 
 from resonator_daemon.config.board import (
     Client,

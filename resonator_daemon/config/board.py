@@ -1,4 +1,4 @@
-"""The configuration file of one board, checked once with its plate file: every finding at once."""
+"""Configuration file of one board, checked together with its plate file; all findings are reported at once."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ method = "open-plane"                    # fourier, off
 contact_physics = true
 friction_coefficient = "unknown"         # or a number
 [commands]
-allow = ["tare"]                         # of subscribers; those that change nothing are always obeyed
+allow = ["tare"]                         # of subscribers; commands that change nothing are always allowed
 # [recording] and [metrics]: resonatord config explain recording
 """
 _BITS_PER_BYTE = 10  # on a serial line: start bit, 8 data bits, stop bit
@@ -65,7 +65,7 @@ def _plate(value: object, info: ValidationInfo) -> Plate:
 
 
 class Config(Table):
-    """One board: its plate, its link, and what to do with its counts."""
+    """Configuration of one board: plate, link, measurement, decoding, publishing."""
 
     name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = Field(
         default=None,
@@ -127,7 +127,7 @@ class Config(Table):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what was asked for and has no effect, or has had its time."""
+        """Warnings about keys without effect and keys that are obsolete."""
         notes = [self.plate.calibration.expiry_note(datetime.now(UTC).date())]
         if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.skin is not None:
             notes.append(
@@ -151,7 +151,7 @@ def load_config(path: Path) -> Config:
 
 
 def config_from(file: TomlFile, directory: Path) -> Config:
-    """Check what a file says; the paths in it are relative to the directory.
+    """Check the content of a file; paths in it are relative to the directory.
 
     Raises
     ------
@@ -165,7 +165,7 @@ _Part = TypeVar("_Part", bound=Table)
 
 
 class Client(Table):
-    """What those need to know who watch or ask daemons: the broker, and which daemon, by its name or its link."""
+    """Configuration of a client: the broker, and the daemon by its name or its link."""
 
     name: Annotated[str, Field(max_length=100), AfterValidator(plate_name)] | None = None
     link: Annotated[LinkTarget, PlainValidator(parse_link)] | None = None
@@ -173,7 +173,7 @@ class Client(Table):
 
 
 def load_client(path: Path) -> Client:
-    """Load what a client needs of a configuration: of the daemon's, or of a file of its own.
+    """Load a client's configuration from the daemon's file or from a file of its own.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def load_client(path: Path) -> Client:
 
 
 def load_part(model: type[_Part], path: Path) -> _Part:
-    """Load what a model has of a configuration; keys that only the daemon's own has are passed over.
+    """Load the keys of a model from a configuration file; keys of the daemon alone are ignored.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def _check_load(plate: Plate, baud: int) -> None:
 
 
 def timing_problems(spans_ms: Mapping[str, float], plate: Plate | None) -> list[tuple[str, float, str]]:
-    """Return key, value and what is wrong of `window_ms` and `step_ms`, against each other and the plate's frames.
+    """Return key, value and fault of `window_ms` and `step_ms`, checked against each other and the frame rate.
 
     A span that is not given is not looked at, nor is the plate.
     """

@@ -1,4 +1,4 @@
-"""Files that prove who is at either end of a connection to a broker: password, certificates, key."""
+"""Files that authenticate a connection to a broker: password, certificates, key."""
 
 import os
 import ssl
@@ -15,7 +15,7 @@ _PASSWORD_REMEDY: Final = "write the password into it, alone on one line"
 
 
 class UnusableFileError(OSError):
-    """A file cannot serve a connection; the message says which, why, and what to do."""
+    """A file cannot authenticate a connection; the message names file, cause and remedy."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,10 @@ class BrokerFile:
 
 
 def broker_file(name: str, directory: Path) -> BrokerFile:
-    """Return the file at a path, relative to the directory, or of `credential:NAME`; ValueError says why not."""
+    """Return the file at a path, relative to the directory, or of `credential:NAME`.
+
+    Raises ValueError where there is none.
+    """
     if not name.isprintable() or not name.removeprefix(_CREDENTIAL):
         raise ValueError("must be a path, or credential:NAME")
     if not name.startswith(_CREDENTIAL):
@@ -62,12 +65,12 @@ def read_password(file: BrokerFile) -> str:
 
 
 def read_certificates(file: BrokerFile) -> None:
-    """Check that a file holds PEM certificates; UnusableFileError says why not."""
+    """Check that a file holds PEM certificates; raise UnusableFileError where it does not."""
     _read_pem(file, b"CERTIFICATE-----", "certificate")
 
 
 def read_key(file: BrokerFile) -> None:
-    """Check that a file holds a private key that needs no password; UnusableFileError says why not."""
+    """Check that a file holds a private key without a password; raise UnusableFileError where it does not."""
     content = _read_pem(file, b"PRIVATE KEY-----", "private key")
     if b"ENCRYPTED" in content:
         raise UnusableFileError(f"{file}: the key is encrypted; decrypt it with `openssl pkey`, for the daemon's user")
@@ -79,7 +82,7 @@ def load_certificates(
     certificate_file: BrokerFile | None,
     key_file: BrokerFile | None,
 ) -> None:
-    """Give a context the authorities to trust (None: the system's) and, where named, a client certificate with its key.
+    """Load trusted authorities (None: the system's) and, if named, a client certificate with its key into a context.
 
     Raises
     ------
@@ -154,5 +157,5 @@ def _reason(error: ssl.SSLError) -> str:
 
 
 def _refuse_to_ask() -> NoReturn:
-    """Take the place of OpenSSL's own question for a password, on the terminal."""
+    """Refuse a password, where OpenSSL would ask for one on the terminal."""
     raise UnusableFileError("the key is encrypted")

@@ -1,4 +1,4 @@
-"""What of a changed configuration a running daemon takes, and what waits for a restart."""
+"""Differences between two configurations: applied by a running daemon, or only after a restart."""
 
 from collections.abc import Iterator
 from typing import Final, NamedTuple
@@ -8,11 +8,11 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.toml_files.reading import Table
 
 LIVE: Final = ("measurement", "commands", "recording")
-"""Tables of which a running daemon takes every key; the windows of a new plate wait for that plate."""
+"""Tables whose keys a running daemon applies; windows of a new plate wait for that plate."""
 
 
 class Changes(NamedTuple):
-    """Paths of the keys whose values differ, as `measurement.window_ms`, in the order of the models."""
+    """Return paths of the keys whose values differ, as `measurement.window_ms`, in the order of the models."""
 
     live: tuple[str, ...]
     restart: tuple[str, ...]
@@ -24,12 +24,12 @@ class Changes(NamedTuple):
 
 
 def takes_live(key: str) -> bool:
-    """Whether a running daemon takes a key of this path; see `changes` for where even this one waits."""
+    """Return whether a running daemon applies a key of this path; `changes` has the exceptions."""
     return key.partition(".")[0] in LIVE
 
 
 def changes(old: Config, new: Config) -> Changes:
-    """Return what differs between the configuration in use and a new one, by content.
+    """Return the differences between the configuration in use and a new one.
 
     Windows are checked against the frames of their own plate: while the plate waits for a restart, they do.
     """

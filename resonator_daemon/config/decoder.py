@@ -1,4 +1,4 @@
-"""The configuration of a decoder process: a file of its own, or the daemon's, of which it takes its part."""
+"""Configuration of a decoder process: a file of its own, or its part of the daemon's file."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -44,7 +44,7 @@ class DecoderConfig(Table):
 
 
 def load_decoder_config(path: Path) -> DecoderConfig:
-    """Load a configuration; what only the daemon needs is passed over, whatever it says.
+    """Load a decoder's configuration; keys of the daemon alone are ignored.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def load_decoder_config(path: Path) -> DecoderConfig:
 
 
 def is_decoders_own(path: Path) -> bool:
-    """Whether a file is a decoder's alone: it says how to decode, and names neither plate nor link.
+    """Return whether a file is a decoder's alone: it has decoding keys, and neither plate nor link.
 
     Raises
     ------

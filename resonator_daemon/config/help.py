@@ -1,4 +1,4 @@
-"""Help with the configuration file: its JSON Schema, and what each key is."""
+"""Reference of the configuration file: its JSON Schema, and a description of each key."""
 
 import json
 import textwrap
@@ -44,7 +44,7 @@ class _TomlSchema(GenerateJsonSchema):
 
 
 class Key(NamedTuple):
-    """What there is to know of a key."""
+    """Description of a key: type, unit, default, limits, meaning."""
 
     path: str
     meaning: str
@@ -54,7 +54,7 @@ class Key(NamedTuple):
     limits: str  # empty where there are none
     examples: tuple[str, ...]
     required: bool
-    live: bool  # whether a reload takes it, without a restart
+    live: bool  # whether a reload applies it, without a restart
 
 
 def config_schema() -> dict[str, Any]:
@@ -70,7 +70,7 @@ def config_keys() -> tuple[Key, ...]:
 
 
 def explained(path: str) -> tuple[Key, ...]:
-    """Return the key of this path, as `mqtt.url`, or all of the table; of an empty path: of the file.
+    """Return the key of this path, as `mqtt.url`, or all keys of a table; an empty path means the file.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def key_list(keys: tuple[Key, ...], columns: int | None) -> str:
 
 
 def explanation(key: Key, columns: int | None) -> str:
-    """Return what there is to know of a key, in a few lines, wrapped to so many columns, or not at all."""
+    """Return the description of a key in a few lines, wrapped to so many columns, or not at all."""
     rows = [("type", f"{key.kind}, in {key.unit}" if key.unit else key.kind)]
     rows += [("default", "none: it must be given")] if key.required else []
     rows += [("default", key.default)] if key.default else []
@@ -106,7 +106,7 @@ def explanation(key: Key, columns: int | None) -> str:
 
 
 def _wrapped(head: str, text: str, columns: int | None) -> str:
-    """Return the text behind its head, lines beyond the first as far to the right."""
+    """Return the text behind its head; further lines have the same indent."""
     if columns is None:
         return f"{head}{text}\n"
     room = max(columns - len(head), _ROOM_MIN)

@@ -1,4 +1,4 @@
-"""What `link` in a configuration names: a board on a port, on the network, on USB, or a recording of one."""
+"""Targets that `link` in a configuration names: serial port, TCP address, USB device, recording."""
 
 import re
 from dataclasses import dataclass
@@ -60,7 +60,10 @@ LinkTarget = SerialLink | TcpLink | UsbLink | ReplayLink
 
 
 def parse_link(text: object) -> LinkTarget:
-    """Parse `serial:PATH?baud=N`, `tcp://host:port`, `usb:VID:PID?serial=S`, `replay:FILE`; ValueError says why not."""
+    """Parse `serial:PATH?baud=N`, `tcp://host:port`, `usb:VID:PID?serial=S`, `replay:FILE`.
+
+    Raises ValueError with the fault.
+    """
     if isinstance(text, LinkTarget):
         return text
     if not isinstance(text, str):

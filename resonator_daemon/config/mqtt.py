@@ -1,4 +1,4 @@
-"""The table `[mqtt]`: which broker, how to prove who is there, and below which topics to publish."""
+"""Table `[mqtt]`: broker, authentication, prefix of the topics."""
 
 import ssl
 from collections.abc import Callable, Iterator
@@ -48,7 +48,7 @@ def split_url(url: str) -> SplitResult:
 
 
 def topic_level(text: str) -> str:
-    """Return the text if it can be one level of an MQTT topic; ValueError says why not."""
+    """Return the text if it can be one level of an MQTT topic; raise ValueError otherwise."""
     if "/" in text or not _is_level(text):
         raise ValueError(
             "becomes part of MQTT topics: no space, /, +, # nor control character, no leading $, not empty"
@@ -98,7 +98,7 @@ _PATH: Final = WithJsonSchema({"type": "string"})
 
 
 class Mqtt(Table):
-    """Where to publish, and how to get in there."""
+    """Broker, authentication and topic prefix."""
 
     url: Annotated[str, AfterValidator(_broker_url), Field(repr=False)] = Field(
         default="mqtt://127.0.0.1:1883",
@@ -184,14 +184,14 @@ class Mqtt(Table):
         return None if password is None else unquote(password)
 
     def anonymous(self) -> "Mqtt":
-        """Return the same broker for one who gives no name; a client certificate is shown all the same."""
+        """Return the same broker without user name; a client certificate is still presented."""
         url = urlsplit(self.url)
         address = url._replace(netloc=url.netloc.rpartition("@")[2]).geturl()
         return self.model_copy(update={"url": address, "username": None, "password_file": None})
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Sentences on what works and is not as safe as it may seem, or cannot be looked at from here."""
+        """Warnings about settings that work but are less secure than they seem, or cannot be checked here."""
         secrets = {"password_file": self.password_file, "key_file": self.key_file}
         files = secrets | {"ca_file": self.ca_file, "certificate_file": self.certificate_file}
         notes = [
@@ -213,12 +213,12 @@ def _url_name(table: dict[str, Any]) -> str | None:
     try:
         name = split_url(str(table.get("url", ""))).username
     except ValueError:
-        return None  # said by the key's own check
+        return None  # reported by the key's own check
     return None if name is None else unquote(name)
 
 
 def _disagreements(table: dict[str, Any]) -> Iterator[InitErrorDetails]:
-    """Yield what is wrong with keys that are right each on its own."""
+    """Yield faults of keys that are each valid on their own."""
     url = table.get("url", "mqtt://")
     if _url_name(table) is not None and ("username" in table or "password_file" in table):
         yield finding(("url",), url, "names a user, as username or password_file do; leave the user out of the URL")

@@ -1,4 +1,4 @@
-"""Tables of a configuration file, each checked by itself: commands, recording, metrics, measurement, decoding."""
+"""Tables of a configuration file: commands, recording, metrics, measurement, decoding."""
 
 from dataclasses import dataclass
 from ipaddress import ip_address
@@ -24,7 +24,7 @@ DECODER = "decoder"  # level of the topics of decoder processes, which no plate 
 
 
 def plate_name(text: str) -> str:
-    """Return the text if plates can publish under it; ValueError says why not."""
+    """Return the text if plates can publish under it; raise ValueError otherwise."""
     if text == DECODER:
         raise ValueError("is the topic of decoder processes; choose another")
     if text in (".", ".."):
@@ -65,7 +65,7 @@ Verb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window"
 
 
 class Commands(Table):
-    """What subscribers may have the daemon do; `ping`, `health` and `snapshot`, which change nothing, always."""
+    """Commands that subscribers may send; `ping`, `health` and `snapshot` change nothing and are always allowed."""
 
     allow: tuple[Verb, ...] = Field(
         default=(), description="commands that are obeyed beside those that change nothing", examples=[["tare", "mark"]]
@@ -73,7 +73,7 @@ class Commands(Table):
 
 
 class Recording(Table):
-    """Where recordings of this daemon go, when, and how much room they may take."""
+    """Directory, start and size limits of this daemon's recordings."""
 
     directory: Annotated[Path, BeforeValidator(_directory)] = Field(
         default_factory=lambda: state_directory() / "recordings",
@@ -125,7 +125,7 @@ class Listen:
 
     @property
     def loopback(self) -> bool:
-        """Whether only programs of this computer can connect."""
+        """True if only programs of this computer can connect."""
         try:
             return ip_address(self.host).is_loopback
         except ValueError:
@@ -139,12 +139,12 @@ def _listen(value: object) -> Listen:
             if url.hostname and url.port and not url.path and not url.query and not url.fragment:
                 return Listen(url.hostname, url.port)
         except ValueError:
-            pass  # said below, with what belongs here
+            pass  # reported below, with the allowed values
     raise ValueError('must be "ADDRESS:PORT" with a port from 1 to 65535, as "127.0.0.1:9464" or "[::1]:9464"')
 
 
 class Metrics(Table):
-    """Figures of the daemon for Prometheus."""
+    """Metrics of the daemon for Prometheus."""
 
     listen: Annotated[Listen, PlainValidator(_listen), WithJsonSchema({"type": "string"})] | None = Field(
         default=None,
@@ -163,7 +163,7 @@ class Metrics(Table):
 
 
 class Measurement(Table):
-    """How long to count for one force, and how often to publish one; plates with a skin have neither."""
+    """Length of the window and publishing interval of forces; plates with a skin have neither."""
 
     window_ms: Annotated[Number, Field(gt=0, le=1000)] = Field(
         default=10.0, description="count this long for one force; whole frame periods of the plate"
@@ -182,7 +182,7 @@ class Measurement(Table):
 
 
 class Decoding(Table):
-    """How signals under a skin are taken back to its surface; plates of force sites have no need of it."""
+    """Decoding of signals under a skin; unused for plates of force sites."""
 
     method: Literal["open-plane", "fourier", "off"] = Field(
         default="open-plane",

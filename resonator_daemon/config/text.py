@@ -1,4 +1,4 @@
-"""What a recording carries of a configuration, as TOML text, and the configuration that such texts make."""
+"""Configuration as TOML text in a recording, and back."""
 
 from pathlib import Path
 
@@ -13,14 +13,14 @@ from resonator_daemon.toml_files.reading import Table, TomlFile, load_model, par
 
 
 class Settings(Table):
-    """What decides, beside the plate, what is made of a link's bytes."""
+    """Settings that, beside the plate, determine the results from a link's bytes."""
 
     measurement: Measurement
     decoding: Decoding
 
 
 def plate_text(plate: Plate) -> str:
-    """Return a plate file that loads as this plate: every value that holds, defaults included, without comments.
+    """Return the text of a plate file with all values of this plate, defaults included, without comments.
 
     Later versions may have other defaults; such a file still means the same. It takes 0.3 s for 400 scattered sites:
     make it once.
@@ -32,7 +32,7 @@ def plate_text(plate: Plate) -> str:
 
 
 def load_plate_text(text: str, origin: Path) -> Plate:
-    """Load a plate from the text of a plate file; messages name it by `origin`.
+    """Load a plate from the text of a plate file; `origin` names it in messages.
 
     Raises
     ------
@@ -43,12 +43,12 @@ def load_plate_text(text: str, origin: Path) -> Plate:
 
 
 def settings_text(config: Config) -> str:
-    """Return the tables [measurement] and [decoding] of a configuration, every value that holds, as TOML."""
+    """Return the tables [measurement] and [decoding] of a configuration with all values as TOML."""
     return tomlkit.dumps(config.model_dump(include=set(Settings.model_fields), exclude_none=True))
 
 
 def load_settings_text(text: str, origin: Path) -> Settings:
-    """Load what `settings_text` made; messages name it by `origin`.
+    """Load the text of `settings_text`; `origin` names it in messages.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def load_settings_text(text: str, origin: Path) -> Settings:
 def config_of(
     plate: Plate, settings: Settings, link: LinkTarget, *, name: str | None = None, mqtt: Mqtt | None = None
 ) -> Config:
-    """Return a configuration without a file: of a recording's plate and settings, and where to publish.
+    """Return a configuration made of a recording's plate, settings and broker, without a file.
 
     Raises
     ------

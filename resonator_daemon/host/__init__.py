@@ -1,1 +1,1 @@
-"""What the computer gives and wants: directories, the journal, systemd, whole files, text for terminals."""
+"""Interfaces to the computer: directories, journal, systemd, atomic files, text for terminals."""

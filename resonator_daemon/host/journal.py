@@ -1,4 +1,4 @@
-"""Where log lines go: to stderr as text, or with their fields to systemd's journal where stderr is connected to it."""
+"""Log output: text on stderr, or lines with fields in systemd's journal if stderr is connected to it."""
 
 import logging
 import os
@@ -18,7 +18,7 @@ _DEBUG = 7
 
 
 def set_up_logging(level: int = logging.INFO, journal: Path = JOURNAL) -> None:
-    """Send all log lines of this process to where people look for them."""
+    """Send the log lines of this process to the journal or to stderr."""
     plain = logging.StreamHandler(sys.stderr)
     plain.setFormatter(logging.Formatter("%(levelname)s %(message)s"))
     connection = _connect(journal) if _stderr_is_journal(os.environ) else None
@@ -33,12 +33,12 @@ def tag_log(name: str) -> None:
 
 
 def error_prefix() -> str:
-    """Return what makes a line on stderr an error in the journal, "" where stderr does not lead there."""
+    """Return the prefix that marks a line on stderr as an error in the journal; empty for other outputs."""
     return "<3>" if _stderr_is_journal(os.environ) else ""
 
 
 class JournalHandler(logging.Handler):
-    """Hands lines to the journal in its own protocol (systemd.io/JOURNAL_NATIVE_PROTOCOL), without ever waiting.
+    """Log handler that writes the journal's native protocol (systemd.io/JOURNAL_NATIVE_PROTOCOL) and never waits.
 
     A line that finds the journal's queue full is lost; the next one that does not says how many were, in
     `RESONATORD_LINES_LOST`. A value of more than 32 kB is cut off.
@@ -96,7 +96,7 @@ def _fields(record: logging.LogRecord, message: str) -> dict[str, str]:
 
 
 def _encoded(name: str, value: str) -> bytes:
-    """Return a field as the journal wants it: a value of several lines has its length before it."""
+    """Return a field in the journal's format: a value of several lines is preceded by its length."""
     # With other control characters in it, a line is shown as so many bytes of a blob.
     shown = "".join(sign if sign in "\t\n" or sign.isprintable() else ascii(sign)[1:-1] for sign in value)
     data = shown.encode(errors="backslashreplace")[:_VALUE_BYTES_MAX].decode(errors="ignore").encode()
@@ -106,7 +106,7 @@ def _encoded(name: str, value: str) -> bytes:
 
 
 def _stderr_is_journal(environment: Mapping[str, str]) -> bool:
-    """Whether what systemd says of the journal's stream is still true of stderr (systemd.exec(5), JOURNAL_STREAM)."""
+    """Return whether stderr still is the journal's stream (systemd.exec(5), JOURNAL_STREAM)."""
     try:
         there = os.fstat(2)
     except OSError:
@@ -115,7 +115,7 @@ def _stderr_is_journal(environment: Mapping[str, str]) -> bool:
 
 
 def _connect(journal: Path) -> socket.socket | None:
-    """Return a connection, None where there is no journal to be seen from here."""
+    """Return a connection to the journal; None if there is no journal."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
     try:
         connection.connect(str(journal))

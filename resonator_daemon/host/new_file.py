@@ -1,4 +1,4 @@
-"""Files that are there in whole or not at all, and never in the place of another; also where a verb is interrupted.
+"""Atomic creation of files: complete or absent, never over an existing file, also if a command is interrupted.
 
 Devices and pipes are no files in this sense: what is written to them is gone, and they stay.
 """
@@ -25,13 +25,13 @@ _ENDING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class NoNewFileError(UserError):
-    """There is something of that name already, or nothing can be made there."""
+    """The name exists already, or nothing can be created there."""
 
     code = "output"
 
 
 class NewFile:
-    """A file under another name until it is whole: `NAME.part`; a character device or a pipe is written to as it is.
+    """File that is `NAME.part` until it is complete; character devices and pipes are written directly.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ class NewFile:
             raise NoNewFileError(f"{path} cannot be written: {error.strerror}") from error
 
     def keep(self) -> int:
-        """Have it on the disk and give it its name; returns its size in bytes.
+        """Flush to the disk, rename, and return the size in bytes.
 
         Raises
         ------
@@ -77,21 +77,21 @@ class NewFile:
         return size_bytes
 
     def discard(self) -> None:
-        """Remove what there is of it, under either name."""
-        with suppress(OSError):  # it tries once more to write what it could not
+        """Remove the file, under either name."""
+        with suppress(OSError):  # closing tries once more to write unflushed output
             self.file.close()
         if not self._flows:
             self._part.unlink(missing_ok=True)
 
 
 class _Stream(io.FileIO):
-    """Counts its bytes, since devices and pipes do not know at which they are, and cannot go back."""
+    """Raw stream that counts its bytes; devices and pipes have no position."""
 
     _written_bytes = 0
 
     def write(self, data: "ReadableBuffer") -> int:
         written_bytes = super().write(data)
-        self._written_bytes += written_bytes or 0  # None: a pipe that takes nothing now
+        self._written_bytes += written_bytes or 0  # None: a full pipe
         return written_bytes
 
     def tell(self) -> int:
@@ -102,7 +102,7 @@ class _Stream(io.FileIO):
 
 
 def takes_a_stream(path: Path) -> bool:
-    """Whether it is a character device or a pipe, as /dev/null or /dev/stdout, which no writing overwrites."""
+    """Return whether the path is a character device or a pipe, as /dev/null or /dev/stdout."""
     try:
         mode = path.stat().st_mode
     except OSError:
@@ -111,17 +111,17 @@ def takes_a_stream(path: Path) -> bool:
 
 
 def part_of(path: Path) -> Path:
-    """Return the name of a file or directory that is not whole yet."""
+    """Return the name of a file or directory that is not complete yet."""
     return path.with_name(path.name + ".part")
 
 
 def part_is_there(part: Path) -> NoNewFileError:
-    """Return the error that says that a name for what is not whole yet is taken."""
+    """Return the error for an existing `.part` name."""
     return NoNewFileError(f"{part} is there: it is being written, or what wrote it was killed; remove it in that case")
 
 
 def check_new(path: Path) -> None:
-    """Check that nothing has that name, or that it takes a stream.
+    """Check that the name is free, or that it is a stream.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def check_new(path: Path) -> None:
 
 @contextmanager
 def interruptible(unfinished: str) -> Iterator[None]:
-    """Have Ctrl-C, SIGTERM and SIGHUP end what is done here alike: cleaned up as after any error, and said.
+    """Turn Ctrl-C, SIGTERM and SIGHUP into one exception, so that they clean up as after any error.
 
     Each raises KeyboardInterrupt, the first of them only, so that cleaning up comes to its end. What the process
     ignores, as SIGHUP under nohup, it goes on ignoring.

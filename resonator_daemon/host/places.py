@@ -1,4 +1,4 @@
-"""Where files of a running daemon live, and what may be made there."""
+"""Directories of a running daemon."""
 
 import os
 import stat
@@ -10,7 +10,7 @@ _OTHERS_WRITE: Final = stat.S_IWGRP | stat.S_IWOTH
 
 
 def state_directory() -> Path:
-    """Return where what must outlive a run is kept: systemd's choice, else the XDG Base Directory Specification's."""
+    """Return the state directory, which outlives a run: systemd's, else the XDG Base Directory Specification's."""
     if given := os.environ.get("STATE_DIRECTORY"):
         return Path(given.split(":")[0])
     base = os.environ.get("XDG_STATE_HOME", "")
@@ -18,7 +18,7 @@ def state_directory() -> Path:
 
 
 def runtime_directory(instance: str) -> Path:
-    """Return where what ends with a run is kept, of the daemon whose configuration file is called `instance`.
+    """Return the runtime directory of the daemon whose configuration file is called `instance`.
 
     It is systemd's choice, else below the XDG Base Directory Specification's, else below the directory for temporary
     files; `make_private` makes it.
@@ -29,13 +29,13 @@ def runtime_directory(instance: str) -> Path:
 
 
 def runtime_directories() -> tuple[Path, ...]:
-    """Return the directories in which those of running daemons are, as far as this user's programs can know."""
+    """Return the directories that contain runtime directories of daemons visible to this user."""
     system, own = Path("/run") / _OURS, Path(f"/run/user/{os.geteuid()}") / _OURS
     return tuple(dict.fromkeys((system, _of_the_user(), own, _temporary())))
 
 
 def make_private(directory: Path) -> None:
-    """Make a directory in which this user alone can make files, and the one above it, where they are missing.
+    """Create a directory that only this user can write to, and its parent, if they are missing.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""What boards, brokers, processes and files say, as it may go to a terminal."""
+"""Foreign text made safe for terminals."""
 
 
 def printable(said: object) -> str:
-    """Return the text in one line, without what moves a terminal's cursor or changes its look."""
+    """Return the text in one line, without control characters."""
     return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(said))

@@ -1,4 +1,4 @@
-"""What a service manager is told: ready, alive, how it goes (the protocol of sd_notify(3))."""
+"""Notifications to the service manager: ready, alive, status (protocol of sd_notify(3))."""
 
 import os
 import socket
@@ -9,7 +9,7 @@ _STATUS_BYTES_MAX = 1000  # the manager reads 4096 bytes of a message
 
 
 class ServiceManager:
-    """Speaks to the manager that started this process, where there is one; never waits and never raises.
+    """Notifications to the manager that started this process, if any; never waits and never raises.
 
     What cannot be said, since the manager's queue is full, is said with the next message.
 
@@ -27,27 +27,27 @@ class ServiceManager:
         self.watchdog_s = _watchdog_s(environment) if self._address else None
 
     def ready(self, status: str) -> None:
-        """Tell that the start, or a reload, is done."""
+        """Report that the start, or a reload, is complete."""
         self._unsaid.pop("RELOADING", None)
         self._unsaid.pop("MONOTONIC_USEC", None)
         self._say(READY="1", STATUS=_one_line(status))
 
     def status(self, text: str) -> None:
-        """Tell people how it goes, in one line; the same text twice is said once."""
+        """Report a status line; a repeated text is sent once."""
         if (line := _one_line(text)) != self._status:
             self._say(STATUS=line)
 
     def alive(self) -> None:
-        """Ask not to be restarted for another `WatchdogSec=`; due every `watchdog_s`."""
+        """Feed the watchdog; due every `watchdog_s`."""
         self._say(WATCHDOG="1")
 
     def reloading(self) -> None:
-        """Tell that the configuration is read again; `ready` ends it."""
+        """Report that the configuration is being reloaded; `ready` ends it."""
         self._unsaid.pop("READY", None)
         self._say(RELOADING="1", MONOTONIC_USEC=str(time.monotonic_ns() // 1000))
 
     def stopping(self) -> None:
-        """Tell that the end has begun."""
+        """Report that the process is stopping."""
         self._say(STOPPING="1")
 
     def _say(self, **variables: str) -> None:
@@ -67,7 +67,7 @@ class ServiceManager:
 def _watchdog_s(environment: Mapping[str, str]) -> float | None:
     """Return half the time after which the manager restarts a silent process; None where it does not."""
     if environment.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
-        return None  # it is another process, as the one that started this one, that must not be silent
+        return None  # the watchdog is of another process, such as the parent
     try:
         timeout_us = int(environment.get("WATCHDOG_USEC", ""))
     except ValueError:
@@ -76,6 +76,6 @@ def _watchdog_s(environment: Mapping[str, str]) -> float | None:
 
 
 def _one_line(text: str) -> str:
-    """Return a text that cannot be taken for another variable, whoever it comes from."""
+    """Return the text without line breaks, so that it cannot set another variable."""
     line = "".join(sign if sign.isprintable() else " " for sign in text)
     return line.encode(errors="replace")[:_STATUS_BYTES_MAX].decode(errors="ignore")

@@ -1,1 +1,1 @@
-"""TOML files into checked models: bounded before they are parsed, every finding with its line and advice."""
+"""TOML files to checked models: size limits before parsing, all findings with line and remedy."""

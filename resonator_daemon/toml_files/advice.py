@@ -1,4 +1,4 @@
-"""What to do about a line that is no TOML, from the line and what the parser says of it."""
+"""Remedies for lines that are no valid TOML."""
 
 import re
 from typing import Final
@@ -20,7 +20,7 @@ _OF_REASONS: Final = (
 
 
 def advice(line: str, column: int, reason: str) -> str:
-    """Return what to do, with the line's key, where it has one; empty where nothing is known to help.
+    """Return the remedy, with the line's key if it has one; empty if no remedy is known.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What a TOML text may hold at most: the parser takes time by the square of what is joined by dots, and minutes."""
+"""Limits of a TOML text: the parser's time grows with the square of dotted keys, up to minutes."""
 
 import re
 from typing import Final, NamedTuple
@@ -36,14 +36,14 @@ _PART: Final = re.compile(_NAME)
 
 
 class Excess(NamedTuple):
-    """What is more than a TOML text may hold."""
+    """Breach of a limit."""
 
     line: int | None  # where it is in one place
     sentence: str  # with the remedy
 
 
 def excess(text: str) -> Excess | None:
-    """Return the first thing that is too much for the parser; takes a tenth of the parser's time.
+    """Return the first breach of a limit; costs a tenth of the parser's time.
 
     Signs in comments and texts count, too, where only their number is looked at.
     """

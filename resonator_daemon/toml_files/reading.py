@@ -1,4 +1,4 @@
-"""Reading a TOML file into a pydantic model, with every finding at once: line, key path, value and remedy."""
+"""Reader of TOML files into pydantic models; reports all findings at once with line, key path, value and remedy."""
 
 import codecs
 import json
@@ -40,14 +40,14 @@ _USER_INFO = re.compile(r"//.*@")
 
 
 class Table(BaseModel):
-    """A table of a TOML file: its keys and no others."""
+    """Table of a TOML file; unknown keys are faults."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass(frozen=True)
 class TomlFile:
-    """A file that is TOML; what it says is yet to be checked."""
+    """Parsed TOML file, not yet checked."""
 
     path: Path
     text: str
@@ -129,12 +129,12 @@ def load_model(model: type[Model], file: TomlFile, context: object = None) -> Mo
 
 
 def finding(key_path: KeyPath, value: object, sentence: str) -> InitErrorDetails:
-    """Return what is wrong with the value at a key (None: it is not there), for `check_with`."""
+    """Return a fault of the value at a key (None: the key is missing), for `check_with`."""
     return {"type": "value_error", "loc": key_path, "input": value, "ctx": {"error": ValueError(sentence)}}
 
 
 def check_with(findings: list[InitErrorDetails], handler: Callable[[Any], Model], raw: object) -> Model:
-    """Run a wrapped pydantic check and add `findings` to its own, so that neither hides the other."""
+    """Run a wrapped pydantic check and add `findings` to its own."""
     try:
         model = handler(raw)
     except ValidationError as error:
@@ -182,7 +182,7 @@ def _sentence(model: type[BaseModel], error: ErrorDetails) -> str:
         case "missing":
             return f"{where}: missing; give {_meaning(model, path)}"
         case "value_error":
-            got = "" if value is None else f"got {shown(value)}; "  # TOML knows no null: the key is not there
+            got = "" if value is None else f"got {shown(value)}; "  # TOML has no null: the key is missing
             return f"{where}: {got}{error['ctx']['error']}"
         case "literal_error" if isinstance(value, str):
             allowed = error["ctx"]["expected"].replace("'", "").replace(" or ", ", ").split(", ")
@@ -211,7 +211,7 @@ def _shown_key(key: int | str) -> str:
 
 
 def _meaning(model: type[BaseModel], path: KeyPath) -> str:
-    """Return what a key is, with an example, where its model says so."""
+    """Return the description and an example of a key, if its model has them."""
     field = _field(model, path)
     if field is None or field.description is None:
         return "a value"
@@ -220,7 +220,7 @@ def _meaning(model: type[BaseModel], path: KeyPath) -> str:
 
 
 def _as_text(model: type[BaseModel], path: KeyPath, value: object) -> str:
-    """Return how to write a number as the text that the key wants: in quotes, where it can be one of its values."""
+    """Return the quoted form of a number if the key expects text and accepts that value."""
     field, quoted = _field(model, path), f'put it in quotes, as "{shown(value)}"'
     if field is None or not field.examples:
         return quoted
