@@ -116,7 +116,7 @@ class Service:
             config,
             self._daemon_boot_id,
             self._publish,
-            lambda: self._outlet.dropped,
+            lambda: self._outlet.losses,
             loop.call_later,
             self._make_decoder,
             is_late=self._is_late,

@@ -70,9 +70,9 @@ class Outlet:
         return self._publisher.account if self._publisher else NOTHING_MADE
 
     @property
-    def dropped(self) -> int:
-        """Messages that a subscriber misses."""
-        return self._publisher.dropped if self._publisher else 0
+    def losses(self) -> tuple[int, int]:
+        """Numbers of messages that were dropped, and of those that were skipped as late."""
+        return (self._publisher.dropped, self._publisher.skipped_late) if self._publisher else (0, 0)
 
     @property
     def command_counts(self) -> dict[str, int]:

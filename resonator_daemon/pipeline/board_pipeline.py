@@ -49,8 +49,8 @@ class BoardPipeline:
         Identifier of this run.
     publish
         Called with topic and message.
-    publish_dropped
-        Returns the number of messages that subscribers have missed.
+    publish_losses
+        Returns the numbers of messages that were dropped, and that were skipped as late, behind `publish`.
     call_later
         Of the event loop; None if time passes by what arrives and by `pass_time` alone.
     make_decoding
@@ -82,14 +82,14 @@ class BoardPipeline:
         config: Config,
         daemon_boot_id: str,
         publish: Publish,
-        publish_dropped: Callable[[], int] = lambda: 0,
+        publish_losses: Callable[[], tuple[int, int]] = lambda: (0, 0),
         call_later: CallLater | None = None,
         make_decoding: MakeSurfaceDecoding = SequentialDecoding,
         is_late: Callable[[Instant], bool] = lambda _: False,
     ) -> None:
         self._plate = config.plate
         self._publish = publish
-        self._publish_dropped = publish_dropped
+        self._publish_losses = publish_losses
         self.headers = Headers(daemon_boot_id, self._lost)
         self.sensor = sensor_of(config.plate, config.measurement, config.decoding)
         self.states = StateMessages(config, self.sensor, self.headers)
@@ -105,7 +105,7 @@ class BoardPipeline:
         self._boots = 0
         self._loss = FrameLoss()
         self._last_lost = Lost()  # as in the last message
-        self._last_loss = self._loss, 0, 0  # of what that was made
+        self._last_loss = self._loss, (0, 0), 0  # of what that was made
         self._arrived_utc_ns = 0  # of what arrived last: the same live and from a recording
         self._now_utc_ns = 0
         self._day = -1
@@ -223,7 +223,7 @@ class BoardPipeline:
         self._publish_info()
 
     def _lost(self) -> Lost:
-        loss, dropped, late = now = self._loss, self._publish_dropped(), self.skipped_late
+        loss, (dropped, late), skipped = now = self._loss, self._publish_losses(), self.skipped_late
         if now != self._last_loss:  # hundreds of messages a second repeat the last one
             self._last_loss = now
             self._last_lost = Lost(
@@ -233,7 +233,7 @@ class BoardPipeline:
                 host_overrun=loss.host_overrun,
                 ring_overflow=loss.ring_overflow,
                 publish_dropped=dropped,
-                skipped_late=late,
+                skipped_late=late + skipped,
             )
         return self._last_lost
 

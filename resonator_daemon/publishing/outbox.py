@@ -4,6 +4,7 @@ import asyncio
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Final, NamedTuple, TypeVar
 
@@ -71,7 +72,7 @@ class Outbox:
     Attributes
     ----------
     stream_wait_max_s
-        How long a stream may wait for the socket, in seconds; older ones are dropped.
+        How long a perishable stream may wait for the socket, in seconds; older ones are skipped.
     """
 
     def __init__(self, account: Account, spool_directory: Path | None, stream_wait_max_s: float) -> None:
@@ -82,6 +83,7 @@ class Outbox:
         self.events = EventQueue(account, spool_directory, self.pump_soon)
         self._answers: BoundedQueue[Packet] = BoundedQueue(ANSWERS_WAITING_MAX, ANSWER_BYTES_WAITING_MAX)
         self._streams: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
+        self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self.stream_wait_max_s = stream_wait_max_s
         self._largest = LargestMessages()
         self._too_large: set[str] = set()  # topics of which it was said
@@ -90,7 +92,8 @@ class Outbox:
 
     @property
     def queued(self) -> int:
-        return len(self._states) + self.events.waiting + len(self._answers) + len(self._streams)
+        streams = len(self._reports) + len(self._streams)
+        return len(self._states) + self.events.waiting + len(self._answers) + streams
 
     @property
     def waiting(self) -> int:
@@ -114,7 +117,8 @@ class Outbox:
     def put_answer(self, packet: Packet) -> None:
         self._put(self._answers, packet)
 
-    def put_stream(self, packet: Packet) -> None:
+    def put_stream(self, packet: Packet, *, perishable: bool) -> None:
+        """Queue a message of QoS 0; a perishable one is skipped if it has waited too long."""
         client = self._client
         if client is None:
             self._account.drop(Cause.NO_CONNECTION, packet.topic)
@@ -123,9 +127,11 @@ class Outbox:
         stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload), self._now_s())
         if stream.size_bytes > self._size_max(client):
             self._drop_too_large(packet.topic, stream.size_bytes, client.limits.packet_bytes_max)
-        else:
+        elif perishable:
             self._drop_late()
             self._put(self._streams, stream)
+        else:
+            self._put(self._reports, stream)
 
     def connected(self, client: BrokerConnection, *, at_once: bool) -> None:
         self._client = client
@@ -151,6 +157,7 @@ class Outbox:
         unknown = [message.token for message in client.in_flight.values()]
         client.in_flight.clear()
         self.events.disconnected([event for event in unknown if isinstance(event, Event)])
+        self._drop(self._reports, Cause.NO_CONNECTION)
         self._drop(self._streams, Cause.NO_CONNECTION)
         self._drop(self._answers, Cause.WITHDRAWN)
         self._moved.set()
@@ -237,7 +244,7 @@ class Outbox:
         self._drop_late()
         packets: list[bytes] = []
         size_bytes = 0
-        for stream in self._streams:
+        for stream in chain(self._reports, self._streams):
             packets.append(stream.packet)
             size_bytes += stream.size_bytes
             if size_bytes >= _SEND_BYTES:
@@ -246,7 +253,7 @@ class Outbox:
             return False
         now_s = self._now_s()
         for _ in range(client.send_streams(packets)):
-            stream = self._streams.take()
+            stream = (self._reports or self._streams).take()
             self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
         return True
 

@@ -139,12 +139,13 @@ class Lost(Message):
     publish_dropped: int = Field(
         0,
         description="messages never handed to the broker; a state that a newer one replaced before it was sent "
-        "is not counted, as nobody misses it",
+        "is not counted, as nobody misses it; late messages are in `skipped_late`",
     )
     skipped_late: int = Field(
         0,
         description="messages of what was measured or decoded that were not published, as they were late: "
-        "more than 75 ms after the window while newer frames waited to be measured, or more than 400 ms; "
+        "more than 75 ms after the window while newer frames waited to be measured, or more than 400 ms, "
+        "or more than 250 ms in the queue before the socket to the broker; "
         "of a skin also those of frames that the decoder skipped for newer ones",
     )
 

@@ -72,7 +72,7 @@ class Publisher:
     on_denied
         Called with filter and reason when the broker refuses a subscription.
     stream_wait_max_s
-        How long a stream may wait for the connection, in seconds; older ones are dropped.
+        How long a measured message may wait for the socket, in seconds; older ones are skipped.
     times
         Of the connections.
     """
@@ -125,12 +125,17 @@ class Publisher:
 
     @property
     def dropped(self) -> int:
-        """Messages that a subscriber misses; `lost.publish_dropped` of the messages to come.
+        """Number of messages that subscribers miss; `lost.publish_dropped` of the messages to come.
 
-        A state that gave way to a newer one before it was sent counts in `account.dropped` only: nobody misses it.
+        States that a newer one replaced before they were sent, and late messages, count in `account.dropped` only.
         """
         counts = self._account.dropped
-        return counts.total() - counts[Cause.SUPERSEDED]
+        return counts.total() - counts[Cause.SUPERSEDED] - counts[Cause.LATE]
+
+    @property
+    def skipped_late(self) -> int:
+        """Number of messages that waited too long for the socket; part of `lost.skipped_late` of those to come."""
+        return self._account.dropped[Cause.LATE]
 
     @property
     def account(self) -> MessageAccount:
@@ -266,7 +271,7 @@ class Publisher:
         if wanted:
             payload, properties = encode(message), properties_of(topic)
             for name in wanted:
-                self._outbox.put_stream(Packet(name, payload, properties))
+                self._outbox.put_stream(Packet(name, payload, properties), perishable=topic.perishable)
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()

@@ -14,6 +14,7 @@ from resonator_daemon.publishing.payloads import (
     Forces,
     Health,
     Info,
+    Measured,
     Message,
     Signals,
     State,
@@ -48,6 +49,11 @@ class Topic(Generic[MessageT]):
     @property
     def slow_path(self) -> str:
         return f"{self.path}/{self.slow_hz}hz"
+
+    @property
+    def perishable(self) -> bool:
+        """Whether a late message is of no use, because the next one replaces it."""
+        return issubclass(self.payload, Measured)
 
     @property
     def content_type(self) -> str:

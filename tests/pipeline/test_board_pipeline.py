@@ -69,14 +69,15 @@ def test_losses_count_from_the_gap_on_that_told_of_them(tmp_path: Path) -> None:
 
 
 def test_what_subscribers_missed_is_asked_for_each_message(tmp_path: Path) -> None:
-    dropped = iter(range(9))
+    losses = ((number, 2 * number) for number in range(9))  # dropped, late
     said: list[Any] = []
     bench = BoardPipeline(
-        configured(tmp_path, "quartz16"), "9f3c", lambda _, message: said.append(message), lambda: next(dropped)
+        configured(tmp_path, "quartz16"), "9f3c", lambda _, message: said.append(message), lambda: next(losses)
     )
     bench.handle(change("online", 1))
     bench.handle(change("lost", 2))
     assert [message.lost.publish_dropped for message in said] == list(range(len(said)))
+    assert [message.lost.skipped_late for message in said] == [2 * number for number in range(len(said))]
 
 
 def test_an_expired_calibration_is_told_by_the_day_of_what_arrives(tmp_path: Path) -> None:
