@@ -20,7 +20,7 @@ from emulated_board import emulated_board
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.reader import open_recording
-from resonator_daemon.repair import RepairError, repaired
+from resonator_daemon.recording.repair import RepairError, repair
 
 LOSS_AT_MOST_S = 1.0
 RECORDED_S = 2.5  # the longest before a kill
@@ -84,7 +84,7 @@ def _judge(path: Path, killed_ns: int, result: Result) -> None:
         if not events:  # killed before its first flush
             result.empty += 1
             return
-        done = repaired(path, copy)
+        done = repair(path, copy)
         with open_recording(str(copy)) as opened:
             again = list(opened.events())
             if opened.damage is not None or again != events:

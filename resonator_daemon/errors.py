@@ -3,10 +3,7 @@
 A programmer's mistake is a ValueError and noise on the wire a counted value: neither is here.
 """
 
-import json
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any, ClassVar
 
@@ -53,6 +50,13 @@ class InterruptedCommandError(UserError):
         self.so_far = so_far or {}
 
 
+class UsageError(UserError):
+    """Arguments that contradict each other or what they name; one message for each finding."""
+
+    exit_code = ExitCode.USAGE
+    code = "usage"
+
+
 class ConfigurationError(UserError):
     """Invalid configuration or plate file; one message for each finding."""
 
@@ -62,16 +66,3 @@ class IncompatibleBoardError(UserError):
 
     exit_code = ExitCode.UNAVAILABLE
     code = "refused"
-
-
-@contextmanager
-def failure_told(verb: str, *, as_json: bool) -> Iterator[None]:
-    """Have a failure of a verb printed as one object on stdout, too, where objects are asked for."""
-    try:
-        yield
-    except UserError as error:
-        if as_json:
-            failure = {"code": error.code, "message": str(error), "hint": error.hint}
-            told = {"verb": verb, "ok": False, "error": failure}
-            sys.stdout.write(json.dumps({**error.so_far, **told}) + "\n")
-        raise

@@ -14,7 +14,8 @@ import tomlkit
 from tomlkit.items import Table
 
 from resonator_daemon.calibration.coupling import Felt
-from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.errors import UsageError
 from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
 
@@ -80,7 +81,7 @@ class PlateFile:
 
         Raises
         ------
-        CalibrationUsageError
+        UsageError
             The plate came with the daemon and no output is named; the output cannot be written, or exists.
         """
         name = read_toml(config_path).content["plate"]
@@ -88,15 +89,15 @@ class PlateFile:
             source = Path(str(files("resonator_daemon.plates") / f"{name}.toml"))
             if output is None:
                 sentence = f"plate {name!r} came with the daemon and is not overwritten; name a new plate file"
-                raise CalibrationUsageError(f"--output: {sentence}, as --output {name}-calibrated.toml")
+                raise UsageError(f"--output: {sentence}, as --output {name}-calibrated.toml")
         else:
             source = config_path.parent / name
         target = source if output is None else output
         if target.exists() and not source.samefile(target):
-            raise CalibrationUsageError(f"--output: {target} exists already; name a new file")
+            raise UsageError(f"--output: {target} exists already; name a new file")
         directory = target.resolve().parent
         if not directory.is_dir() or not os.access(directory, os.W_OK):
-            raise CalibrationUsageError(f"{target}: {directory} is no directory that can be written to")
+            raise UsageError(f"{target}: {directory} is no directory that can be written to")
         return cls(source, target)
 
     @property

@@ -7,15 +7,11 @@ class CalibrationRefusedError(UserError):
     """The plate, its surroundings or who loads it do not allow a calibration; nothing was changed."""
 
     exit_code = ExitCode.FAILED
-
-
-class CalibrationUsageError(UserError):
-    """What was asked for contradicts itself or the plate; one message for each finding."""
-
-    exit_code = ExitCode.USAGE
+    code = "not_calibrated"
 
 
 class LinkBusyError(UserError):
     """The port cannot be opened now, as while the daemon runs on it."""
 
     exit_code = ExitCode.UNAVAILABLE
+    code = "link_busy"

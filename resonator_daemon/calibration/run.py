@@ -22,12 +22,12 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.session import Recording, Session
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
 from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.errors import ConfigurationError, ExitCode
+from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
 from resonator_daemon.plate import FORCE_SIGNAL
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, SingleToneFrame
@@ -59,9 +59,7 @@ def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
     file = PlateFile.of(config_path, ending.output)
     session = Session(config_path)
     if session.staged() is not None:
-        raise CalibrationUsageError(
-            f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort"
-        )
+        raise UsageError(f"a calibration is staged already ({session.path}); finish it with --accept-staged or --abort")
     remove_remains(file.output)
     return _Calibration(config, wanted, ending, steps, file, session).run()
 

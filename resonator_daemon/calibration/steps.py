@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
-from resonator_daemon.calibration.refusal import CalibrationUsageError
+from resonator_daemon.errors import UsageError
 from resonator_daemon.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3
@@ -57,11 +57,11 @@ def plan_steps(wanted: Wanted, plate: Plate) -> tuple[Step, ...]:
 
     Raises
     ------
-    CalibrationUsageError
+    UsageError
         One message for each finding: field, value and limit.
     """
     if findings := [*_site_findings(wanted, plate), *_mass_findings(wanted, plate), *_other_findings(wanted)]:
-        raise CalibrationUsageError(*findings)
+        raise UsageError(*findings)
     kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
     site_ids = wanted.sites or tuple(plate.site_ids.tolist())
     loads = [

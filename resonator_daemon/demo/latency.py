@@ -22,7 +22,7 @@ from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.demo.processes import Child, cpu_s, start_emulator, start_verb
-from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError, failure_told
+from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -59,11 +59,6 @@ def bench_latency(options: LatencyOptions) -> ExitCode:
     InterruptedCommandError
         Somebody ended it before the time was over; what was measured by then is told.
     """
-    with failure_told("bench latency", as_json=options.json):
-        return _bench_latency(options)
-
-
-def _bench_latency(options: LatencyOptions) -> ExitCode:
     bench = _Bench(options)
     report = asyncio.run(bench.run())
     if options.picture is not None:

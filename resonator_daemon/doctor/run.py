@@ -34,7 +34,7 @@ from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, wor
 from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
-from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, failure_told
+from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.opening import open_link
@@ -75,11 +75,6 @@ def doctor(options: DoctorOptions) -> ExitCode:
     InterruptedCommandError
         Ctrl-C came before all was looked at; what was found by then is printed.
     """
-    with failure_told("doctor", as_json=options.json):
-        return _doctor(options)
-
-
-def _doctor(options: DoctorOptions) -> ExitCode:
     try:
         examination = _Examination(options)
     except ConfigurationError as error:

@@ -1,9 +1,7 @@
-"""`resonatord export`: what follows from a recording, in a file of another format."""
+"""Export of what follows from a recording, to files of other formats."""
 
-import argparse
 import hashlib
 import json
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -11,14 +9,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NoReturn, Protocol
 
-from resonator_daemon.config import Config, load_config
+from resonator_daemon.config import Config
 from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.errors import ExitCode, UserError, failure_told
-from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET
-from resonator_daemon.exporting.target import Target, target
-from resonator_daemon.host.new_file import check_new, interruptible, takes_a_stream
-from resonator_daemon.host.printable import printable
-from resonator_daemon.links.link import LinkUnavailableError
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.exporting.formats import CSV, MCAP, NPZ, PARQUET
+from resonator_daemon.exporting.target import Target
+from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE
 from resonator_daemon.replay.progress import Progress
@@ -32,13 +28,6 @@ class ExportFailedError(UserError):
 
     exit_code = ExitCode.FAILED
     code = "output"
-
-
-class NotExportableError(UserError):
-    """The file is no recording that can be replayed."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "no_recording"
 
 
 class Output(Protocol):
@@ -62,45 +51,34 @@ class Output(Protocol):
         ...
 
 
-def export_as_asked(options: argparse.Namespace) -> ExitCode:
-    """Export, and say what came of it.
+def export(
+    path: Path, target: Target, config: Config | None, start: str | None, end: str | None, *, show_progress: bool
+) -> tuple[dict[str, Any], Sequence[str]]:
+    """Export a recording; return what came of it by the keys of `--json`, and what is wrong with it.
+
+    Parameters
+    ----------
+    config
+        Instead of the plate and settings that the recording carries.
+    start, end
+        Mark or seconds; None: the recording's own.
 
     Raises
     ------
     UserError
-        The recording, the configuration or the options cannot be used, or the files cannot be written.
+        The options cannot be used, or the files cannot be written.
+    LinkUnavailableError
+        The file is no recording.
     """
-    asked = target(options)
-    ended = "a part of it was written" if takes_a_stream(asked.output) else "what was written is removed"
-    with failure_told("export", as_json=options.json), interruptible(ended):
-        try:
-            told, wrong = _export(options, asked)
-        except LinkUnavailableError as error:
-            raise NotExportableError(printable(str(error))) from error
-    if options.json:
-        sys.stdout.write(json.dumps({"verb": "export", "ok": not wrong, **told}) + "\n")
-    else:
-        for path, size_bytes in told["files"].items():
-            sys.stderr.write(f"{printable(path)}: {size_bytes / 1e3:.0f} kB\n")
-        counts = ", ".join(f"{count} of {topic}" for topic, count in told["rows"].items())
-        sys.stderr.write(f"{told['frames']} frames gave {counts or 'nothing'}\n")
-    for sentence in wrong:
-        sys.stderr.write(f"resonatord: {printable(f'{options.file}: {sentence}')}\n")
-    return ExitCode.FAILED if wrong else ExitCode.DONE
-
-
-def _export(options: argparse.Namespace, asked: Target) -> tuple[dict[str, Any], Sequence[str]]:
-    path: Path = options.file
     begun_s = time.monotonic()
-    for topic in asked.topics:
-        check_new(asked.place(topic))
-    config = load_config(options.config) if options.config is not None else None
-    span = find_span(path, options.start, options.end)
+    for topic in target.topics:
+        check_new(target.place(topic))
+    span = find_span(path, start, end)
     with open_playback(path, config) as playback:
-        output, files = _written(path, playback, asked, span, shown=not options.json)
+        output, files = _written(path, playback, target, span, shown=show_progress)
         told = {
             "file": str(path),
-            "format": asked.form,
+            "format": target.form,
             "files": dict(files),
             "rows": dict(output.rows),
             "frames": playback.counters.frames,
@@ -108,14 +86,14 @@ def _export(options: argparse.Namespace, asked: Target) -> tuple[dict[str, Any],
             "damage": playback.damage,
             "took_seconds": round(time.monotonic() - begun_s, 3),
         }
-        return told, _what_is_wrong(playback, output, asked, span)
+        return told, _what_is_wrong(playback, output, target, span)
 
 
 def _written(
-    path: Path, playback: Playback, asked: Target, span: Span, *, shown: bool
+    path: Path, playback: Playback, target: Target, span: Span, *, shown: bool
 ) -> tuple[Output, Mapping[str, int]]:
-    with _said(asked.output):
-        output = _output(path, playback.config, asked)
+    with _said(target.output):
+        output = _output(path, playback.config, target)
         try:
             with Progress(path, shown=shown) as progress:
                 for moment in _part(playback, span):
@@ -149,7 +127,7 @@ def _fail(output: Path, error: OSError) -> NoReturn:
     raise ExportFailedError(f"{output} cannot be written: {error.strerror or error}{removed}") from error
 
 
-def _output(path: Path, config: Config, asked: Target) -> Output:
+def _output(path: Path, config: Config, target: Target) -> Output:
     plate, name = config.plate, config.name or config.plate.name
     metadata = {
         "resonatord_version": version("resonatord"),
@@ -161,38 +139,38 @@ def _output(path: Path, config: Config, asked: Target) -> Output:
         "units": json.dumps(UNITS),
     }
     # Each needs libraries that the others can do without.
-    if asked.form == MCAP:
+    if target.form == MCAP:
         from resonator_daemon.exporting.mcap_file import McapOutput
 
         texts = {PLATE_FILE: plate_text(plate), SETTINGS_FILE: settings_text(config)}
-        return McapOutput(asked.output, asked.topics, plate, name, metadata, texts)
-    if asked.form in (CSV, NPZ, PARQUET):
-        return _tables(config, asked, metadata)
+        return McapOutput(target.output, target.topics, plate, name, metadata, texts)
+    if target.form in (CSV, NPZ, PARQUET):
+        return _tables(config, target, metadata)
     from resonator_daemon.exporting.ros2_file import Ros2Output
 
-    return Ros2Output(asked.output, asked.topics, plate, name, metadata)
+    return Ros2Output(target.output, target.topics, plate, name, metadata)
 
 
-def _tables(config: Config, asked: Target, metadata: Mapping[str, str]) -> Output:
+def _tables(config: Config, target: Target, metadata: Mapping[str, str]) -> Output:
     from resonator_daemon.exporting.table_output import TableFormat, TableOutput
 
     made: TableFormat
-    if asked.form == CSV:
+    if target.form == CSV:
         from resonator_daemon.exporting.csv_file import CsvFormat
 
-        made = CsvFormat(asked.place)
-    elif asked.form == NPZ:
+        made = CsvFormat(target.place)
+    elif target.form == NPZ:
         from resonator_daemon.exporting.npz_file import NpzFormat
 
-        made = NpzFormat(asked.output, metadata)
+        made = NpzFormat(target.output, metadata)
     else:
         from resonator_daemon.exporting.parquet_file import ParquetFormat
 
-        made = ParquetFormat(asked.place, metadata)
-    return TableOutput(made, asked.topics, config.plate)
+        made = ParquetFormat(target.place, metadata)
+    return TableOutput(made, target.topics, config.plate)
 
 
-def _what_is_wrong(playback: Playback, output: Output, asked: Target, span: Span) -> Sequence[str]:
+def _what_is_wrong(playback: Playback, output: Output, target: Target, span: Span) -> Sequence[str]:
     wrong = []
     if playback.damage is not None:
         wrong.append(f"the file is {playback.damage}; all before that was exported")
@@ -201,7 +179,7 @@ def _what_is_wrong(playback: Playback, output: Output, asked: Target, span: Span
     if playback.refused:
         wrong.append(f"the board was refused: {'; '.join(playback.refused)}")
     if not output.rows:
-        wrong.append(f"it gives no messages of {', '.join(asked.topics)}{span.words}")
+        wrong.append(f"it gives no messages of {', '.join(target.topics)}{span.words}")
     return wrong
 
 

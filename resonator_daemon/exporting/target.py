@@ -1,11 +1,11 @@
 """What is to be exported where."""
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.exporting.options import CSV, MCAP, NPZ, PARQUET, ROS2
+from resonator_daemon.errors import UsageError
+from resonator_daemon.exporting.formats import CSV, MCAP, NPZ, PARQUET, ROS2
 from resonator_daemon.exporting.tables import WITH_ARRAYS, WITH_TABLE
 from resonator_daemon.host.new_file import takes_a_stream
 from resonator_daemon.publishing.topics import INFO
@@ -48,19 +48,35 @@ class Target:
         return self.output.with_name(f"{self.output.stem}-{topic.replace('/', '-')}{self.output.suffix}")
 
 
-def target(options: argparse.Namespace) -> Target:
-    """Return what is to be written; ends the program with the code for usage where options do not go together."""
-    output: Path = options.output
+def make_target(output: Path, form: str | None, topics: str | None) -> Target:
+    """Return what is to be written where.
+
+    Parameters
+    ----------
+    output
+        As it was given.
+    form
+        One of the formats of `TOPICS`; None: by the ending of `output`.
+    topics
+        Paths of topics with commas between them; None: all that the format has.
+
+    Raises
+    ------
+    UsageError
+        They do not go together.
+    """
     if str(output) == "-":
-        options.refuse("--output - would be stdout, and files are written; name one (resonatord replay --to - prints)")
-    if options.format is None and output.suffix not in _OF_SUFFIX:
+        raise UsageError(
+            "--output - would be stdout, and files are written; name one (resonatord replay --to - prints)"
+        )
+    if form is None and output.suffix not in _OF_SUFFIX:
         endings = ", ".join(_OF_SUFFIX)
-        options.refuse(f"--output {str(output)!r} ends in none of {endings}; name such a file, or give --format")
-    form: str = options.format or _OF_SUFFIX[output.suffix]
+        raise UsageError(f"--output {str(output)!r} ends in none of {endings}; name such a file, or give --format")
+    form = form or _OF_SUFFIX[output.suffix]
     allowed = TOPICS[form]
-    topics = allowed if options.topics is None else tuple(dict.fromkeys(options.topics.split(",")))
-    if unknown := [topic for topic in topics if topic not in allowed]:
-        options.refuse(f"--topics {', '.join(map(repr, unknown))}: {form} takes {', '.join(allowed)}")
-    if form in _FILE_PER_TOPIC and len(topics) > 1 and takes_a_stream(output):
-        options.refuse(f"--output {output} takes one table of {form}, not {len(topics)}; choose it by --topics")
-    return Target(output, form, topics)
+    chosen = allowed if topics is None else tuple(dict.fromkeys(topics.split(",")))
+    if unknown := [topic for topic in chosen if topic not in allowed]:
+        raise UsageError(f"--topics {', '.join(map(repr, unknown))}: {form} takes {', '.join(allowed)}")
+    if form in _FILE_PER_TOPIC and len(chosen) > 1 and takes_a_stream(output):
+        raise UsageError(f"--output {output} takes one table of {form}, not {len(chosen)}; choose it by --topics")
+    return Target(output, form, chosen)

@@ -10,9 +10,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
-from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import Plate
 from resonator_daemon.toml_files.reading import TomlFile, load_model
 
@@ -146,11 +145,11 @@ def plate_file_text(layout: Layout, f0_hz: Floats, sensitivity: Floats, draft: P
 
 
 def planned_plate(text: str) -> Plate:
-    """Return the plate that a text makes; PlanUsageError says what of it cannot be."""
+    """Return the plate that a text makes; UsageError says what of it cannot be."""
     try:
         return load_model(Plate, TomlFile(Path("the planned plate"), text, tomllib.loads(text)))
     except ConfigurationError as error:
-        raise PlanUsageError(error.messages[0]) from None
+        raise UsageError(error.messages[0]) from None
 
 
 def _points_mm(points_m: Floats) -> str:

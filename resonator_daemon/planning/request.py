@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
 from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR
 from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
-from resonator_daemon.planning.refusal import PlanUsageError
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.tones.frequency_estimators import oscillator_std
@@ -57,15 +56,15 @@ class Request:
 
 
 def make_request(options: argparse.Namespace) -> Request:
-    """Check the options against each other and against what they name; PlanUsageError says what does not fit."""
+    """Check the options against each other and against what they name; UsageError says what does not fit."""
     _check_options(options)
     plate = _named_plate(options.plate)
     given = _with_defaults(options, plate)
     layout = _layout(options, plate)
     if len(layout.site_ids) > SITES_MAX:
-        raise PlanUsageError(f"{len(layout.site_ids)} sites; at most {SITES_MAX} can be planned: take fewer")
+        raise UsageError(f"{len(layout.site_ids)} sites; at most {SITES_MAX} can be planned: take fewer")
     if (stamps := options.stamps_per_s / given["frame_rate_hz"]) > STAMPS_MAX:
-        raise PlanUsageError(
+        raise UsageError(
             f"--stamps-per-s {options.stamps_per_s:g}: {stamps:g} in a frame, at most {STAMPS_MAX} fit into a record; "
             "lower it, or raise --frame-rate-hz"
         )
@@ -73,7 +72,7 @@ def make_request(options: argparse.Namespace) -> Request:
     force_max_newton = given["force_max_newton"]
     largest_shift = float(np.abs(sensitivity).max()) * (1.0 + spread) * force_max_newton
     if not 0.0 < largest_shift < 0.1:
-        raise PlanUsageError(
+        raise UsageError(
             f"sensitivity times --force-max-newton: the largest shift is {1e6 * largest_shift:g} ppm, must be above 0 "
             "and below 100000; lower the force or the sensitivity"
         )
@@ -162,7 +161,7 @@ def _check_options(options: argparse.Namespace) -> None:
     elif options.output is not None and not options.output.resolve().parent.is_dir():
         findings.append(f"--output: {options.output.resolve().parent} is no directory; make it first")
     if findings:
-        raise PlanUsageError(*findings)
+        raise UsageError(*findings)
 
 
 def _named_plate(name: str | None) -> Plate | None:
@@ -171,9 +170,9 @@ def _named_plate(name: str | None) -> Plate | None:
     try:
         plate = load_plate(name)
     except ConfigurationError as error:
-        raise PlanUsageError(*(f"--plate: {message}" for message in error.messages)) from None
+        raise UsageError(*(f"--plate: {message}" for message in error.messages)) from None
     if plate.signals != (FORCE_SIGNAL,) or plate.counter.kind != "single-tone":
-        raise PlanUsageError(
+        raise UsageError(
             f"--plate: {plate.name!r} has a {plate.counter.kind} counter of {', '.join(plate.signals)}; codes are "
             "planned for force sites on a single-tone counter: name such a plate, or give --sites"
         )
@@ -189,7 +188,7 @@ def _layout(options: argparse.Namespace, plate: Plate | None) -> Layout:
     try:
         return read_layout(options.sites)
     except ConfigurationError as error:
-        raise PlanUsageError(*(f"--sites: {message}" for message in error.messages)) from None
+        raise UsageError(*(f"--sites: {message}" for message in error.messages)) from None
 
 
 def _with_defaults(options: argparse.Namespace, plate: Plate | None) -> dict[str, Any]:

@@ -1,8 +1,6 @@
-"""`resonatord plan codes`: the plan that the options ask for, and whether it can be fulfilled."""
+"""Plan of the codes of force sites: their tones, and how often touches would be mistaken."""
 
 import argparse
-import io
-import json
 import math
 import sys
 from dataclasses import dataclass, replace
@@ -12,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.calibration.plate_file import write_plate_file
 from resonator_daemon.config import frame_bytes
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.errors import UsageError
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
 from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
@@ -25,7 +22,7 @@ from resonator_daemon.planning.plate_file import (
     plate_file_text,
     plate_layout,
 )
-from resonator_daemon.planning.refusal import PlanRefusedError, PlanUsageError
+from resonator_daemon.planning.refusal import PlanRefusedError
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors import code_check
@@ -40,26 +37,6 @@ COMMON_SHIFTS: Final = (1e-5, 2e-5, 4e-5)  # at which the nearest band is tried
 CODES_MORE: Final = 1.1  # times as many codes, while neighbours couple too much
 
 
-def plan_codes_as_asked(options: argparse.Namespace) -> ExitCode:
-    """Plan, show, write.
-
-    Raises
-    ------
-    UserError
-        Options that do not fit; a plan that cannot be fulfilled, after it was shown.
-    """
-    request = make_request(options)
-    plan, text = _plan(request, options)
-    if options.picture is not None:
-        plan.write_picture(options.picture)
-    _show(plan, as_json=options.json)
-    if plan.refused:
-        raise PlanRefusedError(*plan.refused)
-    if options.output is not None:
-        write_plate_file(text, options.output)
-    return ExitCode.DONE
-
-
 @dataclass(frozen=True, eq=False)
 class _Ladder:
     """Codes by site, the plate that they make and its file, if it is a new one."""
@@ -72,7 +49,17 @@ class _Ladder:
     refused: tuple[str, ...]
 
 
-def _plan(request: Request, options: argparse.Namespace) -> tuple[CodePlan, str]:
+def plan_codes(options: argparse.Namespace) -> tuple[CodePlan, str]:
+    """Return the plan, and the text of its plate file.
+
+    Raises
+    ------
+    UsageError
+        The options do not fit together.
+    PlanRefusedError
+        No plan can fulfil the options; other plans name in `refused` why they do not.
+    """
+    request = make_request(options)
     random = np.random.default_rng(options.seed)
     guard = guard_band(request.sensitivity * (1.0 + request.spread), request.limits)
     ladder = _kept(request.plate, options) if request.plate else _new(request, guard, options, random)
@@ -164,7 +151,7 @@ def _step(request: Request, guard: GuardBand, options: argparse.Namespace) -> tu
     """Return the step, narrowed where the band has no room for it, and how many codes fit."""
     count, room = len(request.layout.site_ids), 1e-6 * options.band_ppm - PILOT_ABOVE - guard.force
     if room <= 0:
-        raise PlanUsageError(
+        raise UsageError(
             f"--band-ppm {options.band_ppm:g}: pilot and largest force alone need "
             f"{1e6 * (PILOT_ABOVE + guard.force):.0f}; widen the band, or lower --force-max-newton"
         )
@@ -252,14 +239,3 @@ def _progress(done: int, plates: int) -> None:
         end = "\n" if done == plates else ""
         sys.stderr.write(f"\rsimulated {done} of {plates} plates{end}")
         sys.stderr.flush()
-
-
-def _show(plan: CodePlan, *, as_json: bool) -> None:
-    from rich.console import Console
-
-    if as_json:
-        sys.stdout.write(json.dumps(plan.as_json(), allow_nan=False) + "\n")
-        return
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")
-    Console(highlight=False).print(plan)

@@ -1,11 +1,7 @@
-"""`resonatord replay`: a recording played out, to a broker or a file, or cases compared with what they expect."""
+"""Replay of a recording to a broker or a file."""
 
-import argparse
 import asyncio
-import json
 import math
-import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,17 +9,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.config import Config, Mqtt, load_config, plate_name
-from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError, UserError, failure_told
+from resonator_daemon.config import Config, Mqtt, plate_name
+from resonator_daemon.errors import ConfigurationError, InterruptedCommandError
 from resonator_daemon.host.new_file import interruptible
 from resonator_daemon.host.printable import printable
-from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.replay.broker import AtBroker
-from resonator_daemon.replay.case import save_case
-from resonator_daemon.replay.checking import check_cases
-from resonator_daemon.replay.options import DEFAULT_URL, check_options
 from resonator_daemon.replay.outputs import Lines, Output
 from resonator_daemon.replay.pacing import AtOnce, AtSpeed, Pacing, StepByStep
 from resonator_daemon.replay.progress import Progress
@@ -31,13 +23,6 @@ from resonator_daemon.replay.recorded_pipeline import Moment, Playback, Publishe
 from resonator_daemon.replay.source import open_playback
 from resonator_daemon.replay.span import Span, find_span
 from resonator_daemon.view.watch import broker_at
-
-
-class NotReplayableError(UserError):
-    """The file is no recording that can be replayed."""
-
-    exit_code = ExitCode.UNAVAILABLE
-    code = "no_recording"
 
 
 @dataclass
@@ -54,53 +39,56 @@ class Tally:
         return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) * 1e-9
 
 
-def replay_as_asked(options: argparse.Namespace) -> ExitCode:
-    """Replay, and say what came of it.
+@dataclass(frozen=True)
+class ReplayOptions:
+    """How to replay a recording.
+
+    Parameters
+    ----------
+    config
+        Instead of the plate and settings that the recording carries.
+    output
+        File for a line a message, `-` for stdout; None: a broker.
+    url, name
+        The broker, and the name to publish under; None: those of the configuration or the recording.
+    speed
+        Times real time; None: real time to a broker, as fast as possible to a file.
+    step
+        Wait for Enter before each moment that has messages.
+    start, end
+        Mark or seconds; None: the recording's own.
+    """
+
+    config: Config | None = None
+    output: Path | None = None
+    url: str | None = None
+    name: str | None = None
+    speed: float | None = None
+    step: bool = False
+    start: str | None = None
+    end: str | None = None
+    show_progress: bool = False
+
+
+def replay(path: Path, options: ReplayOptions) -> tuple[dict[str, Any], list[str]]:
+    """Replay a recording; return what came of it by the keys of `--json`, and what is wrong with it.
 
     Raises
     ------
     UserError
-        The file, the configuration or the options cannot be used; the broker or the file takes nothing.
+        The options cannot be used, or the broker or the file takes nothing.
+    InterruptedCommandError
+        It was interrupted.
+    LinkUnavailableError
+        The file is no recording.
     """
-    check_options(options)
-    with failure_told("replay", as_json=options.json):
-        if options.check is not None:
-            return check_cases(options.check, as_json=options.json)
-        try:
-            return _replay(options)
-        except LinkUnavailableError as error:
-            raise NotReplayableError(printable(str(error))) from error
+    tally = Tally()
+    with interruptible("what was written stays") if options.output is not None else _interruptible_at_broker(tally):
+        return asyncio.run(_play_out(path, options, tally))
 
 
-def _replay(options: argparse.Namespace) -> ExitCode:
-    path: Path = options.file
-    if options.step and not sys.stdin.isatty():
-        options.refuse("--step waits for Enter, and there is no terminal to hear it from; try --speed")
-    config = load_config(options.config) if options.config is not None else None
-    begun_s = time.monotonic()
-    if options.save_case is not None:
-        with interruptible("no case is made"):
-            case = save_case(path, options.save_case)
-        told = {"case": str(options.save_case), **case.summary}
-        wrong = _what_is_wrong(case.differences, case.damage)
-    else:
-        tally = Tally()
-        with interruptible("what was written stays") if options.to is not None else _interruptible_at_broker(tally):
-            told, wrong = asyncio.run(_play_out(options, path, config, tally))
-    took_s = time.monotonic() - begun_s
-    if "seconds" in told:
-        told |= {"took_seconds": round(took_s, 3), "speed": round(told["seconds"] / took_s, 2)}
-    if options.json:
-        sys.stdout.write(json.dumps({"verb": "replay", "ok": not wrong, "file": str(path), **told}) + "\n")
-    else:
-        messages = sum(told["messages"].values())
-        sys.stderr.write(f"{printable(str(path))}: {told['frames']} frames, {messages} messages in {took_s:.1f} s\n")
-    for sentence in wrong:
-        sys.stderr.write(f"resonatord: {printable(f'{path}: {sentence}')}\n")
-    return ExitCode.FAILED if wrong else ExitCode.DONE
-
-
-def _what_is_wrong(differences: int, damage: str | None) -> list[str]:
+def what_is_wrong(differences: int, damage: str | None) -> list[str]:
+    """Return a sentence for damage of the file, and one for differences from what is recorded."""
     wrong = []
     if damage is not None:
         wrong.append(f"the file is {damage}; all before that was replayed")
@@ -120,14 +108,13 @@ def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
         raise InterruptedCommandError(f"interrupted: {words}", so_far) from None
 
 
-async def _play_out(
-    options: argparse.Namespace, path: Path, config: Config | None, tally: Tally
-) -> tuple[dict[str, Any], list[str]]:
+async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[dict[str, Any], list[str]]:
+    config = options.config
     span = find_span(path, options.start, options.end)
     told: dict[str, Any] = {}
     output: Output
-    if options.to is not None:
-        output, boot_id, speed = Lines(options.to), None, options.speed or math.inf
+    if options.output is not None:
+        output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
     else:
         name = options.name or _recorded_name(path, config)
         named_by = "--url" if config is None or options.url is not None else "mqtt.url"
@@ -138,7 +125,7 @@ async def _play_out(
         pacing: Pacing = AtOnce() if speed == math.inf else AtSpeed(speed)
         if options.step:
             pacing = StepByStep(span.begun)
-        with Progress(path, shown=not options.step and not options.json) as progress:
+        with Progress(path, shown=options.show_progress and not options.step) as progress:
             async with output:
                 await play(playback, span, pacing, output, progress, tally)
         if isinstance(output, AtBroker):
@@ -153,7 +140,7 @@ async def _play_out(
             "damage": playback.damage,
             "refused": list(playback.refused),
         }
-        wrong = _what_is_wrong(playback.differences, playback.damage)
+        wrong = what_is_wrong(playback.differences, playback.damage)
         return told, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
 
 
@@ -189,9 +176,9 @@ async def play(
 
 
 def _broker(url: str | None, config: Config | None) -> Mqtt:
-    if config is not None and url is None:
-        return config.mqtt
-    return broker_at(url or DEFAULT_URL, config.mqtt.prefix if config is not None else Mqtt().prefix)
+    if url is None:
+        return config.mqtt if config is not None else Mqtt()
+    return broker_at(url, config.mqtt.prefix if config is not None else Mqtt().prefix)
 
 
 def _recorded_name(path: Path, config: Config | None) -> str:

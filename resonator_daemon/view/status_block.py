@@ -1,14 +1,17 @@
 """How a daemon is, as a block of text: words, rates and ages."""
 
+import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Final
 
+from pydantic import ValidationError
 from rich.console import Console
 from rich.text import Text
 
 from resonator_daemon.host.printable import printable
 from resonator_daemon.monitoring.status import Status
+from resonator_daemon.monitoring.status_client import Answer
 from resonator_daemon.publishing.payloads import Condition, Health, State
 from resonator_daemon.view.words import UNKNOWN, duration, quantity
 
@@ -22,6 +25,29 @@ _STYLES: Final = {
     Condition.UNCALIBRATED: "yellow",
     Condition.PRESSED_AT_START: "yellow",
 }
+
+
+def status_page(answers: Iterable[Answer], columns: int | None) -> Text:
+    """Return the blocks of several daemons; of one that gave no answer that can be read, why.
+
+    Parameters
+    ----------
+    columns
+        As of `status_block`.
+    """
+    return Text("\n\n").join(_block_or_problem(answer, columns) for answer in answers)
+
+
+def _block_or_problem(answer: Answer, columns: int | None) -> Text:
+    problem = answer.problem
+    if problem is None:
+        try:
+            return status_block(Status.model_validate_json(json.dumps(answer.status)), columns)
+        except ValidationError as error:
+            version = (answer.status or {}).get("version", "unknown")
+            keys = ", ".join(sorted({".".join(map(str, found["loc"])) for found in error.errors()}))
+            problem = f"its version {version} sends a status that this version cannot read ({keys}); --json shows it"
+    return Text.assemble((answer.socket.parent.name, "bold"), "   ", (printable(problem), "yellow"))
 
 
 def status_block(status: Status, columns: int | None) -> Text:

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import exit_code
 from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, true_text
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
-from resonator_daemon.commands import main
 from resonator_daemon.config import SerialLink
 from resonator_daemon.links.serial import open_serial
 from resonator_daemon.plate import load_plate
@@ -86,10 +86,7 @@ class Desk:
         capsys.readouterr()
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("XDG_STATE_HOME", str(self.state))
-            try:
-                code = main(["calibrate", "--config", str(self.config), "--json", *arguments])
-            except SystemExit as usage:
-                code = int(usage.code or 0)
+            code = exit_code("calibrate", "--config", self.config, "--json", *arguments)
         said, told = capsys.readouterr()
         return code, [json.loads(line) for line in said.splitlines()], told
 
@@ -285,7 +282,7 @@ def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_
     with desk.board():
         code, said, told = desk.say(capsys, *USUAL_LOADS)
     assert code == 1
-    assert [line["step"] for line in said if line["event"] == "captured"] == [1, 2, 3, 1, 2, 3]
+    assert [line["step"] for line in said if line.get("event") == "captured"] == [1, 2, 3, 1, 2, 3]
     assert "from the fit of this site so far: its loads do not fit together" in told
     sentence = (
         "site 1: its loads do not fit together: residual 69. mN rms, at most 67 mN, 5 times what scatter explains"
@@ -317,7 +314,7 @@ def test_exchanged_masses_are_refused_with_both_steps(desk: Desk, capsys: pytest
     assert code == 1
     assert "steps 1 (50 g on site 7) and 2 (200 g on site 7): the masses were exchanged" in told
     assert "; the loads of this site so far do not fit together\n" in told  # 385 N from the fit, if that is one
-    assert [line["residual_newton"] for line in said if line["event"] == "captured"] == 3 * [None]
+    assert [line["residual_newton"] for line in said if line.get("event") == "captured"] == 3 * [None]
     assert all("result" not in line for line in said)
     assert desk.tree() == before
     assert desk.sessions() == []

@@ -5,15 +5,14 @@ from dataclasses import replace
 import pytest
 from emulated_loads import NOMINAL
 
-from resonator_daemon.calibration.refusal import CalibrationUsageError
 from resonator_daemon.calibration.steps import Wanted, plan_steps
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.errors import ExitCode, UsageError
 
 USUAL = Wanted(sites=(7, 1))
 
 
 def refused(wanted: Wanted) -> str:
-    with pytest.raises(CalibrationUsageError) as refusal:
+    with pytest.raises(UsageError) as refusal:
         plan_steps(wanted, NOMINAL)
     assert refusal.value.exit_code is ExitCode.USAGE
     return "\n".join(refusal.value.messages)

@@ -18,8 +18,8 @@ from resonator_daemon.calibration.plate_file import (
     with_record,
     write_plate_file,
 )
-from resonator_daemon.calibration.refusal import CalibrationRefusedError, CalibrationUsageError
-from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.calibration.refusal import CalibrationRefusedError
+from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.plate import load_plate
 
 RECORD = Record(
@@ -129,7 +129,7 @@ def config_of(folder: Path, plate: str) -> Path:
 
 def test_a_shipped_plate_is_not_overwritten(tmp_path: Path) -> None:
     config = config_of(tmp_path, "quartz16")
-    with pytest.raises(CalibrationUsageError, match="--output: plate 'quartz16' came with the daemon"):
+    with pytest.raises(UsageError, match="--output: plate 'quartz16' came with the daemon"):
         PlateFile.of(config, None)
     file = PlateFile.of(config, tmp_path / "mine.toml")
     assert file.source.samefile(SHIPPED)
@@ -142,7 +142,7 @@ def test_the_plates_own_file_is_changed_and_no_other(tmp_path: Path) -> None:
     config = config_of(tmp_path, "mine.toml")
     assert PlateFile.of(config, None).output == tmp_path / "mine.toml"
     assert PlateFile.of(config, tmp_path / "mine.toml").output == tmp_path / "mine.toml"
-    with pytest.raises(CalibrationUsageError, match=r"other\.toml exists already"):
+    with pytest.raises(UsageError, match=r"other\.toml exists already"):
         PlateFile.of(config, tmp_path / "other.toml")
-    with pytest.raises(CalibrationUsageError, match="no directory that can be written to"):
+    with pytest.raises(UsageError, match="no directory that can be written to"):
         PlateFile.of(config, tmp_path / "nowhere" / "mine.toml")

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import pytest
 from brokers import Mosquitto
+from command_line import exit_code
 from observer import observe
 
-from resonator_daemon.commands import main
 from resonator_daemon.config import load_config
 from resonator_daemon.publishing.asyncapi import document
 
@@ -38,11 +38,7 @@ def resonatord(capsys: pytest.CaptureFixture[str]) -> Resonatord:
     """The command, in the test's own process."""
 
     def run(*arguments: str) -> Said:
-        try:
-            code = main(arguments)
-        except SystemExit as stopped:
-            code = int(stopped.code or 0)
-        return Said(code, *capsys.readouterr())
+        return Said(exit_code(*arguments), *capsys.readouterr())
 
     return run
 

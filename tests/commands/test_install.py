@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon import install as module
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.host import install as module
 from resonator_daemon.toml_files.reading import read_toml
 
 ROOT = Path(__file__).parents[2]

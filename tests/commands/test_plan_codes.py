@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import exit_code
 
 from resonator_daemon.commands import main
 from resonator_daemon.plate import load_plate
@@ -240,7 +241,7 @@ def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path
         ((*GRID, "--sensitivity-spread", "1"), "'1' is not a number from 0 to 0.8"),
         ((*GRID, "--tolerance-ppm", "nan"), "'nan' is not a number from 0 to 10000"),
         ((*GRID, "--temperature-span-kelvin", "-1"), "'-1' is not a number from 0.1 to 300"),
-        ((*GRID, "--seed", "-1"), "'-1' is not a whole number from 0 to 1e18"),
+        ((*GRID, "--seed", "-1"), "'-1' is not a whole number from 0 to "),
         ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
         ((*GRID, "--coupling", "220"), "'220' is not HZ@MM,HZ@MM"),
         ((*GRID, "--picture", "codes.gif"), "'codes.gif' must end in .svg, .png or .pdf"),
@@ -260,19 +261,15 @@ def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path
 def test_bad_values_are_usage_errors_of_one_sentence(
     arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    try:
-        code = main(["plan", "codes", *arguments])
-    except SystemExit as stopped:
-        code = int(str(stopped.code))
+    assert exit_code("plan", "codes", *arguments) == 2
     said = capsys.readouterr()
-    assert code == 2
     assert said.out == ""
     assert complaint in said.err.splitlines()[-1]
 
 
 def test_a_given_step_that_the_band_has_no_room_for_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, found, complaints = plan(capsys, *GRID, "--step-ppm", "2000")
-    assert (code, found) == (1, {})
+    assert (code, found["error"]["code"]) == (1, "no_plan")
     assert "16 codes with the pilot need 33082 ppm, the trapped band has 15000" in complaints[0]
     # 1000 ppm to the pilot, 16 steps, 81.9 ppm of force.
     assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.9")[0] == 0
@@ -286,8 +283,7 @@ def test_the_same_seed_gives_the_same_plan(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["plan", "codes", "--help"])
+    assert exit_code("plan", "codes", "--help") == 0
     options = set(re.findall(r"--[a-z0-9-]+[a-z0-9]", capsys.readouterr().out)) - {"--help"}
     page = (Path(__file__).parents[2] / "docs" / "codes.md").read_text()
     assert set(re.findall(r"--[a-z0-9-]+[a-z0-9]", page)) == options

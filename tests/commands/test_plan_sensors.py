@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from command_line import exit_code
 
 from resonator_daemon.commands import main
 from resonator_daemon.view import sensor_plan
@@ -66,9 +67,7 @@ def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str])
 def test_bad_values_are_usage_errors_of_one_sentence(
     arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["plan", "sensors", *arguments])
-    assert stopped.value.code == 2
+    assert exit_code("plan", "sensors", *arguments) == 2
     assert complaint in capsys.readouterr().err.splitlines()[-1]
 
 
@@ -98,9 +97,7 @@ def test_a_terminal_without_a_sign_for_degrees_is_no_error() -> None:
 
 
 def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["plan", "sensors", "--help"])
-    assert stopped.value.code == 0
+    assert exit_code("plan", "sensors", "--help") == 0
     said = " ".join(capsys.readouterr().out.split())
     for word in ("sigma_xx", "half-space", "1 mm stripes", "resonatord plan sensors --set", "four depths"):
         assert word in said

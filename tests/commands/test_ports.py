@@ -3,8 +3,6 @@
 import json
 import os
 import socket
-import subprocess
-import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from command_line import exit_code
 from emulation import emulated
 from serial.tools import list_ports
 from serial.tools.list_ports_common import ListPortInfo
@@ -20,10 +19,9 @@ from firmware_protocol.host import HostSession
 from firmware_protocol.messages import Configuration
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import HostState
-from resonator_daemon import ports
 from resonator_daemon.commands import main
 from resonator_daemon.config import SerialLink
-from resonator_daemon.links import usb_devices
+from resonator_daemon.links import places, usb_devices
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders
 from resonator_daemon.links.serial import open_serial
@@ -48,7 +46,7 @@ def present(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPortInf
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: list(found))
     monkeypatch.setattr(usb_devices, "present_boards", lambda: [])
-    monkeypatch.setattr(ports, "_BY_ID", tmp_path / "by-id")
+    monkeypatch.setattr(places, "BY_ID", tmp_path / "by-id")
     return found
 
 
@@ -69,7 +67,7 @@ def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dic
 def test_ports_are_listed_with_the_line_to_copy(
     present: list[ListPortInfo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(ports, "port_holders", lambda _path: Holders((), all_seen=False))
+    monkeypatch.setattr(places, "port_holders", lambda _path: Holders((), all_seen=False))
     (tmp_path / "by-id").mkdir()
     by_id = tmp_path / "by-id" / "usb-RD_board_0042-if00"
     by_id.symlink_to("/dev/null")
@@ -291,15 +289,5 @@ def test_a_held_port_names_its_holder(board: str, capsys: pytest.CaptureFixture[
 def test_a_link_that_is_none_is_a_usage_error(
     arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        main(["identify", *arguments])
-    assert stopped.value.code == 2
+    assert exit_code("identify", *arguments) == 2
     assert complaint in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("verb", ["ports", "identify"])
-def test_help_teaches(verb: str) -> None:
-    run = subprocess.run(
-        [sys.executable, "-m", "resonator_daemon", verb, "--help"], capture_output=True, text=True, check=True
-    )
-    assert f"Example: resonatord {verb}" in run.stdout

@@ -16,8 +16,8 @@ from jsonschema import validate
 from mcap.reader import make_reader
 
 from resonator_daemon.config.text import load_plate_text
+from resonator_daemon.daemon.link_recording import NoBoardError, RecordOptions, record
 from resonator_daemon.plate import load_plate
-from resonator_daemon.record import NoBoardError, RecordOptions, record
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.session.board_reader import BoardReader
@@ -73,16 +73,13 @@ def stop_late(reader: BoardReader, stop: Callable[[BoardReader], None] = BoardRe
     stop(reader)
 
 
-def test_files_follow_each_other_and_have_what_was_measured(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_follow_each_other_and_have_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BoardReader, "stop", stop_late)
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     path = config(tmp_path, f"serial:{port}?baud=4000000")
     path.write_text(f'name = "hand"\n{path.read_text()}')
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        record(path, RecordOptions(output, 1.6, max_minutes=0.01, derived=True), as_json=True)
-    told = json.loads(capsys.readouterr().out)
+        told = record(path, RecordOptions(output, 1.6, max_minutes=0.01, derived=True))
     files = Series(tmp_path, "run").files()
     assert (told["files"], told["file"]) == (len(files), str(files[-1]))
     assert len(files) == 3
@@ -115,12 +112,11 @@ def test_files_follow_each_other_and_have_what_was_measured(
     assert told["messages_missing"] == 0
 
 
-def test_seconds_count_from_the_first_frame(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_seconds_count_from_the_first_frame(tmp_path: Path) -> None:
     port, output = tmp_path / "board", tmp_path / "run.mcap"
     faults = parse_faults("silence_at_s=0,silence_for_s=0.7")  # it counts and says nothing
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)):
-        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(output, 1.0), as_json=True)
-    told = json.loads(capsys.readouterr().out)
+        told = record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(output, 1.0))
     assert told["frames"] > 700
     assert told["seconds"] >= 1.0
 
@@ -128,14 +124,14 @@ def test_seconds_count_from_the_first_frame(tmp_path: Path, capsys: pytest.Captu
 def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.8)
+    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.8)
     port = tmp_path / "board"
     faults = parse_faults("silence_at_s=0,silence_for_s=60")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
         pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
     ):
-        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap"), as_json=False)
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap"))
 
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
@@ -171,10 +167,10 @@ def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> N
 
 
 def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.2)
+    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.2)
     path = config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000")
     with pytest.raises(NoBoardError, match=r"no board counts after 0\.2 s: no port ") as raised:
-        record(path, RecordOptions(tmp_path / "run.mcap"), as_json=False)
+        record(path, RecordOptions(tmp_path / "run.mcap"))
     assert raised.value.exit_code == 69
 
 
@@ -184,11 +180,11 @@ def test_a_terminal_keeps_no_line_of_a_file_that_is_gone(tmp_path: Path, monkeyp
             return True
 
     terminal, output = Terminal(), tmp_path / "run.mcap"
-    monkeypatch.setattr("resonator_daemon.record._OPEN_S", 0.2)
-    monkeypatch.setattr("resonator_daemon.record._PROGRESS_S", 0.0)
+    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.2)
+    monkeypatch.setattr("resonator_daemon.daemon.link_recording._PROGRESS_S", 0.0)
     monkeypatch.setattr(sys, "stderr", terminal)
     with pytest.raises(NoBoardError):
-        record(config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000"), RecordOptions(output), as_json=False)
+        record(config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000"), RecordOptions(output))
     assert f"\r{output}: 0 frames, " in terminal.getvalue()
     assert terminal.getvalue().endswith("MB\x1b[K\r\x1b[K")
 

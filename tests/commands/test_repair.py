@@ -12,13 +12,13 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from resonator_daemon import cli
+from resonator_daemon.daemon.link_recording import RecordOptions, record
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
-from resonator_daemon.record import RecordOptions, record
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.repair import RepairError, repaired
+from resonator_daemon.recording.repair import RepairError, repair
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Closed, Received, Skipped, WireEvent, encode
 from simulators.emulator import EmulatorOptions
@@ -66,7 +66,7 @@ def test_what_was_cut_off_is_copied_and_whole(made: tuple[Path, list[WireEvent]]
     cut = whole[: begin + size // 2]
     path.write_bytes(cut)
     copy = tmp_path / "copy.mcap"
-    done = repaired(path, copy)
+    done = repair(path, copy)
     assert path.read_bytes() == cut
     assert read(copy) == (written[: done.events], None)
     assert (done.holes, done.events_missing) == (0, 0)
@@ -83,7 +83,7 @@ def test_what_was_cut_off_is_copied_and_whole(made: tuple[Path, list[WireEvent]]
     assert summary.statistics is not None
     assert summary.statistics.attachment_count == 2
     assert topics == {"wire", "marks", "forces"}
-    assert repaired(copy, tmp_path / "again.mcap").was_whole
+    assert repair(copy, tmp_path / "again.mcap").was_whole
 
 
 def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
@@ -96,9 +96,9 @@ def test_wherever_a_file_is_cut_it_can_be_mended(made: tuple[Path, list[WireEven
         before = read(path)[0]
         if not before:
             with pytest.raises(RepairError, match="has no event that can be read; no copy is made"):
-                repaired(path, copy)
+                repair(path, copy)
             continue
-        done = repaired(path, copy)
+        done = repair(path, copy)
         assert read(copy) == (before, None)
         assert before == written[: done.events]
         assert not done.ended
@@ -117,7 +117,7 @@ def test_a_damaged_chunk_is_left_out_and_told_in_its_place(
     path.write_bytes(bent)
     assert read(path)[1] is not None
     copy = tmp_path / "copy.mcap"
-    done = repaired(path, copy)
+    done = repair(path, copy)
     events, damage = read(copy)
     assert damage is None
     assert (done.holes, done.cut_bytes) == (1, 0)
@@ -133,13 +133,13 @@ def test_a_replay_goes_on_behind_a_damaged_beginning(tmp_path: Path, capsys: pyt
     port, config, path = tmp_path / "board", tmp_path / "board.toml", tmp_path / "run.mcap"
     config.write_text(f'plate = "quartz16"\nlink = "serial:{port}?baud=4000000"\n')
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        record(config, RecordOptions(path, seconds=3.0), as_json=False)
+        record(config, RecordOptions(path, seconds=3.0))
     begin, size = chunks(path)[0]
     bent = bytearray(path.read_bytes())
     bent[begin + size // 2] ^= 4
     path.write_bytes(bent)
     copy = tmp_path / "copy.mcap"
-    done = repaired(path, copy)
+    done = repair(path, copy)
     assert (done.holes, done.events_missing > 20) == (1, True)  # a read of the port, of some 5 ms, is an event
     with open_recording(str(copy)) as it:
         sound = sum(isinstance(event, Received) for event in it.events())
@@ -157,7 +157,7 @@ def test_after_a_damaged_length_nothing_can_be_told(made: tuple[Path, list[WireE
     bent = bytearray(path.read_bytes())
     bent[begin + 8] ^= 64  # the highest byte of the length
     path.write_bytes(bent)
-    done = repaired(path, tmp_path / "copy.mcap")
+    done = repair(path, tmp_path / "copy.mcap")
     assert done.cut_bytes == len(bent) - begin
     assert read(tmp_path / "copy.mcap") == (written[: done.events], None)
 
@@ -166,7 +166,7 @@ def test_zeros_that_a_power_failure_left_are_cut(made: tuple[Path, list[WireEven
     path, written = made
     begin, _ = chunks(path)[2]
     path.write_bytes(path.read_bytes()[:begin] + bytes(9_999))
-    done = repaired(path, tmp_path / "copy.mcap")
+    done = repair(path, tmp_path / "copy.mcap")
     assert done.cut_bytes == 9_999
     assert read(tmp_path / "copy.mcap") == (written[: done.events], None)
 
@@ -181,7 +181,7 @@ def test_no_bit_that_flips_makes_an_event(made: tuple[Path, list[WireEvent]], tm
         bent[random.randrange(len(bent))] ^= 1 << random.randrange(8)
         path.write_bytes(bent)
         try:
-            done = repaired(path, copy)
+            done = repair(path, copy)
         except RepairError:
             continue
         if not done.was_whole:
@@ -220,21 +220,21 @@ def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest
 def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
     path, _ = made
     with pytest.raises(RepairError, match="No such file"):
-        repaired(tmp_path / "none.mcap", tmp_path / "copy.mcap")
+        repair(tmp_path / "none.mcap", tmp_path / "copy.mcap")
     with pytest.raises(RepairError, match="is no regular file"):
-        repaired(tmp_path, tmp_path / "copy.mcap")
+        repair(tmp_path, tmp_path / "copy.mcap")
     (tmp_path / "text").write_text("Dear diary" * 100)
     with pytest.raises(
         RepairError,
         match="is no recording, or nothing of it was written; name a file that `resonatord record` has written",
     ):
-        repaired(tmp_path / "text", tmp_path / "copy.mcap")
+        repair(tmp_path / "text", tmp_path / "copy.mcap")
     with pytest.raises(RepairError, match="cannot be written: No such file or directory"):
-        repaired(path, tmp_path / "none" / "copy.mcap")
+        repair(path, tmp_path / "none" / "copy.mcap")
     with path.open("rb") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         with pytest.raises(RepairError, match="is being written; stop that first"):
-            repaired(path, tmp_path / "copy.mcap")
+            repair(path, tmp_path / "copy.mcap")
     assert not (tmp_path / "copy.mcap").exists()
 
 
@@ -255,7 +255,7 @@ def test_a_disk_without_room_leaves_no_half_of_a_copy(
 
     monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", full)
     with pytest.raises(RepairError, match=r"copy\.mcap cannot be written: No space left on device"):
-        repaired(path, tmp_path / "copy.mcap")
+        repair(path, tmp_path / "copy.mcap")
     assert not (tmp_path / "copy.mcap").exists()
 
 
@@ -288,7 +288,7 @@ def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: 
     said = capsys.readouterr().err
     assert "run.mcap: 3 entries that cannot be read are left out; 1 events are missing; " in said
     assert said.endswith("; it does not carry its plate file and settings: replay it with --config FILE\n")
-    assert repaired(copy, tmp_path / "again.mcap").was_whole
+    assert repair(copy, tmp_path / "again.mcap").was_whole
 
 
 def test_without_any_event_there_is_no_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -310,11 +310,11 @@ def test_a_damaged_chunk_and_a_damaged_index_cost_that_chunk_alone(
         bent = bytearray(whole)
         bent[place] ^= 1
         path.write_bytes(bent)
-        assert repaired(path, tmp_path / "copy.mcap").events == len(written)
+        assert repair(path, tmp_path / "copy.mcap").events == len(written)
         (tmp_path / "copy.mcap").unlink()
         bent[begin + size // 2] ^= 4
         path.write_bytes(bent)
-        done = repaired(path, tmp_path / "copy.mcap")
+        done = repair(path, tmp_path / "copy.mcap")
         assert (done.holes, done.events + done.events_missing) == (1, len(written))
         assert done.events_missing < 7
         (tmp_path / "copy.mcap").unlink()
@@ -328,7 +328,7 @@ def test_an_index_with_a_wrong_check_sum_is_not_believed(made: tuple[Path, list[
     bent[bent.rindex(b"wire") - 6] ^= 1
     path.write_bytes(bent)
     with pytest.raises(RepairError, match="has no event that can be read"):
-        repaired(path, tmp_path / "copy.mcap")
+        repair(path, tmp_path / "copy.mcap")
 
 
 def test_an_index_behind_a_chunk_costs_nothing(made: tuple[Path, list[WireEvent]], tmp_path: Path) -> None:
@@ -339,7 +339,7 @@ def test_an_index_behind_a_chunk_costs_nothing(made: tuple[Path, list[WireEvent]
     bent[begin + size + 9 + 2 + 2] ^= 1  # the length of its array
     path.write_bytes(bent)
     assert read(path) == (written, None)
-    assert repaired(path, tmp_path / "copy.mcap").was_whole
+    assert repair(path, tmp_path / "copy.mcap").was_whole
 
 
 def found_by_index(path: Path) -> int:
@@ -376,7 +376,7 @@ def test_a_damaged_index_is_made_anew(
     assert json.loads(out)["index_damaged"]
     assert err.startswith(f"{path}: its index is damaged; {copy} has {len(written)} events up to ")
     assert found_by_index(copy) == whole
-    assert repaired(copy, tmp_path / "again.mcap").was_whole
+    assert repair(copy, tmp_path / "again.mcap").was_whole
 
 
 @pytest.mark.parametrize("indexed", [True, False])
@@ -396,7 +396,7 @@ def test_an_index_without_a_check_sum_is_believed(tmp_path: Path, indexed: bool)
         writer.add_metadata("recording", ORIGIN.metadata)
         writer.add_message(writer.register_channel("wire", "", 0), 0, CLOSED, 0)
         writer.finish()
-    assert repaired(path, tmp_path / "copy.mcap").was_whole
+    assert repair(path, tmp_path / "copy.mcap").was_whole
 
 
 def test_a_repair_that_is_interrupted_leaves_nothing(

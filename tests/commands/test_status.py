@@ -18,8 +18,8 @@ import pytest
 import status_samples
 from rich.console import Console
 
-from resonator_daemon import status_verb
 from resonator_daemon.commands import main
+from resonator_daemon.host import places
 from resonator_daemon.host.places import runtime_directory
 from resonator_daemon.monitoring import status_client
 from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
@@ -35,7 +35,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     home = runtime_directory("x").parent
-    for module in (status_client, status_verb):
+    for module in (status_client, places):
         monkeypatch.setattr(module, "runtime_directories", lambda: (home,))
     monkeypatch.setenv("COLUMNS", "200")
     return home
@@ -143,7 +143,7 @@ async def test_one_with_a_full_queue_is_stopped_too(
         (b"\xff\xfe", "is no status", 1),
         (b"[" * 100_000, "is no status", 1),
         (b"[]", "is no status", 1),
-        (b'{"version": "9.9\\u001b[31m", "name": 5}', "version 9.9\N{REPLACEMENT CHARACTER}[31m says of itself", 0),
+        (b'{"version": "9.9\\u001b[31m", "name": 5}', "version 9.9\N{REPLACEMENT CHARACTER}[31m sends a status", 0),
     ],
 )
 async def test_an_answer_that_cannot_be_read_is_said(

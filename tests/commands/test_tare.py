@@ -12,8 +12,8 @@ import pytest
 from brokers import Mosquitto, free_port
 from commanded import commanded, state
 
-from resonator_daemon import tare as tare_module
 from resonator_daemon.commands import main
+from resonator_daemon.publishing import daemon_search, requests
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
@@ -121,7 +121,7 @@ async def test_an_offline_daemon_is_not_asked(mosquitto: Mosquitto, tare: Ask) -
 async def test_a_daemon_that_was_never_there_is_told(
     mosquitto: Mosquitto, tare: Ask, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tare_module, "LOOK_S", 0.5)
+    monkeypatch.setattr(daemon_search, "LOOK_S", 0.5)
     async with daemon(mosquitto.url, tared, name="right"):
         code, said, told = await tare(mosquitto.url)
     assert (code, said) == (1, "")
@@ -134,7 +134,7 @@ async def test_every_failure_is_an_object(mosquitto: Mosquitto, tare: Ask, monke
     codes = []
     for place, name in ((url, ""), (mosquitto.url, ""), (mosquitto.url, "nam = 1")):
         with monkeypatch.context() as patch:
-            patch.setattr(tare_module, "LOOK_S", 0.3)
+            patch.setattr(daemon_search, "LOOK_S", 0.3)
             code, said, told = await tare(place, "--json", name=name)
         answer = json.loads(said)
         assert (answer["verb"], answer["ok"]) == ("tare", False)
@@ -184,8 +184,10 @@ async def test_a_file_of_name_and_broker_is_enough_and_one_without_either_is_tol
 def test_what_no_terminal_can_write_is_printed_without(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsysbinary: pytest.CaptureFixture[bytes]
 ) -> None:
-    monkeypatch.setattr(tare_module, "_ask", lambda _: asyncio.sleep(0, {"ok": True, "did": "a\ud800b"}))
+    monkeypatch.setattr(requests, "reach", lambda _: asyncio.sleep(0))
+    monkeypatch.setattr(daemon_search, "find_daemon", lambda _: asyncio.sleep(0, "left"))
+    monkeypatch.setattr(requests, "request", lambda *_: asyncio.sleep(0, {"ok": True, "did": "a\ud800b"}))
     config = tmp_path / "operator.toml"
     config.write_text('name = "left"\n')
-    assert tare_module.tare(config, as_json=False) == 0
+    assert main(["tare", "--config", str(config)]) == 0
     assert capsysbinary.readouterr().out == "a\N{REPLACEMENT CHARACTER}b\n".encode()

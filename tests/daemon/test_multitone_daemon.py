@@ -12,9 +12,9 @@ from observer import Observer, observe
 from service_bench import Bench, events
 
 import resonator_daemon.plates
+from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
-from resonator_daemon.tare import tare
 
 PLACE_M = (1.5e-3, -1.0e-3)
 TOUCHED = """
@@ -35,7 +35,7 @@ def bench(tmp_path: Path, mosquitto: Mosquitto) -> Bench:
 
 
 async def tared(bench: Bench, capsys: pytest.CaptureFixture[str]) -> tuple[ExitCode, dict[str, Any]]:
-    code = await asyncio.to_thread(tare, bench.folder / "board.toml", as_json=True)
+    code = await asyncio.to_thread(main, ["tare", "--config", str(bench.folder / "board.toml"), "--json"])
     answer: dict[str, Any] = json.loads(capsys.readouterr().out)
     return code, answer
 

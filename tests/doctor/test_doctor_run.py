@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from brokers import Mosquitto
+from command_line import exit_code
 from emulation import emulated
 
 from resonator_daemon.commands import main
@@ -181,12 +182,8 @@ def test_a_port_that_this_process_holds_without_a_daemon_is_said_to_be_held(
 
 
 def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["doctor"])
-    assert ended.value.code == 2
-    with pytest.raises(SystemExit) as ended:
-        main(["doctor", "--broker", "http://x"])
-    assert ended.value.code == 2
+    assert exit_code("doctor") == 2
+    assert exit_code("doctor", "--broker", "http://x") == 2
     assert "argument --broker: got 'http://x'; must be mqtt://host:port" in capsys.readouterr().err
     path = configuration(tmp_path, "nothing")
     code, said = asked(capsys, "--config", path)

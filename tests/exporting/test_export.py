@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from command_line import exit_code
 from export_bench import played, recording
 
 from resonator_daemon.commands import main
@@ -200,9 +201,7 @@ def test_a_missing_library_is_named(
 def test_options_that_do_not_go_together(
     arguments: tuple[str, ...], sentence: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit) as ended:
-        export(recording("touches"), *arguments)
-    assert ended.value.code == 2
+    assert exit_code("export", recording("touches"), *arguments) == 2
     assert sentence in capsys.readouterr().err
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 from brokers import Amqtt, Mosquitto
+from command_line import exit_code
 from commanded import commanded, state
 from mcap.reader import make_reader
 from observer import Observer, observe
@@ -187,9 +188,7 @@ def test_steps_need_a_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
-    with pytest.raises(SystemExit) as ended:
-        replay(TOUCHES, "--step", "--to", tmp_path / "steps.jsonl")
-    assert ended.value.code == 2
+    assert exit_code("replay", TOUCHES, "--step", "--to", tmp_path / "steps.jsonl") == 2
     assert "no terminal" in capsys.readouterr().err
 
 
@@ -258,9 +257,7 @@ def test_another_plate_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[
     ],
 )
 def test_what_does_not_go_together_is_a_matter_of_usage(arguments: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        replay(*arguments)
-    assert ended.value.code == 2
+    assert exit_code("replay", *arguments) == 2
 
 
 def test_a_broker_that_the_command_line_names_is_looked_for_there(capsys: pytest.CaptureFixture[str]) -> None:

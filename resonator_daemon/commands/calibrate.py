@@ -1,15 +1,18 @@
-"""The options of `resonatord calibrate`, and which of them belong to skins and which to force plates."""
+"""Calibrate a force plate with known masses, or the decoder's prior to a skin.
+
+Example: resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --sites all
+"""
 
 import argparse
 import math
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.commands._argument_types import positive, whole_number
+from resonator_daemon.errors import ExitCode, UsageError
 
-_DAYS_MAX: Final = 36_500
-_SKIN: Final = {"seconds"}
-_FORCE: Final = {
+_SKIN_ONLY: Final = {"seconds"}
+_FORCE_ONLY: Final = {
     "sites",
     "masses_grams",
     "mass_std",
@@ -28,8 +31,7 @@ _FORCE: Final = {
 }
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare everything that `calibrate` takes."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "kind",
         nargs="?",
@@ -40,7 +42,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="that of the daemon")
     parser.add_argument("--json", action="store_true", help="one JSON object a line on stdout, the last one the result")
     skin = parser.add_argument_group("skin")
-    skin.add_argument("--seconds", type=_positive, metavar="S", help="how long, from the first frame (default: 20)")
+    skin.add_argument("--seconds", type=positive, metavar="S", help="how long, from the first frame (default: 20)")
     loads = parser.add_argument_group("force: loads")
     loads.add_argument("--sites", type=_sites, metavar="ID,ID|all", help="which sites to load (default: all)")
     loads.add_argument(
@@ -68,10 +70,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="then bring the plate to these and load each site with the heaviest mass",
     )
     loads.add_argument(
-        "--timeout-s", type=_positive, metavar="S", help="how long a step may take beside its hold (default: 300)"
+        "--timeout-s", type=positive, metavar="S", help="how long a step may take beside its hold (default: 300)"
     )
     result = parser.add_argument_group("force: result")
-    result.add_argument("--valid-days", type=_days, metavar="N", help="until the calibration expires (default: 365)")
+    result.add_argument(
+        "--valid-days", type=whole_number(1, 36_500), metavar="N", help="until the calibration expires (default: 365)"
+    )
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
     ends = result.add_mutually_exclusive_group()
     ends.add_argument("--accept", action="store_true", default=None, help="accept a result without asking")
@@ -79,51 +83,49 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--accept-staged", action="store_true", default=None, help="accept the result of an earlier calibration"
     )
     ends.add_argument("--abort", action="store_true", default=None, help="forget the result of an earlier calibration")
-    parser.set_defaults(refuse=parser.error)
 
 
-def calibrate_as_asked(options: argparse.Namespace) -> ExitCode:
-    """Run what the options ask for."""
-    for name in _FORCE if options.kind == "skin" else _SKIN:
-        if getattr(options, name) is not None:
-            options.refuse(f"--{name.replace('_', '-')} does not belong to: calibrate {options.kind}")
-    if options.kind == "skin":
+def run(arguments: argparse.Namespace) -> ExitCode:
+    for name in _FORCE_ONLY if arguments.kind == "skin" else _SKIN_ONLY:
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.kind}")
+    if arguments.kind == "skin":
         from resonator_daemon.calibration.skin import calibrate_skin
 
-        return calibrate_skin(options.config, _given(options, seconds=20.0)["seconds"], as_json=options.json)
+        return calibrate_skin(arguments.config, _given(arguments, seconds=20.0)["seconds"], as_json=arguments.json)
 
     from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
     from resonator_daemon.calibration.steps import Wanted
 
-    if options.accept_staged:
-        return accept_staged(options.config, as_json=options.json)
-    if options.abort:
-        return abort_staged(options.config, as_json=options.json)
-    usual = Wanted()
+    if arguments.accept_staged:
+        return accept_staged(arguments.config, as_json=arguments.json)
+    if arguments.abort:
+        return abort_staged(arguments.config, as_json=arguments.json)
+    default = Wanted()
     given = _given(
-        options,
-        sites=usual.sites,
-        mass_std=usual.mass_std,
-        repeats=usual.repeats,
-        hold_s=usual.hold_s,
-        response=usual.response,
-        response_hold_s=usual.response_hold_s,
-        kelvin=usual.kelvin,
-        temperatures_kelvin=usual.temperatures_kelvin,
+        arguments,
+        sites=default.sites,
+        mass_std=default.mass_std,
+        repeats=default.repeats,
+        hold_s=default.hold_s,
+        response=default.response,
+        response_hold_s=default.response_hold_s,
+        kelvin=default.kelvin,
+        temperatures_kelvin=default.temperatures_kelvin,
     )
-    if options.masses_grams is not None:
-        given["masses_kg"] = tuple(gram * 1e-3 for gram in options.masses_grams)
+    if arguments.masses_grams is not None:
+        given["masses_kg"] = tuple(gram * 1e-3 for gram in arguments.masses_grams)
     ending = Ending(
-        output=options.output,
-        as_json=options.json,
-        **_given(options, accept=False, valid_days=365, timeout_s=300.0),
+        output=arguments.output,
+        as_json=arguments.json,
+        **_given(arguments, accept=False, valid_days=365, timeout_s=300.0),
     )
-    return calibrate(options.config, Wanted(**given), ending)
+    return calibrate(arguments.config, Wanted(**given), ending)
 
 
-def _given(options: argparse.Namespace, **defaults: Any) -> dict[str, Any]:
-    """Return the options, defaults where they were not given."""
-    values = {name: getattr(options, name) for name in defaults}
+def _given(arguments: argparse.Namespace, **defaults: Any) -> dict[str, Any]:
+    """Return the values of arguments, defaults where they were not given."""
+    values = {name: getattr(arguments, name) for name in defaults}
     return {name: defaults[name] if value is None else value for name, value in values.items()}
 
 
@@ -144,19 +146,3 @@ def _sites(text: str) -> tuple[int, ...]:
     if not all(part.strip().isascii() and part.strip().isdecimal() and len(part) < 10 for part in parts):
         raise argparse.ArgumentTypeError(f"{text!r} is neither ids of sites with commas between them, as 1,7, nor all")
     return tuple(int(part) for part in parts)
-
-
-def _days(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and len(text) < 6 and 0 < int(text) <= _DAYS_MAX):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {_DAYS_MAX}")
-    return int(text)
-
-
-def _positive(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
-    return value

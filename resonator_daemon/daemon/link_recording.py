@@ -1,7 +1,6 @@
-"""`resonatord record`: writes what happens on a board's link to files, without publishing anything."""
+"""Recording of a board's link to files, without publishing."""
 
 import hashlib
-import json
 import secrets
 import signal
 import sys
@@ -21,7 +20,6 @@ from resonator_daemon.errors import (
     IncompatibleBoardError,
     InterruptedCommandError,
     UserError,
-    failure_told,
 )
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder
@@ -60,7 +58,7 @@ class RecordingEndedError(UserError):
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What is asked of `resonatord record`; what is None has no bound.
+    """What to record to which files; None is no bound.
 
     Parameters
     ----------
@@ -92,8 +90,8 @@ class RecordOptions:
         )
 
 
-def record(config_path: Path, options: RecordOptions, *, as_json: bool) -> None:
-    """Record until the time is over or SIGINT, SIGTERM or SIGHUP comes.
+def record(config_path: Path, options: RecordOptions) -> dict[str, Any]:
+    """Record until the time is over or SIGINT, SIGTERM or SIGHUP comes; return file, counters and duration.
 
     Raises
     ------
@@ -102,19 +100,17 @@ def record(config_path: Path, options: RecordOptions, *, as_json: bool) -> None:
     UserError
         The configuration cannot be used, the file cannot be made or takes no more, or no board counts.
     """
-    with failure_told("record", as_json=as_json):
-        config = load_config(config_path)
-        if isinstance(config.link, ReplayLink):
-            raise ConfigurationError(f"link: {config.link} is a recording already; copy the file")
-        sitting = _Sitting(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
-        with sitting.open() as arrived:
-            sitting.wait(arrived, options.seconds)
-        sitting.check(options.seconds)
-    if as_json:
-        sys.stdout.write(json.dumps({"verb": "record", "ok": True, **sitting.result()}) + "\n")
+    config = load_config(config_path)
+    if isinstance(config.link, ReplayLink):
+        raise ConfigurationError(f"link: {config.link} is a recording already; copy the file")
+    recording = _LinkRecording(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
+    with recording.open() as arrived:
+        recording.wait(arrived, options.seconds)
+    recording.check(options.seconds)
+    return recording.result()
 
 
-class _Sitting:
+class _LinkRecording:
     """One recording, from its beginning to its end."""
 
     def __init__(self, config: Config, config_sha256: str, options: RecordOptions) -> None:

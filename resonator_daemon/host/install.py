@@ -1,7 +1,6 @@
-"""`resonatord install`: units, udev rules, user and directories into their places, from the wheel this runs from."""
+"""Installation of systemd units, udev rules, user and directories, from the wheel that this program runs from."""
 
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -12,9 +11,7 @@ from enum import StrEnum
 from importlib import resources
 from pathlib import Path, PurePosixPath
 
-from resonator_daemon.config import example_config
-from resonator_daemon.errors import ExitCode, UserError, failure_told
-from resonator_daemon.host.printable import printable
+from resonator_daemon.errors import ExitCode, UserError
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=
@@ -25,7 +22,7 @@ _PLACES = {
     "resonatord.sysusers": "/etc/sysusers.d/resonatord.conf",
     "resonatord.tmpfiles": "/etc/tmpfiles.d/resonatord.conf",
 }
-_EXAMPLE = "/etc/resonatord/example.toml"
+EXAMPLE = "/etc/resonatord/example.toml"
 _SEAL = re.compile(r"# resonatord install [0-9a-f]{64}\n\Z")
 _SYSTEMD, _UDEV = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
 # Those that need nobody running prepare an image, too.
@@ -75,35 +72,9 @@ class Placed:
     action: Action
 
 
-def install(prefix: Path | None, *, dry_run: bool, as_json: bool) -> None:
-    """Put all in place, and tell on stdout what was done; with `as_json` also what could not be.
-
-    Parameters
-    ----------
-    prefix
-        Below it everything is put, and no command is run: for a package or an image.
-    dry_run
-        Change nothing, and tell what would be done.
-
-    Raises
-    ------
-    InstallError
-        It may not or cannot write there, there is no systemd, or services could not reach this program.
-    """
-    with failure_told("install", as_json=as_json):
-        done = _install(prefix, dry_run)
-    failed = [f"{' '.join(command)}: {said}" for command, said in done.commands if said]
-    if as_json:
-        _tell_json(done, dry_run, ok=not failed)
-    else:
-        _tell(done, prefix)
-    if failed:
-        raise InstallError(*failed)
-
-
 @dataclass(frozen=True)
-class _Done:
-    """What was done, or would be.
+class Installation:
+    """What was done, or would be on a dry run.
 
     Attributes
     ----------
@@ -119,7 +90,23 @@ class _Done:
     commands: list[tuple[tuple[str, ...], str | None]]
 
 
-def _install(prefix: Path | None, dry_run: bool) -> _Done:
+def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Installation:
+    """Put all files in place and run the commands that announce them; return what was done.
+
+    Parameters
+    ----------
+    prefix
+        Below it everything is put, and no command is run: for a package or an image.
+    example_config
+        Text of the example configuration.
+    dry_run
+        Change nothing, and return what would be done.
+
+    Raises
+    ------
+    InstallError
+        It may not or cannot write there, there is no systemd, or services could not reach this program.
+    """
     program = Path(sys.executable).with_name("resonatord")
     if not program.exists():
         raise InstallError(f"{program} is missing: install resonatord into this Python's environment with pip or pipx")
@@ -127,11 +114,13 @@ def _install(prefix: Path | None, dry_run: bool) -> _Done:
     if hidden and prefix is None and not dry_run:
         raise InstallError(hidden)
     running = _may_run_commands(prefix, dry_run)
-    placed = [_judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program)]
+    placed = [
+        _judge(path, content, dry_run) for path, content in _contents(prefix or Path("/"), program, example_config)
+    ]
     for file in placed:
         _write(file)
     commands = [(command, _run(command) if running else None) for command in _due(prefix is None)]
-    return _Done(program, hidden, placed, commands)
+    return Installation(program, hidden, placed, commands)
 
 
 def _hidden(program: Path) -> str:
@@ -156,11 +145,11 @@ def _may_run_commands(prefix: Path | None, dry_run: bool) -> bool:
     return True
 
 
-def _contents(root: Path, program: Path) -> list[tuple[Path, str]]:
+def _contents(root: Path, program: Path, example_config: str) -> list[tuple[Path, str]]:
     """Return each file's place and content."""
     shipped = resources.files("resonator_daemon") / "service_files"
     texts = [(place, (shipped / name).read_text("utf-8")) for name, place in _PLACES.items()]
-    texts.append((_EXAMPLE, example_config()))
+    texts.append((EXAMPLE, example_config))
     return [(root / place.lstrip("/"), _sealed(_started_by(text, program))) for place, text in texts]
 
 
@@ -220,38 +209,3 @@ def _run(command: tuple[str, ...]) -> str:
         return str(error)
     said = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
     return said if done.returncode else ""
-
-
-def _tell(done: _Done, prefix: Path | None) -> None:
-    words = {Action.WOULD_WRITE: "would be written", Action.WOULD_UPDATE: "would be updated"}
-    for file in done.placed:
-        said = words.get(file.action, str(file.action))
-        if file.action is Action.KEPT:
-            said = "kept: it was changed here; `resonatord install --prefix DIR` writes the new one elsewhere"
-        _print(f"{file.path}: {said}")
-    for command, failed in done.commands:
-        _print(f"{' '.join(command)}: {failed or ('would be run' if failed is None else 'done')}")
-    if done.warning:
-        sys.stderr.write(f"warning: {printable(done.warning)}\n")
-    elif prefix is None:
-        _print(f"next: copy {_EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME")
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(f"{text}\n")
-
-
-def _tell_json(done: _Done, dry_run: bool, *, ok: bool) -> None:
-    told = {
-        "verb": "install",
-        "ok": ok,
-        "program": str(done.program),
-        "warning": done.warning or None,
-        "dry_run": dry_run,
-        "files": [{"path": str(file.path), "action": file.action} for file in done.placed],
-        "commands": [
-            {"command": " ".join(command), "done": failed == "", "error": failed or None}
-            for command, failed in done.commands
-        ],
-    }
-    _print(json.dumps(told))

@@ -1,12 +1,9 @@
-"""`resonatord repair`: copies what is whole of a recording that was cut off or damaged."""
+"""Repair of recordings that were cut off or damaged: copies what is intact to a new file."""
 
 import fcntl
-import json
 import os
-import sys
 import zlib
 from contextlib import suppress
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import IO, Final, NamedTuple
 
@@ -24,9 +21,8 @@ from mcap.records import (
 from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
-from resonator_daemon.errors import ExitCode, UserError, failure_told
-from resonator_daemon.host.new_file import NewFile, interruptible
-from resonator_daemon.host.printable import printable
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.recording.mcap_attachments import DamagedAttachment
 from resonator_daemon.recording.mcap_messages import CHUNK_BYTES
@@ -85,28 +81,7 @@ class Repaired(NamedTuple):
         return self.ended and not (self.holes or self.index_damaged or self.unreadable or self.damaged_attachments)
 
 
-def repair(path: Path, output: Path | None, *, as_json: bool) -> None:
-    """Copy what is whole of a recording to a file that is whole, and say what was cut; the original stays as it is.
-
-    Where nothing is wrong no copy is made.
-
-    Raises
-    ------
-    RepairError
-        It is no recording of this format, has no event, is being written, or the copy cannot be made.
-    InterruptedCommandError
-        Somebody ended it before.
-    """
-    copy = output or path.parent / f"{path.stem}-repaired.mcap"
-    with failure_told("repair", as_json=as_json), interruptible("no copy is made"):
-        done = repaired(path, copy)
-    if as_json:
-        made = None if done.was_whole else str(copy)
-        sys.stdout.write(json.dumps({"verb": "repair", "ok": True, "output": made, **done._asdict()}) + "\n")
-    sys.stderr.write(f"{printable(_sentence(path, copy, done))}\n")
-
-
-def repaired(path: Path, copy: Path) -> Repaired:
+def repair(path: Path, copy: Path) -> Repaired:
     """Copy what is whole of a recording; no copy is left where all of it is.
 
     A damaged chunk is left out, and so is what a replay could not read; an event in its place says so. Where the frame
@@ -115,7 +90,7 @@ def repaired(path: Path, copy: Path) -> Repaired:
     Raises
     ------
     RepairError
-        As of `repair`.
+        It is no recording of this format, has no event, is being written, or the copy cannot be made.
     """
     try:
         with open_recording(str(path)):
@@ -303,28 +278,3 @@ class _Copier:
 
     def _missing(self, hole: Hole) -> int:
         return sum(count for channel, count in hole.messages.items() if self._topics.get(channel) == TOPIC)
-
-
-def _sentence(path: Path, copy: Path, done: Repaired) -> str:
-    if done.was_whole:
-        return f"{path} is whole: nothing to repair"
-    wrong = []
-    if not done.ended:
-        cut = f", and its last {done.cut_bytes} bytes are left out" if done.cut_bytes else ""
-        wrong.append(f"its end is missing{cut}")
-    if done.holes:
-        wrong.append(f"{done.holes} damaged chunks are left out")
-    if done.index_damaged:
-        wrong.append("its index is damaged")
-    if done.unreadable:
-        wrong.append(f"{done.unreadable} entries that cannot be read are left out")
-    wrong += [f"its attachment {name} is damaged and left out" for name in done.damaged_attachments]
-    if done.events_missing:
-        wrong.append(f"{done.events_missing} events are missing")
-    end = f"{done.events} events"
-    if done.last_event_utc_ns is not None:
-        moment = datetime.fromtimestamp(done.last_event_utc_ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%S")
-        end += f" up to {moment}.{done.last_event_utc_ns % 10**9 // 10**6:03d}Z"
-    if not done.carries_config:
-        end += "; it does not carry its plate file and settings: replay it with --config FILE"
-    return f"{path}: {'; '.join(wrong)}; {copy} has {end}"

@@ -1,23 +1,24 @@
-"""The options of `resonatord doctor`."""
+"""Find out whether wiring, sensor or software is at fault, with evidence and what to do.
+
+Example: resonatord doctor --config left-index.toml
+"""
 
 import argparse
-from collections.abc import Callable
+import logging
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.errors import ExitCode
+from resonator_daemon.commands._argument_types import link_target, positive
+from resonator_daemon.errors import ExitCode, UsageError, UserError
 
-SECONDS: Final = 10.0
+_SECONDS: Final = 10.0
 
 
-def add_options(
-    parser: argparse.ArgumentParser, link: Callable[[str], object], positive: Callable[[str], float]
-) -> None:
-    """Declare everything that `doctor` takes; `link` and `positive` parse as other verbs do."""
+def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "link",
         nargs="?",
-        type=link,
+        type=link_target,
         metavar="LINK",
         help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S (default: the configuration's)",
     )
@@ -25,9 +26,9 @@ def add_options(
     parser.add_argument(
         "--seconds",
         type=positive,
-        default=SECONDS,
+        default=_SECONDS,
         metavar="N",
-        help=f"how long to listen to the board, from its first frame on (default: {SECONDS:g})",
+        help=f"how long to listen to the board, from its first frame on (default: {_SECONDS:g})",
     )
     parser.add_argument(
         "--broker",
@@ -38,20 +39,19 @@ def add_options(
         help="look at this broker, too: mqtt://host:port; repeat it for several",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
-    parser.set_defaults(refuse=parser.error)
 
 
-def doctor_as_asked(options: argparse.Namespace) -> ExitCode:
-    """Look at what the command line names."""
+def run(arguments: argparse.Namespace) -> ExitCode:
+    if arguments.link is None and arguments.config is None and not arguments.broker:
+        raise UsageError("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
     from resonator_daemon.doctor.run import DoctorOptions, doctor
 
-    if options.link is None and options.config is None and not options.broker:
-        options.refuse("name a --config FILE, a LINK (see: resonatord ports) or a --broker URL")
-    return doctor(DoctorOptions(options.config, options.link, options.seconds, tuple(options.broker), options.json))
+    logging.getLogger().setLevel(logging.ERROR)  # the report has the rest
+    brokers = tuple(arguments.broker)
+    return doctor(DoctorOptions(arguments.config, arguments.link, arguments.seconds, brokers, arguments.json))
 
 
 def _broker(url: str) -> object:
-    from resonator_daemon.errors import UserError
     from resonator_daemon.view.watch import broker_at
 
     try:

@@ -1,19 +1,15 @@
-"""`resonatord ports`: what a board may be connected to, and the line of a configuration that names it."""
+"""Places where a board may be connected: serial ports and USB boards, each with the link that names it."""
 
-import json
 import os
-import sys
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holder, port_holders
 from resonator_daemon.links.port_identity import serial_ports
 
-_BY_ID = Path("/dev/serial/by-id")
+BY_ID = Path("/dev/serial/by-id")  # links to serial ports, with names that stay
 _BAUD = 4_000_000
 _OWN_IDS = frozenset({(0x1209, 0x0001)})  # those that the installed udev rules name
 _OWN_WORDS = ("resonat", "rd board")  # in the strings of a USB device
@@ -36,45 +32,8 @@ class Place:
     looks_like_a_board: bool  # by ids and strings alone: nothing is opened
 
 
-def list_places(*, as_json: bool) -> None:
-    """Print the places; people get a sentence on stderr where there is none."""
-    places = _serial_places()
-    try:
-        places += _usb_places()
-    except LinkUnavailableError as error:
-        sys.stderr.write(f"resonatord: USB boards are not listed: {error}\n")
-    if as_json:
-        sys.stdout.write(json.dumps({"verb": "ports", "ports": [_as_json(place) for place in places]}) + "\n")
-        return
-    for place in places:
-        about = " ".join(filter(None, (place.usb_id, place.serial_number, place.description)))
-        sys.stdout.write(f"{place.device}  {about or 'says nothing of itself'}\n")
-        for note in _notes(place):
-            sys.stdout.write(f"    {note}\n")
-        sys.stdout.write(f'    link = "{place.link}"\n')
-    if not all(place.held_by_all_seen for place in places):
-        who = "sees more" if os.geteuid() else "outside of this container sees more"
-        sys.stderr.write(f"programs that this user may not look at are not shown as holders; root {who}\n")
-    if not places:
-        sys.stderr.write("no serial port and no USB board is present; plug one in, or try: resonatord emulate --help\n")
-
-
-def _as_json(place: Place) -> dict[str, Any]:
-    return {**asdict(place), "held_by": [{"pid": holder.pid, "name": holder.name} for holder in place.held_by]}
-
-
-def _notes(place: Place) -> list[str]:
-    notes = []
-    if place.looks_like_a_board:
-        notes.append("looks like a board; to be sure: resonatord identify")
-    if place.held_by:
-        notes.append(f"held by {' and '.join(str(holder) for holder in place.held_by)}")
-    if not place.permitted:
-        notes.append("may not be opened by this user; see docs/links.md")
-    return notes
-
-
-def _serial_places() -> list[Place]:
+def serial_places() -> list[Place]:
+    """Return the serial ports."""
     by_id = _by_id()
     places = []
     for port in serial_ports():
@@ -104,10 +63,17 @@ def _looks_like_a_board(port: ListPortInfo) -> bool:
 
 
 def _by_id() -> dict[str, str]:
-    return {os.path.realpath(link): str(link) for link in sorted(_BY_ID.glob("*"), reverse=True)}
+    return {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"), reverse=True)}
 
 
-def _usb_places() -> list[Place]:
+def usb_places() -> list[Place]:
+    """Return the USB boards.
+
+    Raises
+    ------
+    LinkUnavailableError
+        libusb cannot be loaded.
+    """
     from resonator_daemon.links.usb_devices import present_boards  # loads libusb
 
     places = []

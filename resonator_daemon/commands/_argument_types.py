@@ -1,0 +1,61 @@
+"""Types of arguments that several commands share: each parses one word, or says what is wrong with it."""
+
+import argparse
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+
+def number(low: float, high: float) -> Callable[[str], float]:
+    """Return a parser of numbers from `low` to `high`."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number from {low:g} to {high:g}")
+        return value
+
+    return parse
+
+
+def whole_number(low: int, high: int) -> Callable[[str], int]:
+    """Return a parser of whole numbers from `low` to `high`."""
+
+    def parse(text: str) -> int:
+        if not (text.isascii() and text.isdecimal() and len(text) < 19 and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from {low} to {high:g}")
+        return int(text)
+
+    return parse
+
+
+def positive(text: str) -> float:
+    """Parse a number above 0 and below 1e9."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0 and below 1e9")
+    return value
+
+
+def link_target(text: str) -> object:
+    """Parse the address of a link, as serial:PATH?baud=N."""
+    from resonator_daemon.config import parse_link
+
+    try:
+        return parse_link(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r}: {error}") from error
+
+
+def picture(text: str) -> Path:
+    """Parse the name of a picture file."""
+    path = Path(text)
+    if path.suffix not in (".svg", ".png", ".pdf"):
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
+    return path

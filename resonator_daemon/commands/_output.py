@@ -1,0 +1,34 @@
+"""What commands print: JSON and pages to the standard output, errors and notes to the standard error."""
+
+import io
+import json
+import sys
+from typing import Any
+
+from resonator_daemon.host.journal import error_prefix
+from resonator_daemon.host.printable import printable
+
+
+def print_json(value: object) -> None:
+    """Print a value as one line of JSON."""
+    sys.stdout.write(json.dumps(value) + "\n")
+
+
+def print_page(page: Any) -> None:
+    """Print a renderable of rich; characters that the terminal's encoding lacks become question marks."""
+    from rich.console import Console
+
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")
+    Console(highlight=False).print(page)
+
+
+def print_error(*messages: str) -> None:
+    """Print each message as one line to the standard error."""
+    for message in messages:
+        sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
+
+
+def print_note(text: str) -> None:
+    """Print a line for people to the standard error."""
+    sys.stderr.write(f"{printable(text)}\n")

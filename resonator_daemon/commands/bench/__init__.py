@@ -1,0 +1,1 @@
+"""Measure this machine with an emulated plate."""

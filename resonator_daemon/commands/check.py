@@ -1,0 +1,40 @@
+"""Check a configuration and its plate file; neither port nor broker is opened.
+
+Example: resonatord check left-index.toml
+"""
+
+import argparse
+from pathlib import Path
+
+from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.errors import ExitCode, UserError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE")
+    parser.add_argument("--json", action="store_true", help="print the findings as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config.decoder import is_decoders_own, load_decoder_config
+    from resonator_daemon.daemon.config_store import load_checked
+
+    findings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    try:
+        if is_decoders_own(arguments.file):
+            notes = load_decoder_config(arguments.file).mqtt.notes
+        else:
+            notes = load_checked(arguments.file).notes
+    except UserError as error:
+        findings = error.messages
+    if arguments.json:
+        file = str(arguments.file)
+        print_json({"verb": "check", "file": file, "ok": not findings, "errors": findings, "notes": notes})
+    else:
+        print_error(*findings)
+        for line in notes:
+            print_note(f"note: {line}")
+        if not findings:
+            print_note(f"{arguments.file}: no errors")
+    return ExitCode.CONFIG if findings else ExitCode.DONE

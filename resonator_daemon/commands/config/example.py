@@ -1,0 +1,25 @@
+"""Print a configuration to start from.
+
+Example: resonatord config example > left-index.toml
+"""
+
+import argparse
+import sys
+
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print it as a JSON string")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config import example_config
+
+    text = example_config()
+    if arguments.json:
+        print_json({"verb": "config example", "example": text})
+    else:
+        sys.stdout.write(text)
+    return ExitCode.DONE

@@ -1,0 +1,30 @@
+"""Decode the signals of skins in a process of its own, anywhere on the network, until stopped.
+
+Example: resonatord decode --config left-index.toml
+"""
+
+import argparse
+import asyncio
+from contextlib import suppress
+from pathlib import Path
+
+from resonator_daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--config",
+        type=Path,
+        required=True,
+        metavar="FILE",
+        help="the daemon's, with `apart = true` in [decoding], or one of [mqtt] and [decoding] alone",
+    )
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    with suppress(KeyboardInterrupt):
+        from resonator_daemon.config.decoder import load_decoder_config
+        from resonator_daemon.remote_decoding.service import serve
+
+        asyncio.run(serve(load_decoder_config(arguments.config)))
+    return ExitCode.DONE

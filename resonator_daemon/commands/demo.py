@@ -1,0 +1,32 @@
+"""Touch emulated plates and show what the daemon publishes, beside the truth.
+
+Example: resonatord demo --plate quartz16 --seconds 20 --json
+"""
+
+import argparse
+import logging
+import sys
+
+from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--plate",
+        action="append",
+        metavar="NAME",
+        help="quartz16, skin32, fingertip400 or comb16; repeat it for several (default: the first two)",
+    )
+    parser.add_argument("--seconds", type=positive, default=60.0, help="how long, from the first frame (default: 60)")
+    parser.add_argument("--headless", action="store_true", help="no live view; the default where stdout is no terminal")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.demo.run import DemoOptions, run_demo
+
+    logging.getLogger().setLevel(logging.ERROR)  # view and result show the rest
+    plates = tuple(arguments.plate or ("quartz16", "skin32"))
+    headless = arguments.headless or arguments.json or not sys.stdout.isatty()
+    return run_demo(DemoOptions(plates, arguments.seconds, headless=headless, json=arguments.json))

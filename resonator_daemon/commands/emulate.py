@@ -1,0 +1,100 @@
+"""Emulate a plate and its board, on a pseudo-terminal, TCP or USB, until stopped.
+
+Example: resonatord emulate --plate quartz16 --pty /tmp/board
+"""
+
+import argparse
+import json
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.errors import ExitCode, UserError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--plate", required=True, metavar="NAME|FILE", help="a shipped plate or a plate file")
+    link = parser.add_mutually_exclusive_group(required=True)
+    link.add_argument("--pty", type=Path, metavar="LINKPATH", help="symbolic link to keep pointing at the terminal")
+    link.add_argument("--tcp", type=_host_and_port, metavar="HOST:PORT", help="where to listen; port 0 picks one")
+    link.add_argument(
+        "--usb", action="store_true", help="an emulated USB device, for programs that are started as it is printed"
+    )
+    parser.add_argument("--scenario", metavar="NAME|FILE", help="what touches the plate (default: by plate)")
+    parser.add_argument(
+        "--scenario-schema", action=_PrintScenarioSchema, nargs=0, help="print the JSON Schema of scenario files"
+    )
+    parser.add_argument("--truth", type=Path, metavar="FILE.jsonl", help="write what is true, a line a frame")
+    parser.add_argument(
+        "--faults",
+        default="",
+        metavar="SPEC",
+        help="beside the scenario's faults, as bit_error_rate=1e-5,unplug_at_s=10,unplug_for_s=3; docs/emulator.md "
+        "lists all",
+    )
+    parser.add_argument(
+        "--counter",
+        choices=("sums", "stamps"),
+        default="sums",
+        help="of a single-tone plate: sums in closed form, or of every time stamp, which is slow (default: sums)",
+    )
+    parser.add_argument("--seed", type=int, help="of all that is random (default: the scenario's, or 0)")
+    parser.add_argument(
+        "--frame-rate-hz",
+        type=positive,
+        metavar="HZ",
+        help="frames a second that the board offers; the daemon's plate file must have the same in [counter] "
+        "(default: the daemon chooses, by its plate file)",
+    )
+    parser.add_argument("--speed", type=positive, default=1.0, metavar="X", help="times real time (default: 1)")
+    parser.add_argument("--json", action="store_true", help="print link and counters as JSON lines on stdout")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from simulators.emulator import EmulatorOptions
+    from simulators.emulator import run as emulate
+    from simulators.faults import parse_faults
+
+    try:
+        with suppress(KeyboardInterrupt):
+            emulate(
+                EmulatorOptions(
+                    plate=arguments.plate,
+                    pty=arguments.pty,
+                    tcp=arguments.tcp,
+                    usb=arguments.usb,
+                    scenario=arguments.scenario,
+                    truth=arguments.truth,
+                    faults=parse_faults(arguments.faults),
+                    counter=arguments.counter,
+                    seed=arguments.seed,
+                    speed=arguments.speed,
+                    frame_rate_hz=arguments.frame_rate_hz,
+                    json=arguments.json,
+                )
+            )
+    except ValueError as error:
+        raise UserError(*str(error).split("\n")) from error  # a line for each mistake
+    except OSError as error:
+        raise UserError(str(error)) from error
+    return ExitCode.DONE
+
+
+class _PrintScenarioSchema(argparse.Action):
+    """Like --help: prints and exits, whatever else is given or missing."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any, **__: Any) -> None:
+        from simulators.scenario_schema import scenario_schema
+
+        sys.stdout.write(json.dumps(scenario_schema()) + "\n")
+        sys.stdout.flush()
+        parser.exit()
+
+
+def _host_and_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65_535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not HOST:PORT (try 127.0.0.1:0; port 0 picks a free one)")
+    return host.strip("[]"), int(port)

@@ -1,0 +1,72 @@
+"""Export what follows from a recording as Parquet, CSV, NumPy or MCAP, the latter also for ROS 2.
+
+Example: resonatord export run.mcap --output run.parquet
+"""
+
+import argparse
+from pathlib import Path
+
+from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.exporting.formats import FORMATS, ROS2
+
+
+class NotExportableError(UserError):
+    """The file is no recording that can be replayed."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "no_recording"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="a recording, as run.mcap")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="new file, as out.npz; of .csv and .parquet one for each topic, as out-forces.csv for out.csv, or OUT "
+        "itself where --topics has one",
+    )
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--format", choices=FORMATS, help="default: by the ending of OUT")
+    how.add_argument(
+        "--ros2",
+        dest="format",
+        action="store_const",
+        const=ROS2,
+        help="MCAP with messages of ROS 2, ends in .mcap",
+    )
+    parser.add_argument("--topics", metavar="A,B", help="as forces,contacts/event (default: all that the format takes)")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="instead of the plate and settings it carries")
+    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help="leave out what was before")
+    parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config import load_config
+    from resonator_daemon.exporting.run import export
+    from resonator_daemon.exporting.target import make_target
+    from resonator_daemon.host.new_file import interruptible, takes_a_stream
+    from resonator_daemon.links.link import LinkUnavailableError
+
+    path: Path = arguments.file
+    target = make_target(arguments.output, arguments.format, arguments.topics)
+    with interruptible("a part of it was written" if takes_a_stream(target.output) else "what was written is removed"):
+        config = load_config(arguments.config) if arguments.config is not None else None
+        try:
+            result, wrong = export(
+                path, target, config, arguments.start, arguments.end, show_progress=not arguments.json
+            )
+        except LinkUnavailableError as error:
+            raise NotExportableError(str(error)) from error
+    if arguments.json:
+        print_json({"verb": "export", "ok": not wrong, **result})
+    else:
+        for file, size_bytes in result["files"].items():
+            print_note(f"{file}: {size_bytes / 1e3:.0f} kB")
+        counts = ", ".join(f"{count} of {topic}" for topic, count in result["rows"].items())
+        print_note(f"{result['frames']} frames gave {counts or 'nothing'}")
+    print_error(*(f"{path}: {sentence}" for sentence in wrong))
+    return ExitCode.FAILED if wrong else ExitCode.DONE

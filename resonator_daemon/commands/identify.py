@@ -1,0 +1,74 @@
+"""Print which board is on a link and what it can do; a board that counts goes on counting.
+
+Example: resonatord identify serial:/dev/ttyACM0?baud=4000000
+"""
+
+import argparse
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from resonator_daemon.commands._argument_types import link_target
+from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.errors import ExitCode, UsageError, UserError
+
+if TYPE_CHECKING:
+    from resonator_daemon.config import LinkTarget
+    from resonator_daemon.session.probe import ProbeResult
+
+
+class NoAnswerError(UserError):
+    """No board answers on the link."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "no_board"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "link",
+        nargs="?",
+        type=link_target,
+        metavar="LINK",
+        help="serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S; see: resonatord ports (default: the "
+        "configuration's)",
+    )
+    parser.add_argument("--config", type=Path, metavar="FILE", help="also check whether the board can serve it")
+    parser.add_argument("--blink", action="store_true", help="let the board make itself seen, where it can")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    """Print what the board answers; UNAVAILABLE where it cannot serve the configuration."""
+    from resonator_daemon.config import load_config
+    from resonator_daemon.session.compatibility import incompatibilities
+    from resonator_daemon.view.board_identity import as_json, labelled_lines
+
+    config = load_config(arguments.config) if arguments.config is not None else None
+    link: LinkTarget | None = arguments.link or (config.link if config else None)
+    if link is None:
+        raise UsageError("name a LINK (see: resonatord ports) or --config FILE")
+    result = _probe(link, blink=arguments.blink)
+    problems = incompatibilities(result.described.description, config.plate) if config is not None else ()
+    if arguments.json:
+        print_json({"verb": "identify", "ok": not problems, **as_json(link, result, problems, blink=arguments.blink)})
+    else:
+        for label, value in labelled_lines(link, result, blink=arguments.blink):
+            sys.stdout.write(f"{label:<15}{value}\n")
+    print_error(*(f"{arguments.config}: {problem}" for problem in problems))
+    return ExitCode.UNAVAILABLE if problems else ExitCode.DONE
+
+
+def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
+    from resonator_daemon.links.link import LinkUnavailableError
+    from resonator_daemon.links.opening import open_link
+    from resonator_daemon.session.probe import NoBoardError, probe
+
+    try:
+        with closing(open_link(target)) as link:
+            return probe(link, blink=blink)
+    except LinkUnavailableError as error:
+        raise NoAnswerError(str(error)) from error
+    except NoBoardError as error:
+        raise NoAnswerError(f"no board answers on {target}: {error}") from error

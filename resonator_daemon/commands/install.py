@@ -1,0 +1,68 @@
+"""Put units, udev rules, user and directories of the services into their places.
+
+Example: sudo /opt/resonatord/bin/resonatord install
+"""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.errors import ExitCode
+
+if TYPE_CHECKING:
+    from resonator_daemon.host.install import Installation
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--dry-run", action="store_true", help="print what would be done, and do nothing")
+    parser.add_argument("--prefix", type=Path, metavar="DIR", help="write below it, and run nothing: for an image")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config import example_config
+    from resonator_daemon.host.install import install
+
+    done = install(arguments.prefix, example_config(), dry_run=arguments.dry_run)
+    failed = [f"{' '.join(command)}: {error}" for command, error in done.commands if error]
+    if arguments.json:
+        print_json(_as_json(done, dry_run=arguments.dry_run, ok=not failed))
+    else:
+        _print(done, arguments.prefix)
+    print_error(*failed)
+    return ExitCode.FAILED if failed else ExitCode.DONE
+
+
+def _print(done: "Installation", prefix: Path | None) -> None:
+    from resonator_daemon.host.install import EXAMPLE, Action
+
+    words = {
+        Action.WOULD_WRITE: "would be written",
+        Action.WOULD_UPDATE: "would be updated",
+        Action.KEPT: "kept: it was changed here; `resonatord install --prefix DIR` writes the new one elsewhere",
+    }
+    lines = [f"{file.path}: {words.get(file.action, str(file.action))}" for file in done.placed]
+    for command, error in done.commands:
+        lines.append(f"{' '.join(command)}: {error or ('would be run' if error is None else 'done')}")
+    if done.warning:
+        print_note(f"warning: {done.warning}")
+    elif prefix is None:
+        lines.append(f"next: copy {EXAMPLE} to /etc/resonatord/NAME.toml, then: systemctl enable --now resonatord@NAME")
+    sys.stdout.writelines(f"{line}\n" for line in lines)
+
+
+def _as_json(done: "Installation", *, dry_run: bool, ok: bool) -> dict[str, object]:
+    return {
+        "verb": "install",
+        "ok": ok,
+        "program": str(done.program),
+        "warning": done.warning or None,
+        "dry_run": dry_run,
+        "files": [{"path": str(file.path), "action": file.action} for file in done.placed],
+        "commands": [
+            {"command": " ".join(command), "done": error == "", "error": error or None}
+            for command, error in done.commands
+        ],
+    }

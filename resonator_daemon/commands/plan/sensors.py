@@ -1,0 +1,69 @@
+"""Print what sensors under a skin resolve of loads on it.
+
+The sensors make a square lattice. The page shows what they resolve of normal and tangential load; bandwidth, symmetry
+and rank of the signals; what pitch and depth would do; a picture of the signals' power over the plane of spatial
+frequencies. The skin counts as an elastic half-space.
+
+A feature of 1 mm is one stripe of a grating with 1 mm stripes and 1 mm gaps. It counts as resolved where a best linear
+estimate brings back at least half of it. docs/sensors.md explains more.
+Example: resonatord plan sensors --set p_n,xz,yz --depth-mm 1 --pitch-mm 0.4 --snr-db 30
+"""
+
+import argparse
+import logging
+
+from resonator_daemon.commands._argument_types import picture
+from resonator_daemon.commands._output import print_json, print_page
+from resonator_daemon.errors import ExitCode, UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--set",
+        default="p_n,xz,yz",
+        metavar="NAMES",
+        help="what each sensor measures, by commas: p_n, the mean normal stress; strains xx yy zz xy xz yz, z into the "
+        "skin; stresses sigma_xx to sigma_yz (default: %(default)s)",
+    )
+    for option, default, meaning in (
+        ("--depth-mm", 1.0, "of the sensors under the surface"),
+        ("--pitch-mm", 0.4, "from sensor to sensor, at most four depths"),
+        ("--youngs-modulus-pascal", 2e5, "of the skin"),
+    ):
+        parser.add_argument(option, type=float, default=default, metavar="X", help=f"{meaning} (default: %(default)g)")
+    parser.add_argument(
+        "--poisson-ratio", type=float, default=0.5, metavar="X", help="of the skin, 0.5 for rubber (default: 0.5)"
+    )
+    parser.add_argument(
+        "--snr-db",
+        type=float,
+        default=30.0,
+        metavar="X",
+        help="20 log10 of the rms of the signals under a load without favoured width over that of the noise, -40 to "
+        "100 (default: 30)",
+    )
+    parser.add_argument("--picture", type=picture, metavar="FILE", help="also draw to a .svg, .png or .pdf file")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, in SI units, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.elastic.half_space import HalfSpace
+    from resonator_daemon.elastic.sensor_resolution import SensorArray
+    from resonator_daemon.elastic.sensor_sets import SensorSet
+    from resonator_daemon.view.sensor_plan import SensorPlan
+
+    logging.getLogger().setLevel(logging.WARNING)  # matplotlib logs its fonts
+    try:
+        skin = HalfSpace(arguments.youngs_modulus_pascal, arguments.poisson_ratio)
+        names = tuple(name.strip() for name in arguments.set.split(","))
+        sensors = SensorSet(skin, names, 1e-3 * arguments.depth_mm)
+        plan = SensorPlan(SensorArray(sensors, 1e-3 * arguments.pitch_mm, arguments.snr_db))
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if arguments.picture is not None:
+        plan.write_picture(arguments.picture)
+    if arguments.json:
+        print_json(plan.as_json())
+    else:
+        print_page(plan)
+    return ExitCode.DONE

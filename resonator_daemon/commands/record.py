@@ -1,0 +1,42 @@
+"""Record a board's link to a file that `link = "replay:FILE"` replays.
+
+Example: resonatord record --config left-index.toml --output run.mcap --seconds 60
+"""
+
+import argparse
+from pathlib import Path
+
+from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.commands._output import print_json
+from resonator_daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="names the plate and the link")
+    parser.add_argument("--output", type=Path, required=True, metavar="FILE", help="the file to make, as run.mcap")
+    parser.add_argument(
+        "--seconds", type=positive, metavar="N", help="from the first frame on (default: until interrupted)"
+    )
+    parser.add_argument(
+        "--max-mb",
+        type=positive,
+        metavar="N",
+        help="go from file to file, each of this size, in 10^6 bytes; their names are that of --output and the time",
+    )
+    parser.add_argument("--max-minutes", type=positive, metavar="N", help="likewise, each of this time")
+    parser.add_argument(
+        "--derived", action="store_true", help="measure, too, and record forces, contacts and states as JSON channels"
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.daemon.link_recording import RecordOptions, record
+
+    options = RecordOptions(
+        arguments.output, arguments.seconds, arguments.max_mb, arguments.max_minutes, arguments.derived
+    )
+    result = record(arguments.config, options)
+    if arguments.json:
+        print_json({"verb": "record", "ok": True, **result})
+    return ExitCode.DONE

@@ -1,0 +1,61 @@
+"""Copy what is intact of a recording that was cut off or damaged.
+
+Example: resonatord repair run.mcap
+"""
+
+import argparse
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from resonator_daemon.commands._output import print_json, print_note
+from resonator_daemon.errors import ExitCode
+
+if TYPE_CHECKING:
+    from resonator_daemon.recording.repair import Repaired
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="stays as it is")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="the file to make (default: FILE-repaired.mcap)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.recording.repair import repair
+
+    path: Path = arguments.file
+    copy = arguments.output or path.parent / f"{path.stem}-repaired.mcap"
+    with interruptible("no copy is made"):
+        done = repair(path, copy)
+    if arguments.json:
+        made = None if done.was_whole else str(copy)
+        print_json({"verb": "repair", "ok": True, "output": made, **done._asdict()})
+    print_note(_summary(path, copy, done))
+    return ExitCode.DONE
+
+
+def _summary(path: Path, copy: Path, done: "Repaired") -> str:
+    if done.was_whole:
+        return f"{path} is whole: nothing to repair"
+    wrong = []
+    if not done.ended:
+        cut = f", and its last {done.cut_bytes} bytes are left out" if done.cut_bytes else ""
+        wrong.append(f"its end is missing{cut}")
+    if done.holes:
+        wrong.append(f"{done.holes} damaged chunks are left out")
+    if done.index_damaged:
+        wrong.append("its index is damaged")
+    if done.unreadable:
+        wrong.append(f"{done.unreadable} entries that cannot be read are left out")
+    wrong += [f"its attachment {name} is damaged and left out" for name in done.damaged_attachments]
+    if done.events_missing:
+        wrong.append(f"{done.events_missing} events are missing")
+    end = f"{done.events} events"
+    if done.last_event_utc_ns is not None:
+        moment = datetime.fromtimestamp(done.last_event_utc_ns // 10**9, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+        end += f" up to {moment}.{done.last_event_utc_ns % 10**9 // 10**6:03d}Z"
+    if not done.carries_config:
+        end += "; it does not carry its plate file and settings: replay it with --config FILE"
+    return f"{path}: {'; '.join(wrong)}; {copy} has {end}"

@@ -1,0 +1,134 @@
+"""Replay a recording, from its bytes to messages, or compare cases with what they expect.
+
+Example: resonatord replay run.mcap --speed 4
+"""
+
+import argparse
+import logging
+import math
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.errors import ExitCode, UsageError, UserError
+
+_DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
+
+
+class NotReplayableError(UserError):
+    """The file is no recording that can be replayed."""
+
+    exit_code = ExitCode.UNAVAILABLE
+    code = "no_recording"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, nargs="?", metavar="FILE", help="a recording, as run.mcap")
+    parser.add_argument("--config", type=Path, metavar="FILE", help="instead of the plate and settings it carries")
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--url", metavar="URL", help=f"the broker (default: that of --config, or {_DEFAULT_URL})")
+    where.add_argument("--to", type=Path, metavar="FILE.jsonl", help="a line a message instead; - is stdout")
+    where.add_argument("--save-case", type=Path, metavar="DIR", help="make a case for --check in a new directory")
+    where.add_argument(
+        "--check", type=Path, nargs="+", metavar="DIR", help="replay cases, and compare with what they expect"
+    )
+    parser.add_argument("--name", help="to publish under (default: the recorded one)")
+    pace = parser.add_mutually_exclusive_group()
+    pace.add_argument(
+        "--speed", type=_speed, metavar="X|max", help="times real time (default: 1 to a broker, max to a file)"
+    )
+    pace.add_argument("--step", action="store_true", help="wait for Enter before each moment that has messages")
+    parser.add_argument("--from", dest="start", metavar="MARK|SECONDS", help="publish nothing of what was before")
+    parser.add_argument("--until", dest="end", metavar="MARK|SECONDS", help="end there")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end, and nothing else")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    _check(arguments)
+    from resonator_daemon.links.link import LinkUnavailableError
+    from resonator_daemon.replay.checking import check_cases
+
+    logging.getLogger().setLevel(logging.WARNING)  # a connected broker is no news here
+    try:
+        if arguments.check is not None:
+            return check_cases(arguments.check, as_json=arguments.json)
+        return _replay(arguments)
+    except LinkUnavailableError as error:
+        raise NotReplayableError(str(error)) from error
+
+
+def _replay(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.config import load_config
+    from resonator_daemon.host.new_file import interruptible
+    from resonator_daemon.replay.case import save_case
+    from resonator_daemon.replay.run import ReplayOptions, replay, what_is_wrong
+
+    path: Path = arguments.file
+    config = load_config(arguments.config) if arguments.config is not None else None
+    begun_s = time.monotonic()
+    if arguments.save_case is not None:
+        with interruptible("no case is made"):
+            case = save_case(path, arguments.save_case)
+        result: dict[str, Any] = {"case": str(arguments.save_case), **case.summary}
+        wrong = what_is_wrong(case.differences, case.damage)
+    else:
+        options = ReplayOptions(
+            config=config,
+            output=arguments.to,
+            url=arguments.url or (_DEFAULT_URL if config is None else None),
+            name=arguments.name,
+            speed=arguments.speed,
+            step=arguments.step,
+            start=arguments.start,
+            end=arguments.end,
+            show_progress=not arguments.json,
+        )
+        result, wrong = replay(path, options)
+    took_s = time.monotonic() - begun_s
+    if "seconds" in result:
+        result |= {"took_seconds": round(took_s, 3), "speed": round(result["seconds"] / took_s, 2)}
+    if arguments.json:
+        print_json({"verb": "replay", "ok": not wrong, "file": str(path), **result})
+    else:
+        messages = sum(result["messages"].values())
+        print_note(f"{path}: {result['frames']} frames, {messages} messages in {took_s:.1f} s")
+    print_error(*(f"{path}: {sentence}" for sentence in wrong))
+    return ExitCode.FAILED if wrong else ExitCode.DONE
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    """Raise UsageError where arguments contradict each other."""
+    if arguments.check is not None:
+        _refuse_beside(arguments, "--check", "file", "config", "name", "speed", "step", "start", "end")
+    elif arguments.file is None:
+        raise UsageError("name a recording to be replayed, as run.mcap")
+    if arguments.save_case is not None:
+        _refuse_beside(arguments, "--save-case", "config", "name", "speed", "step", "start", "end")
+    if arguments.to is not None:
+        _refuse_beside(arguments, "--to", "name")
+        if arguments.json and str(arguments.to) == "-":
+            raise UsageError("--json and --to - both write to stdout; give one of them")
+    if arguments.step and not sys.stdin.isatty():
+        raise UsageError("--step waits for Enter, and there is no terminal to read it from; try --speed")
+
+
+def _refuse_beside(arguments: argparse.Namespace, option: str, *others: str) -> None:
+    names = {"file": "FILE", "start": "--from", "end": "--until"}
+    for other in others:
+        if getattr(arguments, other) not in (None, False):
+            raise UsageError(f"{names.get(other, f'--{other}')} does not go with {option}")
+
+
+def _speed(text: str) -> float:
+    """Parse to a factor; infinity: as fast as it goes."""
+    if text == "max":
+        return math.inf
+    try:
+        speed = float(text)
+    except ValueError:
+        speed = math.nan
+    if not 1e-3 <= speed <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither max nor a number from 0.001 to 1e6")
+    return speed

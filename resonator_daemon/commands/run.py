@@ -1,0 +1,25 @@
+"""Measure one board and publish, until stopped.
+
+Example: resonatord run --config left-index.toml
+"""
+
+import argparse
+import asyncio
+from contextlib import suppress
+from pathlib import Path
+
+from resonator_daemon.errors import ExitCode
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--config", type=Path, required=True, metavar="FILE", help="see: resonatord config example")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    with suppress(KeyboardInterrupt):
+        from resonator_daemon.daemon.config_store import ConfigStore
+        from resonator_daemon.daemon.daemon import serve
+        from resonator_daemon.host.places import state_directory
+
+        asyncio.run(serve(ConfigStore(arguments.config, state_directory() / "last-good")))
+    return ExitCode.DONE

@@ -1,0 +1,110 @@
+"""Print the status of the daemons on this computer.
+
+Example: resonatord status left-index --watch
+"""
+
+import argparse
+import asyncio
+import io
+import sys
+import time
+from contextlib import suppress
+from typing import TYPE_CHECKING, Final
+
+from resonator_daemon.commands._output import print_error, print_json
+from resonator_daemon.errors import ExitCode
+from resonator_daemon.host.printable import printable
+
+if TYPE_CHECKING:
+    from resonator_daemon.monitoring.status_client import Answer
+
+_PERIOD_S: Final = 1.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "name",
+        nargs="?",
+        metavar="NAME",
+        help="that a daemon publishes under, or its configuration's file name without .toml (default: all)",
+    )
+    parser.add_argument("--watch", action="store_true", help="again each second, until interrupted")
+    parser.add_argument("--json", action="store_true", help="print one JSON object; with --watch one a line")
+
+
+def run(arguments: argparse.Namespace) -> ExitCode:
+    """Print the status; FAILED where no daemon runs, or one gives no answer."""
+    if arguments.watch:
+        with suppress(KeyboardInterrupt):
+            _watch(arguments.name, as_json=arguments.json)
+        return ExitCode.DONE
+    from rich.console import Console
+
+    from resonator_daemon.view.status_block import status_page
+
+    answers = _ask(arguments.name)
+    if arguments.json:
+        _print_json(answers)
+    elif answers:
+        console = Console(highlight=False)
+        columns = console.width if console.is_terminal else None  # else a line stays whole, as for grep
+        console.print(status_page(answers, columns), soft_wrap=columns is None)
+    if not answers:
+        print_error(_nobody(arguments.name))
+    return ExitCode.DONE if answers and not any(answer.problem for answer in answers) else ExitCode.FAILED
+
+
+def _watch(name: str | None, *, as_json: bool) -> None:
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    from resonator_daemon.view.status_block import status_page
+
+    def page(columns: int | None) -> Text:
+        answers = _ask(name)
+        return status_page(answers, columns) if answers else Text(_nobody(name))
+
+    console = Console(highlight=False)
+    if as_json or not console.is_terminal or console.is_dumb_terminal:
+        while True:
+            if as_json:
+                _print_json(_ask(name))
+            else:
+                console.print(page(None), Text(), soft_wrap=True)
+            sys.stdout.flush()
+            time.sleep(_PERIOD_S)
+    with Live(console=console, screen=True, auto_refresh=False) as live:
+        while True:
+            live.update(page(console.width), refresh=True)
+            time.sleep(_PERIOD_S)
+
+
+def _ask(name: str | None) -> "list[Answer]":
+    from resonator_daemon.monitoring.status_client import ask_all
+
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that is not of UTF-8
+    return asyncio.run(ask_all(name))
+
+
+def _print_json(answers: "list[Answer]") -> None:
+    print_json(
+        {
+            "verb": "status",
+            "daemons": [answer.status for answer in answers if answer.problem is None],
+            "problems": [
+                {"socket": str(answer.socket), "problem": answer.problem}
+                for answer in answers
+                if answer.problem is not None
+            ],
+        }
+    )
+
+
+def _nobody(name: str | None) -> str:
+    from resonator_daemon.host.places import runtime_directories
+
+    places = ", ".join(str(place) for place in runtime_directories())
+    who = "no daemon" if name is None else f"no daemon called {printable(name)}"
+    return f"{who} runs on this computer, by what is in {places}; start one: resonatord run"
