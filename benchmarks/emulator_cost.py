@@ -88,11 +88,11 @@ def drain(descriptor: int, seconds: float) -> None:
 
 def percent_of_a_core(checkout: Path, plate: str, seconds: float) -> float:
     """Run an emulated board; return the processor time that it takes from its second second on."""
-    python = str(checkout / ".venv" / "bin" / "python")
+    program = str(checkout / ".venv" / "bin" / "resonatord")
     counter = load_plate(plate).counter
     with tempfile.TemporaryDirectory() as folder:
         link = ("--pty", f"{folder}/board") if counter.kind == "single-tone" else ("--tcp", "127.0.0.1:0")
-        command = (python, "-P", "-m", "resonator_daemon.cli", "emulate", "--plate", plate, *link, "--json")
+        command = (program, "emulate", "--plate", plate, *link, "--json")
         with child(*command, "--truth", f"{folder}/truth.jsonl", stdout=subprocess.PIPE) as emulator:
             assert emulator.stdout is not None  # noqa: S101 - it is a pipe
             with opened(json.loads(emulator.stdout.readline())["link"]) as descriptor:
