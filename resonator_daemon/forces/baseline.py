@@ -1,4 +1,4 @@
-"""The common mode of all tones, reference error and temperature alike: learnt while untouched, held while touched."""
+"""Common mode of all tones, from reference and temperature: estimated while untouched, held while touched."""
 
 import math
 from collections.abc import Sequence
@@ -9,13 +9,13 @@ COMMON_MODE_STD: Final = 2e-7
 # A room takes a plate through 2 K in ten minutes, 0.1 K in a second's random walk; a cut near its turnover answers with
 # 1e-7 per kelvin, and an ordinary reference clock beside it with less.
 COMMON_MODE_WALK: Final = 1e-8  # relative frequency after one second
-KNOWN_CHANNELS: Final = 2  # so many tell a site and a force
+KNOWN_CHANNELS: Final = 2  # the least that determine a site and a force
 
 
 class CommonMode:
     """Relative frequency error g per channel: a random walk that the untouched tones measure.
 
-    Unknown, channel by channel, until it has been heard untouched in `needed` readings since the start or the last
+    Unknown, channel by channel, until it has been received untouched in `needed` readings since the start or the last
     `reset`, or was set by `tare`; unknown as a whole until two channels are known. Only a board's boot or a new
     configuration is a reason for `reset`.
 
@@ -28,7 +28,7 @@ class CommonMode:
     """
 
     def __init__(self, channels: int, *, needed: int, reading_std: float, floor_std: float = COMMON_MODE_STD) -> None:
-        """Take the noise of a reading and what no reading tells, `floor_std`; both relative, one standard deviation."""
+        """Initialise with the noise of a reading and with `floor_std`, which no reading shows; relative, one sigma."""
         if needed < 1:
             raise ValueError(f"{needed} readings needed, at least 1")
         if not (floor_std >= 0 and math.isfinite(floor_std)):
@@ -43,18 +43,18 @@ class CommonMode:
         self._mean = [0.0] * self._channels
         self._variance = [math.inf] * self._channels  # of one that was never measured
         self._count = [0] * self._channels
-        self._learnt = [False] * self._channels
+        self._settled = [False] * self._channels
         self.known = False
         self.value: tuple[float, ...] = (math.nan,) * self._channels
 
     def expect(self, reading_std: float) -> None:
-        """Take the noise of the readings from here, as of another window; what was learnt stays."""
+        """Set the noise of further readings, as after a change of the window; estimates stay."""
         if not (reading_std > 0 and math.isfinite(reading_std)):
             raise ValueError(f"reading_std {reading_std} must be finite and above 0")
         self._reading_variance = reading_std**2
 
     def update(self, readings: Sequence[float], elapsed_s: float) -> None:
-        """Take one reading of g per channel, NaN for a channel that was not heard untouched.
+        """Update with one reading of g per channel, NaN for a channel not received untouched.
 
         To be called while touched, too, with NaN: `elapsed_s` since the call before makes the held values less certain.
         """
@@ -65,7 +65,7 @@ class CommonMode:
         self._measure(readings, 1)
 
     def tare(self, readings: Sequence[float]) -> None:
-        """Take the present mean of g per channel for the truth; a NaN leaves its channel as it was."""
+        """Set g per channel to the present mean; NaN leaves a channel unchanged."""
         self._variance = [
             variance if math.isnan(g) else math.inf for variance, g in zip(self._variance, readings, strict=True)
         ]
@@ -85,15 +85,15 @@ class CommonMode:
             self._mean[channel] += gain * (g - self._mean[channel])
             self._variance[channel] = gain * self._reading_variance
             self._count[channel] += worth
-            self._learnt[channel] = self._count[channel] >= self._needed
-        self.known = sum(self._learnt) >= min(KNOWN_CHANNELS, self._channels)
+            self._settled[channel] = self._count[channel] >= self._needed
+        self.known = sum(self._settled) >= min(KNOWN_CHANNELS, self._channels)
         if self.known:
-            self.value = tuple([g if k else math.nan for g, k in zip(self._mean, self._learnt, strict=True)])
+            self.value = tuple([g if k else math.nan for g, k in zip(self._mean, self._settled, strict=True)])
 
     @property
     def std(self) -> float:
-        """What `value` may be off by, relative, in common on all channels; NaN until known."""
+        """Return the relative error of `value`, common to all channels; NaN until known."""
         if not self.known:
             return math.nan
-        known = [variance for variance, learnt in zip(self._variance, self._learnt, strict=True) if learnt]
+        known = [variance for variance, settled in zip(self._variance, self._settled, strict=True) if settled]
         return math.sqrt(max(known) + self._floor_variance)

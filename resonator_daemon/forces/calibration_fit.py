@@ -1,4 +1,4 @@
-"""Codes of sites from known masses: f0, signed K, scatter and response, with what is doubtful named."""
+"""Codes of sites from known masses: f0, signed K, scatter and response; doubtful steps are named."""
 
 import math
 from dataclasses import dataclass
@@ -19,12 +19,12 @@ RIVAL_GAP: Final = 13.8  # of chi2, between the bad step and another that it may
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CalibrationFit:
-    """What known masses tell about the sites that they lay on, s of them, and about all sites alike.
+    """Result of a calibration with known masses: of s loaded sites, and of all sites in common.
 
     Standard deviations hold counter, common mode, scatter, the response's parameters and the masses; not an error of
     the common mode that stays through all steps, which moves f0 by as much. `model_error` is the scatter of K F from
-    touch to touch and channel to channel, relative; NaN where too few loadings tell. `doubtful_steps` were not used:
-    one that contradicts all others, or all of a site among which the bad one cannot be told. Only where no other steps
+    touch to touch and channel to channel, relative; NaN for too few loadings. `doubtful_steps` were not used:
+    one that contradicts all others, or all of a site among which the bad one is ambiguous. Only where no other steps
     are left were they used.
     """
 
@@ -37,7 +37,7 @@ class CalibrationFit:
     model_error: float
     model_error_std: float
     residual_newton: Floats  # (t,) of each step's mean, NaN where it was not read
-    site_residual_newton: Floats  # (s,), rms over all steps, doubtful ones too: nothing else tells what they hide
+    site_residual_newton: Floats  # (s,), rms over all steps, doubtful ones included
     doubtful_steps: tuple[int, ...]
     swapped_steps: tuple[int, int] | None  # steps whose loads, exchanged, explain what was read: a reason to refuse
     response: SiteResponse | None
@@ -122,7 +122,7 @@ def _without_doubtful(
     readings: Readings,
     with_response: bool,
 ) -> tuple[Indices, LoadingFit]:
-    """Fit without the step that all others contradict, and name it; without all of its site that it may be.
+    """Fit without the step that all others contradict; if it is ambiguous, without all steps of its site.
 
     A step is judged by the scatter of the others: one bad loading widens the scatter of all enough to hide in it.
     """

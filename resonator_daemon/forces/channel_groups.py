@@ -1,4 +1,4 @@
-"""Channels that hear different sites: groups of channels fitted apart, and joined to one account of the reading."""
+"""Multi-touch on captured tones: groups of channels that follow different sites, fitted and combined."""
 
 import math
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ class GroupSite(NamedTuple):
 
 
 class Account(NamedTuple):
-    """What the channels are put down to: `named` has one entry for each site, `candidates` are those in question."""
+    """Explanation of a reading: `named` has one entry per site, `candidates` are the ambiguous ones."""
 
     status: Literal["ok", "ambiguous", "rejected"]
     reason: str
@@ -43,31 +43,31 @@ class Account(NamedTuple):
 
 
 class Groups(NamedTuple):
-    """The channels that are used, those that hear no site, and the groups of them that one site explains."""
+    """Channels in use, channels that no site explains, and groups that one site explains."""
 
     channels: Group
     deaf: Group
     explained: Mapping[Group, GroupSite]
 
 
-def heard_alone(codes: Codes, sites: NDArray[np.intp], reading: Channels) -> NDArray[np.bool_]:
-    """Whether a channel of one reading, on its own, may hear a site with a force within the range; (channels, p)."""
+def detected_alone(codes: Codes, sites: NDArray[np.intp], reading: Channels) -> NDArray[np.bool_]:
+    """Return which sites each channel alone can follow with a force within the range; (channels, p)."""
     channels = reading.frequency_hz.shape[1]
     used = np.flatnonzero(reading.used[0])
     rows, columns = (index.ravel() for index in np.indices((len(used), len(sites))))
     fit = _fit_groups(codes, sites[columns], reading, (np.arange(channels) == used[:, None])[rows])
-    heard = np.zeros((channels, len(sites)), dtype=bool)
-    heard[used] = (fit.chi2 <= gates(1)[1]).reshape(len(used), len(sites))
-    return heard
+    detected = np.zeros((channels, len(sites)), dtype=bool)
+    detected[used] = (fit.chi2 <= gates(1)[1]).reshape(len(used), len(sites))
+    return detected
 
 
-def explain_groups(codes: Codes, sites: NDArray[np.intp], heard: NDArray[np.bool_], reading: Channels) -> Groups:
-    """Find for every group of channels the site that explains it best, of those that each of its channels may hear."""
+def explain_groups(codes: Codes, sites: NDArray[np.intp], detected: NDArray[np.bool_], reading: Channels) -> Groups:
+    """Find for every group of channels the site that explains it best, of those that each channel can follow."""
     used = tuple(int(c) for c in np.flatnonzero(reading.used[0]))
-    groups, masks = _groups_of(used, len(heard))
-    rows, columns = np.nonzero(~(masks[:, :, None] & ~heard).any(axis=1))
+    groups, masks = _groups_of(used, len(detected))
+    rows, columns = np.nonzero(~(masks[:, :, None] & ~detected).any(axis=1))
     fit = _fit_groups(codes, sites[columns], reading, masks[rows])
-    gate = gates(len(heard))
+    gate = gates(len(detected))
     explained = {}
     for row in np.unique(rows):
         here = np.flatnonzero(rows == row)
@@ -84,12 +84,12 @@ def explain_groups(codes: Codes, sites: NDArray[np.intp], heard: NDArray[np.bool
                 int(sites[columns[rivals[0]]]) if rivals else -1,
                 float(fit.score[rivals[0]] - fit.score[best]) if rivals else math.inf,
             )
-    return Groups(used, tuple(c for c in used if not heard[c].any()), explained)
+    return Groups(used, tuple(c for c in used if not detected[c].any()), explained)
 
 
 @cache
 def _groups_of(used: Group, channels: int) -> tuple[list[Group], NDArray[np.bool_]]:
-    """All groups of the channels that are used, and which channels they have as (groups, channels)."""
+    """Return all groups of the channels in use, and their channels as (groups, channels)."""
     groups = list(chain.from_iterable(combinations(used, size) for size in range(1, len(used) + 1)))
     return groups, np.array([[c in group for c in range(channels)] for group in groups])
 
@@ -107,7 +107,7 @@ def _fit_groups(codes: Codes, sites: NDArray[np.intp], reading: Channels, channe
 
 @cache
 def partitions(channels: Group) -> tuple[tuple[Group, ...], ...]:
-    """Every way to divide channels into groups."""
+    """Yield every partition of channels into groups."""
     if not channels:
         return ((),)
     first, rest = channels[0], channels[1:]
@@ -143,9 +143,9 @@ def join(groups: Groups) -> Account:
 
 
 def leave_one_out(groups: Groups) -> Account:
-    """Name the site that explains all channels but one, which hears no site at all.
+    """Name the site that explains all channels but one, which no site explains.
 
-    A channel that hears some site is no reason to believe the others: `join` accounts for it, or nothing does.
+    A channel that follows another site is not left out here: `join` explains it, or nothing does.
     """
     rest = tuple(c for c in groups.channels if c not in groups.deaf)
     if len(groups.channels) == LEAVE_ONE_OUT_CHANNELS and len(groups.deaf) == 1 and rest in groups.explained:

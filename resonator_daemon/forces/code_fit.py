@@ -1,4 +1,4 @@
-"""The force that fits a site's code best on the channels that heard it, for many sites and readings at once."""
+"""Least-squares force of a site's code on the channels that follow it, for many sites and readings at once."""
 
 import math
 import operator
@@ -76,7 +76,7 @@ class CodeFit(NamedTuple):
 
 @cache
 def gates(channels: int) -> Floats:
-    """Largest chi2 of a fit on 0, 1, ... channels; on one, the ends of the range are all that it can exceed."""
+    """Largest accepted chi2 of a fit on 0, 1, ... channels; on one channel only the range limits it."""
     free = np.maximum(np.arange(channels + 1) - 1, 1)
     return np.array([chdtri(count, GATE_PROBABILITY) for count in free])
 

@@ -1,4 +1,4 @@
-"""Which site takes which code: those that couple most get codes that are far apart."""
+"""Assignment of codes to sites: sites with strong coupling get distant codes."""
 
 import math
 from typing import Final

@@ -1,4 +1,4 @@
-"""The step of a ladder of codes, cause by cause, the tones that it gives, and the force noise of a counter."""
+"""Step between codes by cause, the tones that follow, and the force noise of a counter."""
 
 import math
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ _NOTHING: Final = {
 
 @dataclass(frozen=True)
 class Limits:
-    """What a plate must stand; all but the first three relative to f0.
+    """Tolerances that a plate must accept; all but the first three relative to f0.
 
     `ageing` is the largest difference between two sites, `tolerance` how far a tone may lie from its code, `pulling`
     how far a corner may pull it, `common_shift` how far all tones may be off together, unnoticed.
@@ -42,7 +42,7 @@ class Limits:
 
 
 class GuardBand(NamedTuple):
-    """What makes up the step between two codes, relative."""
+    """Contributions to the step between two codes, relative."""
 
     force: float
     temperature: float
@@ -97,7 +97,7 @@ def stamp_noise(tick_s: float, jitter_s: float, stamps_per_s: float, window_s: f
 
 
 def force_noise(sensitivity: float, counter_std: float, window_s: float, channels: int) -> ForceNoise:
-    """Noise of a force that `channels` hear with equal K: counters are independent, the oscillator is one for all."""
+    """Return the noise of a force on `channels` of equal K: counters are independent, the oscillator is shared."""
     counter = counter_std / math.sqrt(channels) / abs(sensitivity)
     oscillator = oscillator_std(window_s) / abs(sensitivity)
     return ForceNoise(counter, oscillator, math.hypot(counter, oscillator))

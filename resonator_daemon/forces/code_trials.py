@@ -1,4 +1,4 @@
-"""How often codes are mistaken: plates, touches and readings drawn at random, and what a matcher makes of them."""
+"""Monte Carlo of code mistakes: random plates, touches and readings, identified by a matcher."""
 
 import math
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class Scatter:
 
     @property
     def common_mode_std(self) -> float:
-        """What a matcher is told of the common mode."""
+        """Common-mode variance given to the matcher."""
         return math.hypot(self.common_std, self.common_shift / math.sqrt(3.0))
 
 
@@ -79,7 +79,7 @@ def draw_plate(codes: Codes, scatter: Scatter, random: np.random.Generator) -> C
 
 
 def overlaps(codes: Codes, scatter: Scatter, tempco_difference_per_kelvin: float) -> bool:
-    """Tell whether two sites of a plate can be mistaken for each other, within what may move them."""
+    """Return whether two sites of a plate can be mistaken for each other within the tolerances."""
     thermal = tempco_difference_per_kelvin * scatter.temperature_span_kelvin / 2.0
     largest_shift = float(np.abs(codes.sensitivity).max()) * scatter.force_max_newton
     found = code_overlaps(
@@ -96,17 +96,17 @@ def one_touch(codes: Codes, scatter: Scatter, touches: int, random: np.random.Ge
     """Press sites one by one."""
     site = random.integers(0, len(codes.f0_hz), touches)
     force = random.uniform(LEAST_NEWTON, scatter.force_max_newton, touches)
-    heard = np.broadcast_to(site[:, None], (touches, codes.f0_hz.shape[1]))
-    return _outcomes(_match(codes, scatter, heard, force[:, None], random), np.stack([site, site], axis=1))
+    detected = np.broadcast_to(site[:, None], (touches, codes.f0_hz.shape[1]))
+    return _outcomes(_match(codes, scatter, detected, force[:, None], random), np.stack([site, site], axis=1))
 
 
 def two_touches(codes: Codes, scatter: Scatter, touches: int, random: np.random.Generator) -> Outcomes:
-    """Press two sites at a time; each channel hears one of them, either as likely."""
+    """Press two sites at a time; each channel follows either with equal probability."""
     sites = random.permuted(np.tile(np.arange(len(codes.f0_hz)), (touches, 1)), axis=1)[:, :2]
     force = random.uniform(LEAST_NEWTON, scatter.force_max_newton, (touches, 2))
     choice = random.integers(0, 2, (touches, codes.f0_hz.shape[1]))
-    heard = np.take_along_axis(sites, choice, axis=1)
-    return _outcomes(_match(codes, scatter, heard, np.take_along_axis(force, choice, axis=1), random), sites)
+    detected = np.take_along_axis(sites, choice, axis=1)
+    return _outcomes(_match(codes, scatter, detected, np.take_along_axis(force, choice, axis=1), random), sites)
 
 
 def nearest_wrong(
@@ -128,20 +128,20 @@ def nearest_wrong(
 
 
 def _match(
-    codes: Codes, scatter: Scatter, heard: NDArray[np.int64], force_newton: Floats, random: np.random.Generator
+    codes: Codes, scatter: Scatter, detected: NDArray[np.int64], force_newton: Floats, random: np.random.Generator
 ) -> Matches:
     """Read n touches on all channels: `heard` (n, channels) are sites, `force_newton` broadcasts to that."""
-    touches, shape = len(heard), heard.shape
+    touches, shape = len(detected), detected.shape
     channel = np.arange(shape[1])
     half_span = scatter.temperature_span_kelvin / 2.0
     tempco = random.normal(0.0, scatter.tempco_std, len(codes.f0_hz))
     age = random.uniform(-scatter.ageing / 2.0, scatter.ageing / 2.0, len(codes.f0_hz))
-    shift = age[heard] + tempco[heard] * random.uniform(-half_span, half_span, (touches, 1))
+    shift = age[detected] + tempco[detected] * random.uniform(-half_span, half_span, (touches, 1))
     shift = shift + random.normal(0.0, scatter.common_std, (touches, 1))
     shift += random.uniform(-scatter.common_shift, scatter.common_shift, (touches, 1))
     shift += random.normal(0.0, scatter.oscillator_std, (touches, 1)) + random.normal(0.0, scatter.counter_std, shape)
-    sensitivity = codes.sensitivity[heard, channel] * (1.0 + random.normal(0.0, scatter.model_error, shape))
-    tone = codes.f0_hz[heard, channel] * (1.0 + shift) / (1.0 - sensitivity * force_newton)
+    sensitivity = codes.sensitivity[detected, channel] * (1.0 + random.normal(0.0, scatter.model_error, shape))
+    tone = codes.f0_hz[detected, channel] * (1.0 + shift) / (1.0 - sensitivity * force_newton)
     matcher = Matcher(*codes, scatter.force_max_newton, model_error=scatter.model_error)
     counter_std = np.full(shape[1], scatter.counter_std)
     return matcher.match_many(tone, counter_std, scatter.oscillator_std, scatter.common_mode_std)

@@ -15,7 +15,7 @@ RELEASE_NEWTON: Final = 0.010
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
 class Touch:
-    """What one reading tells of one touch: the nearest site, an index, and the place with its covariance (2, 2)."""
+    """Touch in one reading: index of the nearest site, and the position with its covariance (2, 2)."""
 
     site: int
     position_m: tuple[float, float]
@@ -49,7 +49,7 @@ class Contact:
     """A touch from its onset on. While its force is not known it is NaN, and the touch's status and reason say why.
 
     `since_ticks` is the end of the window in which it set on, `duration_ticks` the time from there to the last reading
-    that told its force.
+    that gave its force.
     """
 
     id: int
@@ -61,7 +61,7 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class ContactEvent:
-    """Onset or release of a contact, at the board's tick count of the reading that told it."""
+    """Onset or release of a contact, at the board ticks of the reading that showed it."""
 
     event: Literal["onset", "release"]
     board_ticks: int
@@ -70,10 +70,10 @@ class ContactEvent:
 
 
 class ContactTracker:
-    """Turns touches, reading by reading, into contacts.
+    """Tracker of contacts: touches, reading by reading, to contacts.
 
-    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when a reading that tells of all touches
-    tells of none there. A gap does not end it: its force is unknown, and only when that lasts longer than
+    A contact sets on at 20 mN, or with an overload, and ends below 10 mN or when a reading that covers all touches
+    has none there. A gap does not end it: its force is unknown, and only when that lasts longer than
     `unknown_ticks` is it released for that reason. A touch belongs to the nearest contact within `reach_m`: 0 where
     positions are those of sites.
     """
@@ -95,7 +95,7 @@ class ContactTracker:
     def update(
         self, board_ticks: int, touches: Sequence[Touch], *, complete: bool, status: str, reason: str
     ) -> tuple[ContactEvent, ...]:
-        """Take one reading.
+        """Update with one reading.
 
         `complete` says that there are no touches but these; else `status` and `reason` say why the force of contacts
         without a touch is not known.
@@ -120,7 +120,7 @@ class ContactTracker:
         return tuple(events)
 
     def close(self, board_ticks: int, reason: str) -> tuple[ContactEvent, ...]:
-        """Release every contact, as when the board starts anew and its past no longer tells anything."""
+        """Release every contact, as after a restart of the board."""
         return tuple(self._release(number, board_ticks, reason) for number in list(self._open))
 
     def _associate(self, touches: Sequence[Touch]) -> dict[int, int]:

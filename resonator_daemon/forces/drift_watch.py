@@ -1,4 +1,4 @@
-"""Whether the common mode moves faster than the baseline's own model says a plate at rest in a room can."""
+"""Detection of a common mode that drifts faster than a plate at rest in a room."""
 
 import math
 from collections import deque
@@ -16,12 +16,12 @@ _OVER = 0.5  # of the limit, below which it counts as at rest again
 
 
 class DriftWatch:
-    """Compares the common mode with itself ten seconds ago.
+    """Detector that compares the common mode with that of ten seconds ago.
 
     The baseline is a random walk of 1e-8 in a second (relative frequency); a plate whose common mode moves by more than
     five standard deviations of that is warmed or cooled, or its reference wanders. What is followed so fast lags
     behind, and what is held under a touch is soon off by more than is stated. A common mode that does not change is one
-    that is held: it tells nothing, and the time until it is measured again is granted to the walk.
+    that is held: it carries no information, and the time until it is measured again is granted to the walk.
     """
 
     def __init__(self) -> None:
@@ -33,7 +33,7 @@ class DriftWatch:
         self._drifting = False
 
     def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> str:
-        """Take the common mode, one number a channel, and the plate's temperature, each NaN where it is not known.
+        """Update with the common mode per channel and the plate's temperature, each NaN where unknown.
 
         Returns how the baseline drifts, "" while it does not.
         """
@@ -42,18 +42,18 @@ class DriftWatch:
             self.reset()
             return ""
         if self._seen and 0 <= time_s - self._seen[-1][0] < _EVERY_S:
-            return self._told
+            return self._verdict
         if self._seen:
             last_s, last = self._seen[-1]
             if time_s < last_s:
                 self.reset()
             elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(told, last, strict=True)):
-                return self._told
+                return self._verdict
         self._seen.append((time_s, told))
         while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:
             self._seen.popleft()
         self._judge()
-        return self._told
+        return self._verdict
 
     def _judge(self) -> None:
         (first_s, first), (last_s, last) = self._seen[0], self._seen[-1]
@@ -65,7 +65,7 @@ class DriftWatch:
         self._drifting = self._moved > limit * (_OVER if self._drifting else 1.0)
 
     @property
-    def _told(self) -> str:
+    def _verdict(self) -> str:
         if not self._drifting:
             return ""
         rate = self._moved / self._span_s

@@ -1,11 +1,11 @@
-"""Force from a frequency by eq. (1), and how much of a force a touch between sites hides from it."""
+"""Force from a frequency by eq. (1), and the bound of what a touch between sites leaves unobserved."""
 
 import numpy as np
 
 from resonator_daemon.arrays import Floats
 
 GRID_STEPS = 128  # positions across the longer side of an outline
-LEVEL_MARGIN = 0.5  # a site with half the largest share can still be the one a corner hears best
+LEVEL_MARGIN = 0.5  # a site with half the largest share can still be the one that a corner captures
 
 
 def force_newton(f0_hz: Floats, frequency_hz: Floats, sensitivity: Floats) -> Floats:
@@ -31,7 +31,7 @@ def hidden_fraction(site_positions_m: Floats, outline_m: Floats, exponent: float
 
     Model: a touch at distance d_j from site j loads it with the share d_j^-exponent / sum_i d_i^-exponent. One captured
     tone reports the share of one site as if it were the whole, so it hides (1/share - 1) times what it reports. The
-    bound for site m is taken over every position of the outline (p, 2) where a corner may hear m best: where its share
+    bound for site m is taken over every position of the outline (p, 2) where a corner may capture m: where its share
     is at least half of the largest, because levels differ from corner to corner.
     """
     positions = positions_inside(outline_m)
@@ -42,8 +42,8 @@ def hidden_fraction(site_positions_m: Floats, outline_m: Floats, exponent: float
     total = np.add.reduce(relative)
     bound = np.zeros(len(relative))
     for m, share in enumerate(relative):
-        heard = share >= LEVEL_MARGIN
-        bound[m] = np.max(total[heard] / share[heard] - 1.0, initial=0.0)
+        detected = share >= LEVEL_MARGIN
+        bound[m] = np.max(total[detected] / share[detected] - 1.0, initial=0.0)
     return bound
 
 

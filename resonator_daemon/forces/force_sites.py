@@ -1,4 +1,4 @@
-"""Force sites as their calibration describes them, in the arrays that measurement takes."""
+"""Arrays of the calibration of force sites."""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ USUAL_COEFFICIENT_STD: Final = 5e-8  # 1/K: a third of an arc minute of the cut,
 
 @dataclass(frozen=True, eq=False)
 class Warmth:
-    """What temperature does to a site, and how much warmer or colder than the plate a touch may be.
+    """Temperature coefficients of sites, and the temperature difference that a touch may have.
 
     `coefficients` (m, 3) are a, b, c of the relative shift a d + b d^2 + c d^3, d from the calibration's temperature;
     a is known to `coefficient_std`. `transient_s` is the shift for each K/s; a touch differs from the plate by
@@ -32,7 +32,7 @@ class Warmth:
 
 @dataclass(frozen=True, eq=False)
 class ForceSites:
-    """Codes of m sites on a number of channels, and what is known of their errors.
+    """Codes of m sites on a number of channels, with their errors.
 
     `f0_hz` and the signed `sensitivity` K in 1/N are (m, channels), `positions_m` (m, 2), `outline_m` (p, 2).
     `model_error` is the relative error of K from touch to touch and channel to channel, `sensitivity_std` the one that
@@ -60,5 +60,5 @@ class ForceSites:
 
 
 def known_coefficients(coefficients: Floats) -> Floats:
-    """Return (m, 3) with what a crystal usually has in the place of each NaN."""
+    """Return coefficients (m, 3) with the crystal's default in place of each NaN."""
     return np.where(np.isnan(coefficients), USUAL_COEFFICIENTS, coefficients)

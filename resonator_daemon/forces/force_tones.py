@@ -1,4 +1,4 @@
-"""Tones of a channelised counter that force sites send, corners combined: shifts of the sites, warmth of the sites."""
+"""Tones of force sites on a channelised counter, corners combined: shifts and temperatures of the sites."""
 
 from typing import Final, NamedTuple
 
@@ -28,7 +28,7 @@ class SiteShifts(NamedTuple):
 
 
 class ForceTones:
-    """A plate's tones: one for the force of each site, perhaps one for its temperature, each heard by four corners."""
+    """Tones of a plate: one for the force of each site, perhaps one for its temperature, each at four corners."""
 
     def __init__(
         self,
@@ -38,9 +38,9 @@ class ForceTones:
         site_index: NDArray[np.integer],
         signal_index: NDArray[np.integer],
     ) -> None:
-        """Take arrays by tone: f0 and the signed sensitivity (t, 4), in 1/N or 1/K, the others (t,).
+        """Initialise with arrays by tone: f0 and signed sensitivity (t, 4), in 1/N or 1/K, the others (t,).
 
-        Corners that hear one site with sensitivities of both signs are refused: their mean would tell nothing.
+        Sensitivities of both signs at one site's corners are refused: their mean has no meaning.
         """
         tones = len(f0_hz)
         shapes = (sensitivity.shape, oscillator_hz.shape, site_index.shape, signal_index.shape)
@@ -69,8 +69,8 @@ class ForceTones:
         known &= _agree(shift, std, known)
         shift, weight = np.where(known, shift, 0.0), np.where(known, 1.0 / std**2, 0.0)
         total = weight.sum(axis=0)
-        heard = total > 0
-        scale = np.where(heard, 1.0 / np.where(heard, total, 1.0), np.nan)
+        detected = total > 0
+        scale = np.where(detected, 1.0 / np.where(detected, total, 1.0), np.nan)
         combined = (weight * shift).sum(axis=0) * scale
         sensitivity = (weight * self._sensitivity).sum(axis=0) * scale
         force = self._of_force
@@ -80,7 +80,7 @@ class ForceTones:
 
 
 def _agree(shift: Floats, std: Floats, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Tell which corners do not stand apart from the others, (4, t); three at least must be known to tell."""
+    """Return which corners agree with the others, (4, t); at least three must be known."""
     count = known.sum(axis=0)
     tone = np.arange(shift.shape[1])
     order = np.argsort(np.where(known, shift, np.inf), axis=0)

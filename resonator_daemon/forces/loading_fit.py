@@ -1,4 +1,4 @@
-"""Scatter of K F, hysteresis and creep of the loaded sites: what the linear fit of loadings must be told."""
+"""Scatter of K F, hysteresis and creep of loaded sites: the nonlinear part of the fit of loadings."""
 
 import math
 from collections.abc import Callable
@@ -13,11 +13,11 @@ from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.forces.loading_solution import LoadingSolution, StepMeans
 from resonator_daemon.forces.loadings import Readings, Steps, felt_newton
 
-USUAL_SCATTER: Final = 0.015  # of K F from touch to touch, where too few loadings tell
+DEFAULT_SCATTER: Final = 0.015  # of K F from touch to touch, where there are too few loadings
 LITTLE_SCATTER: Final = 1e-3  # nobody lays masses on better than that, so less is no reason to doubt one of them
 SCATTER_RANGE: Final = (1e-6, 0.5)
 # Hysteresis relative to the largest load, creep fraction, log of the creep time in seconds. What is usual, with a wide
-# standard deviation, stands in where loadings do not tell: no unloading, no creep.
+# standard deviation, is used without data: no unloading, no creep.
 RESPONSE_USUAL: Final = (0.01, 0.005, math.log(20.0))
 RESPONSE_STD: Final = (0.02, 0.01, 1.0)
 RESPONSE_LOWEST: Final = (0.0, 0.0, math.log(1.0))
@@ -54,10 +54,10 @@ class LoadingFit:
 
 
 class LoadingProblem:
-    """Loadings to be fitted, and what of them a fit does not explain."""
+    """Loadings to be fitted, and their residuals."""
 
     def __init__(self, mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
-        """Take loadings that `check_loadings` passed."""
+        """Initialise with loadings that `check_loadings` accepted."""
         self._force = steps.pressing @ mass_newton
         self._steps, self._readings = steps, readings
         self.means = StepMeans(mass_newton, mass_std, steps, readings)
@@ -118,7 +118,7 @@ class LoadingProblem:
         return felt_newton(self._steps, self._force, self._readings, hysteresis, fraction, math.exp(log_time))
 
     def _solution(self, response: Floats | None, scatter: float) -> LoadingSolution:
-        return LoadingSolution(self.means, self._felt(response), USUAL_SCATTER if math.isnan(scatter) else scatter)
+        return LoadingSolution(self.means, self._felt(response), DEFAULT_SCATTER if math.isnan(scatter) else scatter)
 
     def _degrees_of_freedom(self, response: Response | None) -> int:
         rows = self.means.mean.size + len(self.means.mass_std)
@@ -160,7 +160,7 @@ class LoadingProblem:
         change = jacobian(fit.x)
         covariance = np.asarray(np.linalg.inv(change.T @ change), dtype=np.float64)
         solution = self._solution(fit.x, scatter)
-        # A common mode that wanders during a hold looks like creep; what no creep explains tells how much.
+        # A common mode that wanders during a hold looks like creep; the residual that no creep explains shows how much.
         covariance *= max(1.0, solution.within_chi2_per_freedom())
         # Creep is seen as a share of the slopes, which the residuals take for known.
         covariance[1, 1] += fit.x[1] ** 2 * solution.slope_variance

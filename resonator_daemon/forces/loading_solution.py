@@ -16,7 +16,7 @@ class StepMeans:
     """
 
     def __init__(self, mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
-        """Take loadings that `check_loadings` passed."""
+        """Initialise with loadings that `check_loadings` accepted."""
         self.mass_std = mass_std
         self.step, self.row = np.unique(readings.step, return_inverse=True)  # (u,) read, (n,) into them
         self._of_step = csr_array((np.ones(len(self.row)), (self.row, np.arange(len(self.row)))))  # (u, n)
@@ -37,7 +37,7 @@ class StepMeans:
         self.force = self.mass_load.sum(axis=1)
         self.force_std = np.linalg.norm(self.mass_load * mass_std, axis=1) / self.force  # (u,), relative
         self.site_number, self.site = np.unique(steps.site[self.step], return_inverse=True)  # (s,), (u,) into them
-        # Loads of one size cannot tell intercept from slope: the intercept is held at 0.
+        # Loads of one size do not separate intercept and slope: the intercept is held at 0.
         self.held: NDArray[np.bool_] = np.array(
             [np.ptp(self.force[self.site == site]) == 0 for site in range(len(self.site_number))]
         )
@@ -74,7 +74,7 @@ class LoadingSolution:
     """Generalised least squares for one response and one scatter; unknowns are intercepts, slopes, errors of masses."""
 
     def __init__(self, means: StepMeans, felt_newton: Floats, scatter: float) -> None:
-        """Take what was felt at each reading (n,) and the relative scatter of K F."""
+        """Initialise with the force that each reading's site felt (n,) and the relative scatter of K F."""
         self._means = means
         self._scatter = scatter
         self._mean_felt = means.of_steps(felt_newton)
@@ -99,7 +99,7 @@ class LoadingSolution:
 
     @property
     def chi2(self) -> float:
-        """Of the steps' means and the masses."""
+        """Return chi2 of the steps' means and the masses."""
         return float((self._mean_whitened**2).sum() + (self._mass_whitened**2).sum())
 
     @property
@@ -117,7 +117,7 @@ class LoadingSolution:
 
     @property
     def slope_variance(self) -> float:
-        """Relative variance of what all slopes are off by together."""
+        """Return the relative variance of the error common to all slopes."""
         cells = int(np.prod(self._means.shape))
         used = slice(cells, 2 * cells)
         return 1.0 / float(np.sum(self.value[used] ** 2 / np.diag(self.covariance)[used]))
@@ -138,7 +138,7 @@ class LoadingSolution:
         return float((within**2).sum() / max(within.size - 2 * gain.size, 1))
 
     def deleted_chi2(self) -> Floats:
-        """Residual (u,) of each step against a fit without it; 0 where nothing else tells."""
+        """Residual (u,) of each step against a fit without it; 0 where the fit has nothing else."""
         left = np.eye(self._rows.shape[1]) - self._rows @ self._inverse @ self._rows.swapaxes(1, 2)
         inverse = np.linalg.pinv(left, rcond=1e-6, hermitian=True)
         result: Floats = np.einsum("tc,tcd,td->t", self._mean_whitened, inverse, self._mean_whitened)
@@ -153,7 +153,7 @@ class LoadingSolution:
         """Residuals within steps (n, channels), and the gains (u, channels) taken out of them by their deviation.
 
         A gain is the same for all readings of a step, so many readings know it well, and it is of the step alone: what
-        is left tells how creep runs, and the steps' means tell how much of a force it is.
+        is left shows the time course of creep, and the steps' means show its share of a force.
         """
         means = self._means
         cells = int(np.prod(means.shape))

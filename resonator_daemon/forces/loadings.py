@@ -1,4 +1,4 @@
-"""What a calibration with known masses collects, and what the sites felt meanwhile."""
+"""Data of a calibration with known masses, and the forces that the sites felt."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from resonator_daemon.arrays import Floats, Indices
 class Steps:
     """Every change of the load on a site, taking masses off included.
 
-    `pressing` tells which masses lie on the site from `since_s` until the site's next step. `common_std` is the
+    `pressing` lists which masses lie on the site from `since_s` until the site's next step. `common_std` is the
     standard deviation, relative, of what shifts all channels alike for as long as the step lasts: the held common mode.
     """
 
@@ -26,7 +26,7 @@ class Steps:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Readings:
-    """Readings y = 1 - f0 / f against the plate file's f0, common mode taken out; only those that heard all channels.
+    """Readings y = 1 - f0 / f against the plate file's f0, common mode taken out; only those with all channels.
 
     Both standard deviations are relative and independent from reading to reading: `noise_std` that of the counter, of
     each channel alone, `oscillator_std` of all channels alike.
@@ -39,7 +39,7 @@ class Readings:
     oscillator_std: Floats  # (n,)
 
     def of_steps(self, wanted: NDArray[np.bool_]) -> "Readings":
-        """Return the readings of those steps (t,) that are wanted."""
+        """Return the readings of the selected steps (t,)."""
         used = wanted[self.step]
         return Readings(
             self.step[used], self.time_s[used], self.shift[used], self.noise_std[used], self.oscillator_std[used]
@@ -70,7 +70,7 @@ def check_loadings(mass_newton: Floats, mass_std: Floats, steps: Steps, readings
         if not (np.isfinite(std) & (std >= 0)).all():
             raise ValueError(f"{name} must be finite and at least 0")
     if not (np.isfinite(readings.shift).all() and np.isfinite(readings.time_s).all()):
-        raise ValueError("shift and time_s must be finite; leave out readings that did not hear all channels")
+        raise ValueError("shift and time_s must be finite; leave out readings without all channels")
     if not len(readings.step):
         raise ValueError("no readings; at least one is needed")
     if not steps.pressing[readings.step].any(axis=1).all():

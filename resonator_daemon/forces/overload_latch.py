@@ -1,4 +1,4 @@
-"""Overload that lasts until it is known to be over, whatever its tone looks like meanwhile."""
+"""Latch of an overload until its end is certain."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ from resonator_daemon.forces.site_identification import Match
 
 
 class OverloadLatch:
-    """Holds an overload until the pilot is heard again or its sites are heard within their range.
+    """Latch that holds an overload until the pilot returns or its sites are within their range.
 
     A force that grows past the range moves the tone onto the next site's code, where it would look like a light touch.
     """
@@ -15,11 +15,11 @@ class OverloadLatch:
         self._held: Match | None = None
 
     def release(self) -> None:
-        """Let go: the pilot is heard, nothing presses."""
+        """Release the overload: the pilot has returned."""
         self._held = None
 
     def apply(self, match: Match) -> Match:
-        """Return `match`, or the overload that is held where `match` does not name its sites."""
+        """Return `match`, or the held overload if `match` does not name its sites."""
         if self._held and not {force.site for force in self._held.forces} <= {force.site for force in match.forces}:
             return self._held
         overloaded = tuple(force for force in match.forces if force.status == "overload")

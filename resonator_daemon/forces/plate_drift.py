@@ -1,8 +1,8 @@
-"""Drift of a plate whose tones are all heard: plate temperature and reference from untouched sites, and site offsets.
+"""Drift of a plate with all tones received: plate temperature and reference from untouched sites, and site offsets.
 
 The relative shift of site m is y_m = a_m theta + b_m theta^2 + c_m theta^3 + g + o_m + K_m F_m with the temperature
 theta of the plate above that of calibration, the reference's error g, and the site's own offset o_m. A thermal shock is
-told from a press by its rate, and because it moves all sites by their coefficients.
+separated from a press by its rate, and because it moves all sites by their coefficients.
 
 The Kalman filter does not keep the covariance of every offset with every other. Errors of theta and g that all offsets
 make good for are invisible and stay as they were at the start (`theta_std_kelvin` has them); about them the offsets are
@@ -45,7 +45,7 @@ FIT_TOLERANCE: Final = 0.2  # of a standard deviation: what is left after such a
 class DriftReading:
     """Compensation of one frame; the force on site m is (y_m - expected_shift[m]) / K_m.
 
-    `theta_kelvin` is the plate's temperature above that of calibration, `held_s` how long no site has told it.
+    `theta_kelvin` is the plate's temperature above that of calibration, `held_s` the time since a site last showed it.
     `expected_std` (m,) is what `expected_shift` (m,) may be off by: drift, temperature coefficients, and offsets.
     """
 
@@ -93,7 +93,7 @@ class PlateDrift:
         offset_std: float,
         local_kelvin_std: float = 0.0,
     ) -> None:
-        """Take what calibration knows.
+        """Initialise with the calibration.
 
         Parameters
         ----------
@@ -124,12 +124,12 @@ class PlateDrift:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything that was learnt since calibration."""
+        """Reset the state to that of the calibration."""
         sites = self._coefficients.shape[1]
         self._offsets.reset()
         self._thermometers.reset()
         self._common = _Common(np.zeros(2), np.diag([THETA_START_KELVIN**2, REFERENCE_START**2]))
-        self._start_variance = 0.0  # of theta, common to all that is learnt later
+        self._start_variance = 0.0  # of theta, common to all later estimates
         self._started = False
         self._held_s = 0.0
         self._rate_kelvin_per_s = 0.0
@@ -142,16 +142,16 @@ class PlateDrift:
         self._in_contact = np.zeros(sites, dtype=bool)
 
     def tare(self, shift: Floats, variance: Floats) -> None:
-        """Take shifts (m,), as the mean of some frames, for those of untouched sites at the present temperature.
+        """Tare: set the shifts (m,), a mean of some frames, as those of untouched sites at the present temperature.
 
         NaN leaves its site as it was.
         """
-        heard = self._heard(shift, variance)
-        self._offsets.mean[heard] = (shift - self._common.shift(self._coefficients))[heard]
-        self._offsets.variance[heard] = variance[heard]
-        self._anchor_kelvin[heard] = self._common.mean[0]
-        self._above[heard] = 0
-        self._in_contact &= ~heard
+        detected = self._detected(shift, variance)
+        self._offsets.mean[detected] = (shift - self._common.shift(self._coefficients))[detected]
+        self._offsets.variance[detected] = variance[detected]
+        self._anchor_kelvin[detected] = self._common.mean[0]
+        self._above[detected] = 0
+        self._in_contact &= ~detected
 
     def update(
         self,
@@ -162,7 +162,7 @@ class PlateDrift:
         pressed: Bools | None = None,
         free: Bools | None = None,
     ) -> DriftReading:
-        """Take one frame.
+        """Update with one frame.
 
         Parameters
         ----------
@@ -175,7 +175,7 @@ class PlateDrift:
         pressed, free
             (m,): sites that are known to be in contact, and not to be, whatever their shift says.
         """
-        heard = self._heard(shift, variance)
+        detected = self._detected(shift, variance)
         if not dt_s >= 0:
             raise ValueError(f"dt_s {dt_s} must be at least 0")
         self._advance(dt_s)
@@ -183,15 +183,15 @@ class PlateDrift:
             self._in_contact |= pressed
         if free is not None:
             self._in_contact &= ~free
-        presumed, prior = self._presume(shift, variance, heard & ~self._in_contact, dt_s)
+        presumed, prior = self._presume(shift, variance, detected & ~self._in_contact, dt_s)
         warmth, warmth_variance = self._warmth(local_kelvin, presumed)
-        suspicious = self._judge(shift, variance, heard, presumed, warmth, warmth_variance)
+        suspicious = self._judge(shift, variance, detected, presumed, warmth, warmth_variance)
         if pressed is not None:
             self._in_contact |= pressed
         if free is not None:
             self._in_contact &= ~free
             suspicious &= ~free
-        trusted = heard & ~self._in_contact & ~suspicious & (warmth == 0.0)
+        trusted = detected & ~self._in_contact & ~suspicious & (warmth == 0.0)
         self._common = prior
         if trusted.any():
             self._measure(shift, variance, trusted, local_kelvin)
@@ -210,12 +210,12 @@ class PlateDrift:
             self._in_contact.copy(),
         )
 
-    def _heard(self, shift: Floats, variance: Floats) -> Bools:
+    def _detected(self, shift: Floats, variance: Floats) -> Bools:
         sites = self._coefficients.shape[1]
         if shift.shape != (sites,) or variance.shape != (sites,):
             raise ValueError(f"shift {shift.shape} and variance {variance.shape} must have shape ({sites},)")
-        heard: Bools = np.isfinite(shift) & (variance > 0) & np.isfinite(variance)
-        return heard
+        detected: Bools = np.isfinite(shift) & (variance > 0) & np.isfinite(variance)
+        return detected
 
     def _advance(self, dt_s: float) -> None:
         mean, covariance = self._common
@@ -228,7 +228,7 @@ class PlateDrift:
         self._unrest_kelvin_per_s = max(trend, self._unrest_kelvin_per_s * float(np.exp(-dt_s / UNREST_S)))
 
     def _presume(self, shift: Floats, variance: Floats, free: Bools, dt_s: float) -> tuple[_Common, _Common]:
-        """Presume theta and g, robustly from the free sites; with it the prior of a fit, as wide as that step.
+        """Return a robust first estimate of theta and g from the free sites, and the prior of a fit around it.
 
         Where that would take the plate beyond its largest rate, the sites are pressed and the prediction stands.
         """
@@ -244,7 +244,7 @@ class PlateDrift:
         return presumed, _Common(mean, covariance + np.diag([step_kelvin**2, 0.0]))
 
     def _fit(self, shift: Floats, variance: Floats, where: Bools, prior: _Common, *, robust: bool) -> _Common:
-        """Fit theta and g to the sites that `where` tells.
+        """Fit theta and g to the sites in `where`.
 
         Gauss-Newton steps, each by QR; `robust` gives large residuals the weight of Huber, Ann. Math. Stat. 35 (1964).
         """
@@ -276,24 +276,24 @@ class PlateDrift:
         self,
         shift: Floats,
         variance: Floats,
-        heard: Bools,
+        detected: Bools,
         presumed: _Common,
         warmth: Floats,
         warmth_variance: Floats,
     ) -> Bools:
-        """Tell which sites a press may have moved, and settle which are in contact."""
+        """Return the sites that a press may have moved, and update which are in contact."""
         expected, expected_variance = self._expected(presumed, warmth, warmth_variance)
-        total = np.where(heard, expected_variance + variance, 1.0)
-        sigmas = np.where(heard, np.abs(shift - expected) / np.sqrt(total), np.nan)
+        total = np.where(detected, expected_variance + variance, 1.0)
+        sigmas = np.where(detected, np.abs(shift - expected) / np.sqrt(total), np.nan)
         suspicious: Bools = sigmas > ON_SIGMAS
-        self._above = np.where(heard, (self._above + 1) * suspicious, self._above)
-        self._below = np.where(heard, (self._below + 1) * (sigmas < OFF_SIGMAS), self._below)
+        self._above = np.where(detected, (self._above + 1) * suspicious, self._above)
+        self._below = np.where(detected, (self._below + 1) * (sigmas < OFF_SIGMAS), self._below)
         held = self._in_contact & (self._below < OFF_FRAMES)
         self._in_contact = held | (self._above >= ON_FRAMES)
         return suspicious
 
     def _measure(self, shift: Floats, variance: Floats, trusted: Bools, local_kelvin: Floats | None) -> None:
-        """Take theta and g from trusted sites, and then these sites' offsets and thermometers."""
+        """Update theta and g from trusted sites, then these sites' offsets and thermometers."""
         before_kelvin = self._common.mean[0]
         self._common = self._fit(shift, variance + self._offsets.variance, trusted, self._common, robust=False)
         theta = self._common.mean[0]
@@ -303,7 +303,7 @@ class PlateDrift:
             self._trend_kelvin_per_s -= np.expm1(-self._held_s / TREND_MEMORY_S) * (rate - self._trend_kelvin_per_s)
         self._held_s = 0.0
         if not self._started:
-            # From here on errors are told from those of the start, which the offsets make good for.
+            # From here on errors differ from those of the start, which the offsets compensate.
             self._start_variance = float(self._common.covariance[0, 0])
             self._common = _Common(self._common.mean, np.zeros((2, 2)))
             self._started = True
@@ -317,7 +317,7 @@ class PlateDrift:
             self._thermometers.measure(local_kelvin - theta, read_variance, trusted & np.isfinite(local_kelvin))
 
     def _warmth(self, local_kelvin: Floats | None, common: _Common) -> tuple[Floats, Floats]:
-        """How much warmer a site is than the plate, with its variance; 0 where no thermometer says that it is."""
+        """Return how much warmer a site is than the plate, with its variance; 0 without a significant difference."""
         sites = self._coefficients.shape[1]
         if local_kelvin is None:
             return np.zeros(sites), np.zeros(sites)
@@ -345,19 +345,19 @@ class PlateDrift:
     def _drifted(self, common: _Common, warmth: Floats) -> Floats:
         """Variance of a site's shift from its coefficients, for the change of temperature since it was last measured.
 
-        The coefficients of the sites that tell theta are as uncertain and add their share; what an error of theta at
-        the start does to the slopes of all alike cancels. From frame to frame the change is by the plate's mean rate,
+        The coefficients of the sites that determine theta are as uncertain and add their share; what an error of theta
+        at the start does to all slopes cancels. From frame to frame the change is by the plate's mean rate,
         which the noise of theta would hide.
         """
         _, b, c = self._coefficients
         theta = common.mean[0]
         slope = common.slope(self._coefficients)
         curvature = 2.0 * b + 6.0 * c * theta
-        told_by = np.where(self._in_contact, 0.0, slope)  # theta follows shifts of these, in proportion
-        told = float(told_by @ told_by)
+        seen_by = np.where(self._in_contact, 0.0, slope)  # theta follows shifts of these, in proportion
+        told = float(seen_by @ seen_by)
         weight = slope / told if told > 0.0 else np.zeros(len(slope))
         slope_variance = self._coefficient_variance * (1.0 + weight * slope)
-        slope_variance += (curvature - weight * float(told_by @ curvature)) ** 2 * self._start_variance
+        slope_variance += (curvature - weight * float(seen_by @ curvature)) ** 2 * self._start_variance
         step_kelvin = self._rate_kelvin_per_s * self._step_s
         unrest_kelvin = self._unrest_kelvin_per_s * np.sqrt(self._step_s * TREND_MEMORY_S)
         step_kelvin = np.hypot(step_kelvin, unrest_kelvin)

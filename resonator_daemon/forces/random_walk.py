@@ -1,4 +1,4 @@
-"""Values that wander and are measured now and then: a scalar Kalman filter for each."""
+"""Random walks with occasional readings: a scalar Kalman filter for each."""
 
 import math
 
@@ -21,11 +21,11 @@ class RandomWalks:
         self.variance[:] = self._start_std**2
 
     def advance(self, step_variance: Floats | float) -> None:
-        """Let time pass: the walks' variances grow by `step_variance`."""
+        """Predict: add `step_variance` to the variances."""
         self.variance += step_variance
 
     def measure(self, reading: Floats, reading_variance: Floats | float, where: NDArray[np.bool_]) -> None:
-        """Take readings (n,) of those walks that `where` tells."""
+        """Update with readings (n,) of the walks in `where`."""
         total = self.variance + reading_variance
         known = np.isfinite(total) & (total > 0)
         gain = np.where(known, self.variance / np.where(known, total, 1.0), 1.0)

@@ -1,4 +1,4 @@
-"""What a chain tells of one window: forces and contacts of force sites, signals of a skin, and what was compensated."""
+"""Readings of one window: forces and contacts of force sites, signals of a skin, and their compensation."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -23,11 +23,11 @@ SensorStatus = Literal[
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each reading
 class Compensation:
-    """What was taken out of the frequencies before they became forces.
+    """Compensation applied to the frequencies before their conversion to forces.
 
     `common_mode` is the relative frequency error taken out of each channel, `common_mode_std` what it may be off by.
     `baseline` says how it is known: "followed" from an untouched plate or from untouched tones, "held" during a touch,
-    "unknown". `plate_kelvin` is the plate's temperature against its calibration's as tones tell it, NaN where none
+    "unknown". `plate_kelvin` is the plate's temperature against its calibration's as the tones show it, NaN where none
     does. `response` says whether hysteresis and creep are taken out.
     """
 
@@ -41,7 +41,7 @@ class Compensation:
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each step
 class ForceReading:
-    """Forces and contacts from one window; NaN or absent where not known, `status` and `reason` say why.
+    """Forces and contacts from one window; NaN or absent where unknown, with `status` and `reason`.
 
     `board_ticks` is the end of the last gate in the window. `at_step` is false between two steps, where only events
     are news. `beats` are channels whose tone beats with the counter's reference: their noise counts for more.

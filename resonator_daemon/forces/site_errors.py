@@ -1,4 +1,4 @@
-"""From the force that a site feels to the force that presses: response taken out, and all that it may be off by."""
+"""Force that presses from the force that a site feels: response inverted, with all systematic errors."""
 
 import math
 from typing import Final, NamedTuple
@@ -21,29 +21,29 @@ RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force co
 class Pressed(NamedTuple):
     """A force that presses, its noise and systematic standard deviations, and whether calibration covers it.
 
-    `untold_newton` is what comes to the latter once it is known that something presses: hysteresis and creep that were
-    not calibrated, a rest that is not known yet, and of a site that is heard untouched the warmth of a touch.
+    `unmodelled_newton` is added to the latter once something presses: hysteresis and creep that were not calibrated,
+    an unknown rest, and the warmth of a touch for a site observed untouched.
     """
 
     force_newton: float
     noise_newton: float
     systematic_newton: float
-    untold_newton: float
+    unmodelled_newton: float
     calibrated: bool
 
 
 class PressedSites(NamedTuple):
-    """The same of all sites, (m,)."""
+    """As `Pressed`, of all sites, (m,)."""
 
     force_newton: Floats
     noise_newton: Floats
     systematic_newton: Floats
-    untold_newton: Floats
+    unmodelled_newton: Floats
     calibrated: NDArray[np.bool_]
 
 
 class SiteErrors:
-    """Follows every site's presses: hysteresis, creep, and how long something has lain on it."""
+    """Tracker of every site's presses: hysteresis, creep and duration."""
 
     def __init__(self, sites: ForceSites) -> None:
         self._sites = sites
@@ -55,7 +55,7 @@ class SiteErrors:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all presses; what was before is not known."""
+        """Discard all presses; the past is unknown."""
         response, count = self._sites.response, len(self._sites.positions_m)
         self._inverse = ResponseInverse(count, response, self._sites.force_max_newton) if response else None
         self._since_s = np.full(count, math.nan)
@@ -64,7 +64,7 @@ class SiteErrors:
         self._unproven = np.zeros(count, dtype=bool)
 
     def rest(self, time_s: float) -> None:
-        """Take that nothing presses any site now, and that what they feel so counts as nothing.
+        """Tare: nothing presses any site now, and what the sites feel counts as zero.
 
         How far a site still was from its rest shows once it is pressed by more than its hysteresis.
         """
@@ -73,7 +73,7 @@ class SiteErrors:
             self._unproven[:] = True
 
     def silence(self, time_s: float) -> None:
-        """Take that nothing presses any site, and none is heard, until they are pressed again."""
+        """Mark all sites as untouched and unobserved until they are pressed again."""
         if self._all_silent:
             return
         if self._inverse is not None:
@@ -90,7 +90,7 @@ class SiteErrors:
         newton_per_shift: float,
         time_s: float,
     ) -> Pressed:
-        """Take what a site feels that is touched now.
+        """Update with the force that a touched site feels.
 
         `systematic_newton` is what the felt force may be off by; to it come the response's share, the sensitivity's and
         that of a warm or cold touch, which `newton_per_shift` makes a force of.
@@ -104,7 +104,7 @@ class SiteErrors:
         if math.isnan(since_s):
             self._since_s[site] = since_s = time_s
         self._silent[site] = self._all_silent = False
-        untold = self.untold_newton(force) if self._inverse is None else self._unknown_rest(site, force)
+        unmodelled = self.unmodelled_newton(force) if self._inverse is None else self._unknown_rest(site, force)
         warmth = self._sites.warmth
         held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
         per_kelvin = warming_std(held_s, slope, 1.0, transient_s=warmth.transient_s, relaxation_s=warmth.contact_time_s)
@@ -114,7 +114,7 @@ class SiteErrors:
         of_sensitivity = self._sites.sensitivity_std * force
         systematic = math.sqrt(systematic_newton**2 + of_sensitivity**2 + warming**2 + of_response**2)
         calibrated = math.isnan(force) or self._lowest_newton <= force <= self._highest_newton
-        return Pressed(force, noise, systematic, untold, calibrated)
+        return Pressed(force, noise, systematic, unmodelled, calibrated)
 
     def press_all(
         self,
@@ -125,10 +125,10 @@ class SiteErrors:
         time_s: float,
         touched: NDArray[np.bool_],
     ) -> PressedSites:
-        """Take what all sites (m,) feel, NaN for one that is not heard; those that are not `touched` rest.
+        """Update with the forces that all sites (m,) feel, NaN for unknown; sites not `touched` rest.
 
-        The other arguments are those of `press`, and one for each site. Warmth counts as untold: what only a touch can
-        do must not hide it.
+        The other arguments are those of `press`, one for each site. Warmth counts as unmodelled: touches cause it, and
+        it must not hide one.
         """
         sites = np.arange(len(felt_newton))
         since_s = np.where(np.isnan(self._since_s), time_s, self._since_s)
@@ -136,23 +136,23 @@ class SiteErrors:
         self._silent[:] = self._all_silent = False
         force, noise, of_response = felt_newton, noise_newton, np.zeros(len(sites))
         if self._inverse is None:
-            untold = self._untold_all(force)
+            unmodelled = self._unmodelled_all(force)
         else:
             force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
-            untold = self._unknown_rest_all(force)
+            unmodelled = self._unknown_rest_all(force)
         warmth = self._sites.warmth
         held_s = np.where(touched, time_s - since_s, 0.0)
         left = np.exp(-held_s / warmth.contact_time_s)
         per_kelvin = warmed_shift(left, warmth.coefficients[:, 0], warmth.transient_s, warmth.contact_time_s)
         unknown = warmth.coefficient_std * (1.0 - left)
         warming = warmth.contact_std_kelvin * np.hypot(per_kelvin, unknown)
-        untold = np.hypot(untold, np.where(touched, warming, 0.0) * newton_per_shift)
+        unmodelled = np.hypot(unmodelled, np.where(touched, warming, 0.0) * newton_per_shift)
         of_sensitivity = self._sites.sensitivity_std * force
         systematic = np.sqrt(systematic_newton**2 + of_sensitivity**2 + of_response**2)
         calibrated = np.isnan(force) | ((force >= self._lowest_newton) & (force <= self._highest_newton))
-        return PressedSites(force, noise, systematic, untold, calibrated)
+        return PressedSites(force, noise, systematic, unmodelled, calibrated)
 
-    def _untold_all(self, force_newton: Floats) -> Floats:
+    def _unmodelled_all(self, force_newton: Floats) -> Floats:
         lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
         return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
 
@@ -173,8 +173,8 @@ class SiteErrors:
         beyond = min(max(force_newton - hysteresis, 0.0), hysteresis) / 2.0
         return 0.0 if math.isnan(force_newton) else beyond
 
-    def untold_newton(self, force_newton: float) -> float:
-        """Return what hysteresis and creep may make of a force, one standard deviation, where they are not known."""
+    def unmodelled_newton(self, force_newton: float) -> float:
+        """Return one standard deviation of a force from unknown hysteresis and creep."""
         if self._inverse is not None:
             return 0.0
         # A site lags by half of its hysteresis, but by no more than presses it.

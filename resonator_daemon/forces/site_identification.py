@@ -1,4 +1,4 @@
-"""Which sites, and how hard: weighted least squares over the sites' codes, with gate, runner-up and overload."""
+"""Site identification by weighted least squares over the sites' codes, with gate, runner-up and overload."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.forces.channel_groups import Account, explain_groups, heard_alone, join, leave_one_out
+from resonator_daemon.forces.channel_groups import Account, detected_alone, explain_groups, join, leave_one_out
 from resonator_daemon.forces.code_fit import (
     RUNNER_UP_GAP,
     Channels,
@@ -38,11 +38,11 @@ OK, AMBIGUOUS, REJECTED, OVERLOAD = range(4)
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
 class SiteForce:
-    """Force on one site, an index into the plate's sites; under `overload` all that is known is a lower bound.
+    """Force on one site, an index into the plate's sites; under `overload` it is a lower bound.
 
     `noise_newton`, one standard deviation, is that of counter and oscillator; `systematic_newton`, too, that of the
     sensitivities and of the held common mode. `hidden_newton` is the most that a touch beside the site may have put on
-    other sites. `channels` are those that heard the site.
+    other sites. `channels` are those that follow the site.
     """
 
     site: int
@@ -57,7 +57,7 @@ class SiteForce:
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: one for each reading
 class Match:
-    """Outcome of one reading of the channels: every site that was found, or none and why.
+    """Outcome of one reading of the channels: the sites found, or none with the reason.
 
     `candidates` are the sites between which an ambiguous reading cannot choose. `chi2` is summed over the sites' fits.
     """
@@ -103,7 +103,7 @@ class Matcher:
     The shift is y_c = 1 - f0[m, c] / f_c = K[m, c] F + e_c. The covariance of e adds the counter's noise per channel,
     the oscillator's and the held common mode's over all channels, and (eps K F)^2 for the error of K: with noise alone
     most true touches would fail the gate. One site on all channels is tried first. Where none fits, a force beyond the
-    range or channels that hear different sites must explain the reading, not both; where neither does, all channels
+    range or channels that follow different sites must explain the reading, not both; where neither does, all channels
     but one may.
     """
 
@@ -116,7 +116,7 @@ class Matcher:
         model_error: float = MODEL_ERROR,
         hidden_fraction: Floats | None = None,
     ) -> None:
-        """Take codes of shape (m, channels), sensitivity in 1/N, and optionally `hidden_fraction` (m,) of `force`."""
+        """Initialise with codes (m, channels), sensitivity in 1/N, and optionally `hidden_fraction` (m,) of `force`."""
         if f0_hz.ndim != 2 or f0_hz.shape != sensitivity.shape or not len(f0_hz):
             raise ValueError(
                 f"f0_hz {f0_hz.shape} and sensitivity {sensitivity.shape} must have one shape (m, channels), m >= 1"
@@ -190,7 +190,7 @@ class Matcher:
         counter_std
             Relative, independent from channel to channel; (n, channels) or (channels,).
         oscillator_std
-            Relative; one oscillator is heard by all channels. A number or (n,).
+            Relative; all channels share one oscillator. A number or (n,).
         common_mode_std
             Relative: what the common mode that was taken out may be off by, finite. A number or (n,). While the common
             mode is not known there is nothing to match; 0 is for one that is known exactly.
@@ -293,10 +293,10 @@ class Matcher:
         if used < 2:
             return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
         sites = np.flatnonzero((self._near(reading)[0] & reading.used[0]).any(axis=1))
-        heard = heard_alone(self._codes, sites, reading)
-        if heard[reading.used[0]].all(axis=0).any():  # a chance excess of the gate must not be read as anything else
+        detected = detected_alone(self._codes, sites, reading)
+        if detected[reading.used[0]].all(axis=0).any():  # a chance excess of the gate must not be read as anything else
             return Match("rejected", "channels disagree on the force", chi2)
-        groups = explain_groups(self._codes, sites, heard, reading)
+        groups = explain_groups(self._codes, sites, detected, reading)
         account, over = join(groups), self._overload(reading)
         if over and account.status != "rejected":
             candidates = {site.site for site in account.named} | {force.site for force in over.forces}

@@ -1,4 +1,4 @@
-"""Force that presses from the force that a site feels: hysteresis and creep of a site, and their inverse."""
+"""Hysteresis and creep of a site, and their inverse: the force that presses from the force felt."""
 
 import math
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Pressing(NamedTuple):
 
 
 class ResponseInverse:
-    """Follows play and creep of each site, and gives the force that makes the site feel what was read.
+    """Inverse of play and creep of each site: the force that makes the site feel what was read.
 
     The same readings are followed six times: with the parameters as they are, with each of them off by its standard
     deviation, and as if the site had been pressed less or more before. How far these forces lie apart is the systematic
@@ -63,7 +63,7 @@ class ResponseInverse:
     """
 
     def __init__(self, sites: int, response: SiteResponse, force_max_newton: float) -> None:
-        """Half of `force_max_newton` stands for what may have pressed while a site was not followed."""
+        """Initialise; half of `force_max_newton` bounds what may have pressed while a site was not followed."""
         if not (math.isfinite(force_max_newton) and force_max_newton > 0):
             raise ValueError(f"force_max_newton {force_max_newton} must be finite and above 0")
         parameters = np.tile(
@@ -84,15 +84,15 @@ class ResponseInverse:
         self._known_until_s = np.full(sites, -math.inf)
 
     def press(self, sites: Indices, felt_newton: Floats, noise_newton: Floats, time_s: float) -> Pressing:
-        """Take what sites (k,), each named once, feel now, with its noise; NaN is no reading and gives NaN.
+        """Update with the forces that sites (k,), each named once, feel, with their noise; NaN gives NaN.
 
         `time_s` counts from anywhere, but from one place in all calls.
         """
-        heard = np.isfinite(felt_newton)
-        if not heard.all():
+        detected = np.isfinite(felt_newton)
+        if not detected.all():
             result = np.full((3, len(sites)), math.nan)
-            if heard.any():
-                result[:, heard] = self.press(sites[heard], felt_newton[heard], noise_newton[heard], time_s)
+            if detected.any():
+                result[:, detected] = self.press(sites[detected], felt_newton[detected], noise_newton[detected], time_s)
             return Pressing(*result)
         play, creep = self._elapse(sites, time_s)
         mean = (felt_newton - self._fraction * creep) / self._rest  # of F and z
@@ -110,13 +110,13 @@ class ResponseInverse:
         return Pressing(force[_AS_IS], gain * noise_newton, np.sqrt(variance))
 
     def rest(self, sites: Indices, time_s: float) -> None:
-        """Take that sites (k,) rest now, and that what they feel at rest counts as nothing."""
+        """Tare sites (k,): they rest now, and what they feel counts as zero."""
         still = np.zeros((self._state.shape[1], len(sites)))
         self._keep(sites, still, still, still, time_s)
         self._known_until_s[sites] = math.inf
 
     def release(self, sites: Indices, time_s: float) -> None:
-        """Take that sites (k,) are untouched from now until they are heard again; for all that are so at the start."""
+        """Mark sites (k,) as untouched from now until they are observed again."""
         play, creep = self._elapse(sites, time_s)
         play = np.where(np.isfinite(play), play, self._unknown_rest)
         play = np.minimum(np.maximum(play, -self._hysteresis), self._hysteresis)

@@ -1,4 +1,4 @@
-"""Touches from the forces that they spread over neighbouring sites: how many, where, and how hard.
+"""Multi-touch from forces spread over neighbouring sites: number, positions and forces.
 
 Under a cover of depth w a touch of force F at distance r loads a site with F (1 + r^2 / w^2)^(-3/2), the normal stress
 below a point load on a half-space (Johnson, Contact Mechanics, 1985, section 3.2). Sites are known to a relative model
@@ -56,7 +56,7 @@ class Touches:
 
 
 class _Data(NamedTuple):
-    """Sites that are heard: positions in cover depths (n, 2), forces, variances, and what share of these is noise."""
+    """Observed sites: positions in cover depths (n, 2), forces, variances, and the share of noise in these."""
 
     position: Floats
     force: Floats
@@ -84,7 +84,7 @@ class SpreadFit:
         share_error: float = 0.0,
         outline_m: Floats | None = None,
     ) -> None:
-        """Take positions (n, 2), depth w of the cover, and the relative model error of a site.
+        """Initialise with positions (n, 2), depth w of the cover, and the relative model error of a site.
 
         `share_error` is what each site's share of a touch may be off by, of the whole force: no cover spreads a touch
         exactly as the law says, and far sites would else outweigh the near ones, whose errors grow with their force.
@@ -116,7 +116,7 @@ class SpreadFit:
         *,
         search: bool = True,
     ) -> Touches:
-        """Find the touches behind site forces (n,) with variances (n,) of their noise; NaN for a site not known.
+        """Find the touches behind site forces (n,) with variances (n,) of their noise; NaN for an unknown site.
 
         `other_variance` (n,) is that of other errors, independent from site to site as well. The touches of the reading
         `before` are tried first, and alone where `search` is false: a search takes milliseconds.
@@ -124,10 +124,10 @@ class SpreadFit:
         sites = (len(self._position),)
         if force_newton.shape != sites or noise_variance.shape != sites:
             raise ValueError(f"forces {force_newton.shape} and variances {noise_variance.shape} must be {sites}")
-        heard = np.isfinite(force_newton) & np.isfinite(noise_variance) & (noise_variance > 0)
+        seen = np.isfinite(force_newton) & np.isfinite(noise_variance) & (noise_variance > 0)
         total = noise_variance + other_variance
-        data = _Data(self._position[heard], force_newton[heard], total[heard], (noise_variance / total)[heard])
-        if not heard.any():
+        data = _Data(self._position[seen], force_newton[seen], total[seen], (noise_variance / total)[seen])
+        if not seen.any():
             return self._touches("no_signal", "no site is known", data, _Fit(*NOTHING, np.nan))
         nothing = _Fit(*NOTHING, float(np.sum(data.force**2 / data.noise)))
         followed = self._followed(data, nothing, before) if before is not None else nothing
@@ -209,7 +209,7 @@ class SpreadFit:
         return min(found, key=lambda more: more.chi2, default=None)
 
     def _relocated(self, data: _Data, fit: _Fit) -> _Fit:
-        """Take away one touch after the other and look for its place anew, while chi2 exceeds its mean.
+        """Remove one touch after the other and search its place anew, while chi2 exceeds its mean.
 
         A touch that was found while others were missing lies between them.
         """

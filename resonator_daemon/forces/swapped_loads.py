@@ -1,4 +1,4 @@
-"""Loads laid on in the wrong order: two steps whose exchange explains what no line does."""
+"""Detection of loads in the wrong order: two steps whose exchange explains the residuals."""
 
 import math
 from itertools import combinations
@@ -28,8 +28,8 @@ def swapped_steps(means: StepMeans, sensitivity: Floats) -> tuple[int, int] | No
         if means.held[site]:
             continue
         gate = chi2_distribution.isf(CHANCE, max((len(rows) - 2) * shift.shape[1], 1))
-        as_told = _chi2(shift, force, expected)
-        if as_told <= gate:
+        as_stated = _chi2(shift, force, expected)
+        if as_stated <= gate:
             continue
         exchanged = [
             (_chi2(shift, _exchange(force, i, j), expected), (int(means.step[rows[i]]), int(means.step[rows[j]])))
@@ -37,8 +37,8 @@ def swapped_steps(means: StepMeans, sensitivity: Floats) -> tuple[int, int] | No
             if force[i] != force[j]
         ]
         best, pair = min(exchanged)
-        if best <= gate and as_told - best > GAP:
-            found.append((best - as_told, pair))
+        if best <= gate and as_stated - best > GAP:
+            found.append((best - as_stated, pair))
     return min(found)[1] if found else None
 
 
@@ -49,7 +49,7 @@ def _exchange(force: Floats, i: int, j: int) -> Floats:
 
 
 def _chi2(shift: Floats, force: Floats, expected: Floats) -> float:
-    """Of a line through shifts (k, channels) over loads (k,); infinite where all its slopes have the wrong sign."""
+    """Return chi2 of a line through shifts (k, channels) over loads (k,); infinite if no slope has the right sign."""
     weight = 1.0 / np.hypot(LOAD_STD[0] * force, LOAD_STD[1] * force.max()) ** 2
     off = force - weight @ force / weight.sum()
     slope = (weight * off) @ shift / ((weight * off) @ off)

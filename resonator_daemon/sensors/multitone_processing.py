@@ -304,7 +304,7 @@ class MultitoneProcessing:
             other = math.sqrt(max(widening * float(covariance[2, 2]) - noise**2, 0.0))
             x, y = position_m.tolist()
             over = newton > self._sites.force_max_newton
-            untold = max(float(forces.untold_newton[nearest]), self._errors.untold_newton(newton))
+            unmodelled = max(float(forces.unmodelled_newton[nearest]), self._errors.unmodelled_newton(newton))
             touches.append(
                 Touch(
                     nearest,
@@ -312,7 +312,7 @@ class MultitoneProcessing:
                     widening * covariance[:2, :2],
                     math.nan if over else newton,
                     math.nan if over else noise,
-                    math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton, untold),
+                    math.nan if over else math.hypot(other, self._sites.sensitivity_std * newton, unmodelled),
                     0.0,
                     _word(over=over, calibrated=bool(forces.calibrated[nearest]), alone=status == "ok"),
                     at_least_newton=self._sites.force_max_newton if over else None,
@@ -322,7 +322,7 @@ class MultitoneProcessing:
 
     def _site_force(self, forces: PressedSites, site: np.intp) -> SiteForce:
         newton, largest = float(forces.force_newton[site]), self._sites.force_max_newton
-        own = math.hypot(self._sites.model_error * newton, float(forces.untold_newton[site]))
+        own = math.hypot(self._sites.model_error * newton, float(forces.unmodelled_newton[site]))
         over = newton > largest
         if math.isnan(newton):
             return SiteForce(int(site), math.nan, math.nan, math.nan, "no_signal")

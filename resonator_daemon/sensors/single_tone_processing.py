@@ -335,7 +335,7 @@ class SingleToneProcessing:
             force.site,
             pressed.force_newton,
             pressed.noise_newton,
-            math.hypot(pressed.systematic_newton, pressed.untold_newton),
+            math.hypot(pressed.systematic_newton, pressed.unmodelled_newton),
             worth if pressed.calibrated else "uncalibrated",
             force.at_least_newton,
             force.hidden_newton,

@@ -55,7 +55,7 @@ class Sums(NamedTuple):
 
 
 def continues(earlier: Sums, later: Sums) -> bool:
-    """Tell whether the stamps of `later` run on from those of `earlier` without a missing or an extra one."""
+    """Return whether the stamps of `later` continue those of `earlier` without a missing or an extra one."""
     first_edge, first_ticks, stamps, stride_edges, span_ticks, _, _, _, _ = earlier
     next_edge, next_ticks, _, next_stride_edges, _, _, _, _, _ = later
     gap_ticks = (next_ticks - first_ticks - span_ticks) & WRAP_MASK
@@ -83,7 +83,7 @@ def merge(parts: Iterable[Sums]) -> Sums:
 
 
 def merge_adjacent(parts: Iterable[Sums]) -> Sums:
-    """Add up as `merge` parts of which each is known to continue the one before it."""
+    """Merge parts that are known to be adjacent."""
     rest = iter(parts)
     first_edge, first_ticks, stamps, stride_edges, span, s1, s2, q2, differences = next(rest)
     for _, part_ticks, count, _, part_span, part_s1, part_s2, part_q2, part_differences in rest:

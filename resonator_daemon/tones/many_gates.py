@@ -31,7 +31,7 @@ def as_arrays(gates: Sequence[Sequence[Gate]], rows: int) -> tuple[Integers, Flo
 
 
 def begins(sums: Integers, frequency_hz: Floats) -> NDArray[np.bool_]:
-    """Return which gates after the first do not continue the one before: stamps are missing, or the tone changes."""
+    """Return which gates after the first do not continue the one before: stamps are missing or the tone changed."""
     first_edge, first_ticks, stamps, stride, span = sums[:5, :-1]
     next_edge, next_ticks, _, next_stride, _ = sums[:5, 1:]
     gap_ticks = (next_ticks - first_ticks - span) & WRAP_MASK

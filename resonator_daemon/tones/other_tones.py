@@ -1,4 +1,4 @@
-"""What a channel hears beside the tone that it counts: a second one bends the line that edges lie on.
+"""Detection of a second tone on a channel: it bends the line that edges lie on.
 
 A tone of amplitude ratio r shifts each edge by up to r / (2 pi f), a beat's phase at a time. The regression lets
 through none of it but a little that looks like a line: what is left of the first and the last stamp tells r. Second
@@ -23,19 +23,19 @@ _Number = TypeVar("_Number", float, Floats)
 
 
 def end_residual_ticks2(stamps: _Number, span_ticks: _Number, s1_ticks: _Number, slope_ticks: _Number) -> _Number:
-    """Mean square of what the regression line, of `slope_ticks` per stamp, leaves of the first and the last stamp."""
+    """Return the mean square residual of first and last stamp from the line of `slope_ticks` per stamp."""
     middle, half = s1_ticks / stamps, slope_ticks * (stamps - 1) / 2
     return ((middle - half) ** 2 + (span_ticks - middle - half) ** 2) / 2
 
 
 def pilot_residual_ticks2(ratio: float, frequency_hz: float, reference_hz: float) -> float:
-    """Mean square by which a tone of amplitude `ratio` moves edges of `frequency_hz`."""
+    """Return the mean square shift of edges of `frequency_hz` by a tone of amplitude `ratio`."""
     moved_ticks = ratio * reference_hz / (2.0 * math.pi * frequency_hz)
     return moved_ticks * moved_ticks / 2.0
 
 
 def hears_another_tone(residual_ticks2: float, noise_ticks2: float, pilot_ticks2: float) -> bool:
-    """Tell whether the ends of a window's gates lie off their lines by more than noise and pilot explain."""
+    """Return whether the ends of a window's gates lie off their lines by more than noise and pilot explain."""
     return residual_ticks2 > RESIDUAL_LIMIT * (noise_ticks2 + pilot_ticks2)
 
 
@@ -47,7 +47,7 @@ def beat_bound_hz(
     distance_hz: float,
     window_s: float,
 ) -> float:
-    """Return the standard deviation of a regression over the window from the tone that ends of gates tell of.
+    """Return the standard deviation of a regression over the window from the tone that the gates' ends show.
 
     `distance_hz` is the least that it may be away: where it beats with the gates themselves, these do not scatter.
     """
@@ -57,7 +57,7 @@ def beat_bound_hz(
 
 
 def beat_std_hz(gate_hz: Sequence[float], gate_std_hz: float) -> float:
-    """Return what beats leave in the regression over a window of k gates; it falls with k^2.
+    """Return the residual of beats in the regression over a window of k gates; it falls with k^2.
 
     0 where there are fewer than four gates.
     """

@@ -82,7 +82,7 @@ def excess_bound_of_one(interval_ticks: float, jitter_ticks: float, stamps: int)
 
 
 def beats(interval_ticks: npt.ArrayLike, jitter_ticks: npt.ArrayLike, stamps: npt.ArrayLike) -> NDArray[np.bool_]:
-    """Tell where `excess_bound` is above EXCESS_LIMIT: the counter's stated noise may be too small there."""
+    """Return where `excess_bound` exceeds EXCESS_LIMIT: the counter's stated noise may be too small there."""
     return excess_bound(interval_ticks, jitter_ticks, stamps) > EXCESS_LIMIT
 
 

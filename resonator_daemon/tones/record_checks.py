@@ -27,7 +27,7 @@ FAULTS: Final = (
     "impossible_counts",
     "impossible_frequency",
 )
-"""Why a record gives no frequency, by its code; 0: it gives one."""
+"""Faults of records by code; 0: none."""
 CAPTURE_SWITCH, IMPOSSIBLE_COUNTS, IMPOSSIBLE_FREQUENCY = map(FAULTS.index, FAULTS[3:4] + FAULTS[6:])
 
 _FLAGS: Final = (

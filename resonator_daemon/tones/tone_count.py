@@ -1,4 +1,4 @@
-"""What one channel has counted of a tone in a window, and how well: stamps, beats with the reference, other tones.
+"""Tone of one channel in a window, and its errors: stamps, beats with the reference, other tones.
 
 All of it is of one tone and in plain floats: it is worked out for each channel some hundred times a second, and arrays
 of four numbers take ten times as long.
@@ -21,7 +21,7 @@ EXCESS_CAP: Final = 1e6  # of the counter's variance; a beat that slow is worth 
 
 
 class ToneCount(NamedTuple):
-    """A tone's frequency and its relative noise, whether more is heard, and whether it beats with the reference."""
+    """Frequency and relative noise of a tone, with flags for a second tone and for beats with the reference."""
 
     frequency_hz: float
     std: float
@@ -43,7 +43,7 @@ def count_tone(
     distance_hz: float,
     window_s: float,
 ) -> ToneCount:
-    """Tell what a channel counts, and how well.
+    """Return the tone that a channel counts, and its errors.
 
     Parameters
     ----------

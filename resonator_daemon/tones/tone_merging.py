@@ -1,4 +1,4 @@
-"""Adjacent gates of a channelised counter to the frequency of the whole window, as if one long gate had taken it.
+"""Adjacent gates of a channelised counter merged to the frequency of the whole window.
 
 A gate's mid-phase and slope are what a regression of phase on time leaves of it. Under white phase noise they are
 uncorrelated, the slope with the standard deviation s in hertz and the mid-phase with s T / sqrt(12) in turns, T the

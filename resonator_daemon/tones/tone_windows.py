@@ -1,4 +1,4 @@
-"""Sliding windows of a single-tone counter: the last gates of each channel, while the same tone's stamps run on."""
+"""Sliding windows of a single-tone counter: the last gates of each channel with continuous stamps."""
 
 import math
 from typing import Final
@@ -38,14 +38,14 @@ class ToneWindows:
         self._gates = [[] for _ in range(self.channels)]
 
     def resize(self, frames: int) -> None:
-        """Hold so many gates from here; of those held now the newest stay."""
+        """Set the number of gates to hold; the newest stay."""
         if frames < 1:
             raise ValueError(f"window of {frames} frames, at least 1")
         self.frames = frames
         self._gates = [gates[-frames:] for gates in self._gates]
 
     def push(self, payload: bytes) -> GateBlock:
-        """Take the records of some gates, as on the wire: one of each channel, gate after gate.
+        """Append the records of some gates, as on the wire: one of each channel, gate after gate.
 
         An unusable record empties the window of its channel; one that does not continue the last begins a new window.
         Raises ValueError where the payload is no whole number of gates, at least one.

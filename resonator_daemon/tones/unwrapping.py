@@ -44,13 +44,13 @@ class Unwrapper:
         self._gate: Sums | None = None
 
     def restart(self, cause: str) -> None:
-        """Forget all stamps, as after a record without a frequency or a board that has booted; counts `cause`."""
+        """Discard all stamps, as after a fault or a restart of the board; counts `cause`."""
         if self._gate is not None:
             self.resyncs[cause] += 1
         self.first = self.last = self._gate = None
 
     def push(self, board_ticks: int, record: SingleToneRecord) -> str | None:
-        """Take a record without a fault, and the board's time at the end of its gate, unwrapped.
+        """Append a record without fault, and the unwrapped board time at the end of its gate.
 
         Returns None where it goes on from the one before or is the first, else why the counts start anew with it:
         "stride_break", "ticks_implausible", "edges_implausible", or "gap_too_long" after so many lost frames that the
@@ -90,7 +90,7 @@ def _advance_edges(gate: Sums, passed_ticks: int, counted: int) -> int:
 
 
 def _advance_fault(gate: Sums, passed_ticks: int, advance: int) -> str | None:
-    """Why no tone that was heard in `gate` makes `advance` edges in the ticks since its last stamp; None if it may."""
+    """Return why no tone in `gate` makes `advance` edges in the ticks since its last stamp; None if it may."""
     edges, span = _edges(gate), gate.span_ticks
     gates = 1 + passed_ticks / span
     drift_edges = min(FREQUENCY_JUMP * gates, FREQUENCY_SPAN) * passed_ticks * edges / span

@@ -51,9 +51,9 @@ def test_without_a_response_and_warmth_a_force_is_what_the_site_feels():
 
 def test_a_response_that_was_not_calibrated_may_be_the_usual_one():
     # A hysteresis of 1 % of the 10 N of this plate: half of it, and no more than presses; and half of 0.5 % of creep.
-    for newton, untold in ((0.02, 0.02), (2.0, 0.05), (8.0, math.hypot(0.05, 0.02))):
-        assert press(errors(), newton, 0.0).untold_newton == pytest.approx(untold, rel=0.01)
-        assert press(errors(response=RESPONSE), newton, 0.0).untold_newton == 0.0
+    for newton, unmodelled in ((0.02, 0.02), (2.0, 0.05), (8.0, math.hypot(0.05, 0.02))):
+        assert press(errors(), newton, 0.0).unmodelled_newton == pytest.approx(unmodelled, rel=0.01)
+        assert press(errors(response=RESPONSE), newton, 0.0).unmodelled_newton == 0.0
 
 
 def test_the_shared_error_of_sensitivity_grows_with_the_force():
@@ -117,7 +117,9 @@ def test_the_warmth_of_a_touch_must_not_hide_it_where_sites_are_heard_untouched(
     warmth_newton = press(alone, 1.0, 10.0).systematic_newton
     assert warmth_newton > 0.1
     assert pressed.systematic_newton == 0.0
-    assert pressed.untold_newton == pytest.approx(math.hypot(press(errors(), 1.0, 0.0).untold_newton, warmth_newton))
+    assert pressed.unmodelled_newton == pytest.approx(
+        math.hypot(press(errors(), 1.0, 0.0).unmodelled_newton, warmth_newton)
+    )
 
 
 @pytest.mark.parametrize(
@@ -190,7 +192,7 @@ def test_all_sites_are_pressed_as_one_is(response):
         # Of sites that are heard untouched, warmth counts as untold; the whole is the same.
         assert of_all.calibrated == of_one.calibrated
         assert of_all[:2] == pytest.approx(of_one[:2], rel=1e-12, nan_ok=True)
-        whole = [math.hypot(each.systematic_newton, each.untold_newton) for each in (of_all, of_one)]
+        whole = [math.hypot(each.systematic_newton, each.unmodelled_newton) for each in (of_all, of_one)]
         assert whole[0] == pytest.approx(whole[1], rel=1e-12, nan_ok=True)
 
 
