@@ -29,7 +29,7 @@ from frame_cost import (
 )
 
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost
@@ -79,7 +79,7 @@ async def measure(scene: Scene, rate_hz: float, seconds: float) -> str:
     skin = Skin(HalfSpace(YOUNGS_PASCAL, NU), SITES_M, DEPTH_M)
     client = Client()
     settings = SurfaceSettings(
-        skin, Wanted(friction_coefficient=scene.friction_coefficient), np.arange(len(SITES_M)), PITCH_M
+        skin, DecodingOptions(friction_coefficient=scene.friction_coefficient), np.arange(len(SITES_M)), PITCH_M
     )
     supervisor = DecoderSupervisor[float]("bench", settings, client)
     running = asyncio.create_task(supervisor.run())

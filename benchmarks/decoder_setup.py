@@ -19,7 +19,7 @@ from decoding_scenes import DEPTH_M, NOISE_STD, grid
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.elastic import HalfSpace
@@ -56,7 +56,7 @@ def least(work: Callable[[], object], repeats: int) -> tuple[float, float]:
     return float(thread), float(clock)
 
 
-def row(name: str, skin: Skin, wanted: Wanted, repeats: int) -> None:
+def row(name: str, skin: Skin, wanted: DecodingOptions, repeats: int) -> None:
     noise_std = np.full((3, len(skin.site_positions_m)), NOISE_STD)
     steps: list[tuple[str, float]] = []
 
@@ -88,9 +88,9 @@ def main() -> None:
     with threadpool_limits(1):
         for name in ("skin32", "fingertip400"):
             for mu, displacement in product((MU, None), (True, False)):
-                row(name, shipped(name), Wanted(friction_coefficient=mu, displacement=displacement), repeats)
+                row(name, shipped(name), DecodingOptions(friction_coefficient=mu, displacement=displacement), repeats)
         big = Skin(HalfSpace(YOUNGS_PASCAL, POISSON_RATIO), grid(BIG), DEPTH_M)
-        row(f"{BIG} x {BIG}", big, Wanted(), 1)
+        row(f"{BIG} x {BIG}", big, DecodingOptions(), 1)
     imports = [
         float(subprocess.run([sys.executable, "-c", IMPORT], check=True, capture_output=True, text=True).stdout)
         for _ in range(repeats)

@@ -27,7 +27,7 @@ import psutil
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.demo.local_broker import local_broker
 from resonator_daemon.plate import Plate, load_plate
@@ -276,8 +276,8 @@ def costs(plate: Plate, frames: list[NDArray[np.float32]]) -> None:
         "bench",
     )
     noise_std = noise.astype(np.float64)
-    alone = set_up(known.skin.skin, Wanted(background=False), noise_std, ignore)
-    following = set_up(known.skin.skin, Wanted(), noise_std, ignore)
+    alone = set_up(known.skin.skin, DecodingOptions(background=False), noise_std, ignore)
+    following = set_up(known.skin.skin, DecodingOptions(), noise_std, ignore)
     still = (NOISE_STD * np.random.default_rng(1).standard_normal(frames[0].shape)).astype(np.float32)
     spent: defaultdict[str, list[float]] = defaultdict(list)
     sizes_bytes: dict[str, int] = {}

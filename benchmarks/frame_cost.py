@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
@@ -135,8 +135,8 @@ def measure(scene: Scene, frames: int) -> tuple[Floats, int]:
     noise_std = np.full((3, len(SITES_M)), rms * 10.0 ** (-DECIBEL / 20.0))
     gains = 1.0 + GAIN_ERROR * rng.standard_normal(noise_std.shape)
     skin = Skin(HalfSpace(YOUNGS_PASCAL, NU), SITES_M, DEPTH_M)
-    wanted = Wanted(friction_coefficient=scene.friction_coefficient, background=not scene.cold)
-    decoder = SkinDecoder(skin, wanted, noise_std, lambda _: None)
+    options = DecodingOptions(friction_coefficient=scene.friction_coefficient, background=not scene.cold)
+    decoder = SkinDecoder(skin, options, noise_std, lambda _: None)
     spent_ms, rebuilds = np.zeros((frames, 3)), 0
     for number in range(-WARM_UP, frames):
         frame = signals(scene.loads(number)) * gains + noise_std * rng.standard_normal(noise_std.shape)

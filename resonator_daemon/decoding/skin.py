@@ -1,4 +1,4 @@
-"""What decoders need to know of a skin, and of what a user wants of them."""
+"""Skin and options of its decoder."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,7 +10,7 @@ from resonator_daemon.elastic import HalfSpace
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Sites under an elastic half-space, and what is known of its loads beforehand."""
+    """Sites under an elastic half-space, with the prior of its loads."""
 
     half_space: HalfSpace
     site_positions_m: Floats  # (n, 2); those of a grid row by row, x running first
@@ -20,8 +20,8 @@ class Skin:
 
 
 @dataclass(frozen=True)
-class Wanted:
-    """How to decode; contact physics rests on the open-plane decoder alone."""
+class DecodingOptions:
+    """Options of a decoder; contact physics needs the method "open-plane"."""
 
     method: Literal["open-plane", "fourier"] = "open-plane"
     contact_physics: bool = True

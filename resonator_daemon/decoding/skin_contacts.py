@@ -44,7 +44,7 @@ class SkinEvent:
 
 
 @dataclass
-class _Life:
+class _Track:
     last: SkinContact
     frames: int = 0  # in a row in which it was significant
     announced: bool = False
@@ -81,14 +81,14 @@ class SkinContacts:
         self._friction = None if known is None else Friction(known, _FRICTION_STD * known)
         self.tracker = PatchTracker()
         self.friction_estimate: float | None = None
-        self._lives: dict[int, _Life] = {}
+        self._tracks: dict[int, _Track] = {}
         self.reset()
 
     def reset(self) -> tuple[SkinEvent, ...]:
         """End all contacts: what follows has nothing in common with what was."""
-        ended = tuple(SkinEvent("release", life.last) for life in self._lives.values() if life.announced)
+        ended = tuple(SkinEvent("release", track.last) for track in self._tracks.values() if track.announced)
         self.tracker.clear()
-        self._lives = {}
+        self._tracks = {}
         self._watch = SlipWatch(self._model, self._friction)
         return ended
 
@@ -97,8 +97,8 @@ class SkinContacts:
     ) -> tuple[tuple[SkinContact, ...], tuple[SkinEvent, ...]]:
         """Contacts and events of a frame (3, n) and the patches that were found in it."""
         found = self.tracker.update(patches)
-        for missing in self._lives.keys() - found.keys():
-            self._lives[missing].frames = 0
+        for missing in self._tracks.keys() - found.keys():
+            self._tracks[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
         slips, slip_events = self._watch.update(signals, self._noise_of(signals), _starts(real))
         self.friction_estimate = _learned(slips) or self.friction_estimate
@@ -121,15 +121,15 @@ class SkinContacts:
 
     def _is_real(self, contact: int, patch: Patch) -> bool:
         """Whether a patch is a contact: significant in some frames in a row, and from then on while it is tracked."""
-        if contact not in self._lives:
-            self._lives[contact] = _Life(SkinContact(contact, patch, None, np.nan, 0.0))
-        life = self._lives[contact]
-        life.frames = life.frames + 1 if _is_significant(patch) else 0
-        return life.announced or life.frames >= _ONSET_FRAMES
+        if contact not in self._tracks:
+            self._tracks[contact] = _Track(SkinContact(contact, patch, None, np.nan, 0.0))
+        track = self._tracks[contact]
+        track.frames = track.frames + 1 if _is_significant(patch) else 0
+        return track.announced or track.frames >= _ONSET_FRAMES
 
     def _contact(self, contact: int, patch: Patch, slip: PartialSlip | None) -> SkinContact:
         force = float(patch.force_newton[2])
-        peak_newton = max(self._lives[contact].last.peak_newton, force)
+        peak_newton = max(self._tracks[contact].last.peak_newton, force)
         return SkinContact(contact, patch, slip, self._curvature_m(slip), peak_newton)
 
     def _curvature_m(self, slip: PartialSlip | None) -> float:
@@ -146,18 +146,18 @@ class SkinContacts:
         return np.hypot(self._noise_std, self._gain_std * sound)
 
     def _follow(self, contacts: Mapping[int, SkinContact]) -> list[SkinEvent]:
-        """Onsets and releases; lives whose patch is no longer tracked end."""
+        """Onsets and releases; tracks whose patch is no longer tracked end."""
         events = []
         for i, contact in contacts.items():
-            life = self._lives[i]
-            life.last = contact
-            if not life.announced:
-                life.announced = True
+            track = self._tracks[i]
+            track.last = contact
+            if not track.announced:
+                track.announced = True
                 events.append(SkinEvent("onset", contact))
-        for i in [i for i in self._lives if i not in self.tracker.ids]:
-            life = self._lives.pop(i)
-            if life.announced:
-                events.append(SkinEvent("release", life.last))
+        for i in [i for i in self._tracks if i not in self.tracker.ids]:
+            track = self._tracks.pop(i)
+            if track.announced:
+                events.append(SkinEvent("release", track.last))
         return events
 
 

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinContact, SkinContacts, SkinEvent
-from resonator_daemon.decoding.surface_readers import surface_reader
+from resonator_daemon.decoding.surface_estimators import surface_estimator
 
 _NOISE_CHANGE = 1.5  # of a channel: a smaller one hardly changes what is decoded
 _NOISY = 3.0  # times a signal's usual noise: it counts as lost
@@ -34,7 +34,7 @@ class SkinDecoder:
     Parameters
     ----------
     skin
-    wanted
+    options
         Contact physics needs the open-plane decoder. ValueError for what cannot be decoded so.
     noise_std
         Standard deviation of the noise of the dimensionless signals, (3, n), as `rounded_noise` makes it.
@@ -51,14 +51,16 @@ class SkinDecoder:
         That are followed.
     """
 
-    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
         self._noise_std = noise_std
-        self._reader = surface_reader(skin, wanted, noise_std, progress)
+        self._estimator = surface_estimator(skin, options, noise_std, progress)
         progress("contact shapes")
-        self.contacts = SkinContacts(skin, noise_std, wanted.friction_coefficient)
+        self.contacts = SkinContacts(skin, noise_std, options.friction_coefficient)
         self._frame = np.full(noise_std.shape, np.nan)
-        self.name = self._reader.name
-        self.shape = self._reader.shape
+        self.name = self._estimator.name
+        self.shape = self._estimator.shape
 
     def fits(self, noise_std: Floats) -> bool:
         """Whether the decoder still serves signals of such noise, (3, n); a channel that is not heard cannot tell."""
@@ -71,8 +73,8 @@ class SkinDecoder:
 
     def reset(self) -> tuple[SkinEvent, ...]:
         """Forget the frames before; returns how their contacts end."""
-        if self._reader.physics is not None:
-            self._reader.physics.reset()
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset()
         return self.contacts.reset()
 
     def number_from(self, last_contact_id: int) -> None:
@@ -94,26 +96,26 @@ class SkinDecoder:
         What is far noisier than usual, or of unknown noise, counts as lost.
         """
         self._frame = self._heard(signals, noise_std)
-        return self._reader.read(self._frame)
+        return self._estimator.read(self._frame)
 
     def read_contacts(self, decoded: Decoded) -> SurfaceReading:
         """Read the contacts of the frame whose map was decoded last."""
-        patches = self._reader.patches(decoded)
+        patches = self._estimator.patches(decoded)
         reading = SurfaceReading(self.name, decoded, *self.contacts.update(self._frame, patches))
-        if self._reader.physics is not None:
-            self._reader.physics.friction_estimate = self.contacts.friction_estimate
+        if self._estimator.physics is not None:
+            self._estimator.physics.friction_estimate = self.contacts.friction_estimate
         return reading
 
     def decode_alone(self, signals: Floats, noise_std: Floats) -> SurfaceReading:
         """Read a frame, both arrays (3, n), as if it were the first: contacts have no past, and there are no events.
 
-        With `Wanted.background`, contact physics would have no matrices for it.
+        With `DecodingOptions.background`, contact physics would have no matrices for it.
         """
         frame = self._heard(signals, noise_std)
-        if self._reader.physics is not None:
-            self._reader.physics.reset(rows_kept=True)
-        decoded = self._reader.read(frame)
-        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._reader.patches(decoded)))
+        if self._estimator.physics is not None:
+            self._estimator.physics.reset(rows_kept=True)
+        decoded = self._estimator.read(frame)
+        return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
 
     def _heard(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
@@ -121,12 +123,12 @@ class SkinDecoder:
     @property
     def rebuild_wanted(self) -> bool:
         """Whether `rebuild` has something to do."""
-        return self._reader.physics is not None and self._reader.physics.rebuild_wanted
+        return self._estimator.physics is not None and self._estimator.physics.rebuild_wanted
 
     def rebuild(self) -> None:
         """Follow a contact that has moved; in another thread than `decode`."""
-        if self._reader.physics is not None:
-            self._reader.physics.rebuild()
+        if self._estimator.physics is not None:
+            self._estimator.physics.rebuild()
 
 
 def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:

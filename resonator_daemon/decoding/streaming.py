@@ -9,7 +9,7 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.setup_cache import cached
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 
@@ -33,7 +33,7 @@ class StreamingDecoder:
     ----------
     skin
         Sites and half-space.
-    wanted
+    options
         Options of the decoder.
     progress
         Called with each step of a set-up, and with "" at its end.
@@ -41,9 +41,11 @@ class StreamingDecoder:
         Number of the last contact of an earlier decoder; numbers go on from there.
     """
 
-    def __init__(self, skin: Skin, wanted: Wanted, progress: Callable[[str], None], last_contact_id: int = 0) -> None:
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, progress: Callable[[str], None], last_contact_id: int = 0
+    ) -> None:
         self._skin = skin
-        self._wanted = wanted
+        self._options = options
         self._progress = progress
         self._last_contact_id = last_contact_id
         self._decoder: SkinDecoder | None = None
@@ -66,7 +68,7 @@ class StreamingDecoder:
             return False
         self._progress("looking in the cache")
         try:
-            decoder = set_up(self._skin, self._wanted, built_for, self._progress)
+            decoder = set_up(self._skin, self._options, built_for, self._progress)
         except CANNOT_DECODE as error:
             raise UndecodableError(str(error) or repr(error)) from error
         if before is not None:
@@ -113,7 +115,7 @@ class StreamingDecoder:
         return self._decoder is not None and self._decoder.rebuild_wanted
 
     def rebuild(self) -> None:
-        """Update matrices for a contact that has moved; `Wanted.background` leaves that to the caller."""
+        """Update matrices for a contact that has moved; `DecodingOptions.background` leaves that to the caller."""
         try:
             self._present.rebuild()
         except Exception:  # until one succeeds, the decoder shows its map without contact physics
@@ -126,10 +128,10 @@ class StreamingDecoder:
         return self._decoder
 
 
-def set_up(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
+def set_up(skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> SkinDecoder:
     """Build a decoder, or load it from the cache; raises one of CANNOT_DECODE if neither succeeds."""
     try:
-        return cached((skin, wanted, noise_std), lambda: SkinDecoder(skin, wanted, noise_std, progress))
+        return cached((skin, options, noise_std), lambda: SkinDecoder(skin, options, noise_std, progress))
     except CANNOT_DECODE:
         raise
     except Exception as error:  # a skin from the network may be anything; others can be decoded

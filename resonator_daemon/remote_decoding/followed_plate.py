@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.pipeline.frame_timeout import CONTACTS_END_S
 from resonator_daemon.publishing.codec import Encoded
@@ -41,7 +41,7 @@ class FollowedPlate:
         Of the topics.
     name
         Of the plate.
-    wanted
+    options
     decoder_id
     publish
     uncertainty
@@ -49,11 +49,18 @@ class FollowedPlate:
     """
 
     def __init__(
-        self, prefix: str, name: str, wanted: Wanted, decoder_id: str, publish: Publish, *, uncertainty: bool = True
+        self,
+        prefix: str,
+        name: str,
+        options: DecodingOptions,
+        decoder_id: str,
+        publish: Publish,
+        *,
+        uncertainty: bool = True,
     ) -> None:
         self._plate = RemotePlate(name)
         self._prefix = prefix
-        self._wanted = wanted
+        self._options = options
         self._decoder_id = decoder_id
         self._publish = publish
         self._uncertainty = uncertainty
@@ -117,7 +124,7 @@ class FollowedPlate:
         """Decode until the plate has changed; return the number of the last contact."""
         settings = SurfaceSettings(
             skin.skin,
-            self._wanted,
+            self._options,
             skin.site_ids,
             skin.grid.pitch_m if skin.grid else None,
             decoder_id=self._decoder_id,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from resonator_daemon.config.decoder import DecoderConfig
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo
@@ -42,8 +42,8 @@ class Mode(Protocol):
         """Decode until cancelled."""
 
 
-def wanted_of(config: DecoderConfig, *, background: bool) -> Wanted:
+def decoding_options(config: DecoderConfig, *, background: bool) -> DecodingOptions:
     decoding = config.decoding
-    return Wanted(
+    return DecodingOptions(
         config.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement, background
     )

@@ -34,7 +34,7 @@ from resonator_daemon.publishing.topics import (
     full_topic,
 )
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
-from resonator_daemon.remote_decoding.mode import Mode, wanted_of
+from resonator_daemon.remote_decoding.mode import Mode, decoding_options
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 log = logging.getLogger(__name__)
@@ -168,16 +168,16 @@ class DecoderProcess:
     def _make_mode(self) -> Mode:
         prefix, decoding = self._config.mqtt.prefix, self._config.decoding
         if decoding.plates and decoding.group is not None:
-            wanted = wanted_of(self._config, background=False)
+            options = decoding_options(self._config, background=False)
             names, group = decoding.plates, decoding.group
             return SharedPlates(
-                prefix, names, group, wanted, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
+                prefix, names, group, options, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
             )
         if self._config.name is None:
             raise ValueError("the configuration names neither a plate nor a group; see DecoderConfig")
-        wanted = wanted_of(self._config, background=True)
+        options = decoding_options(self._config, background=True)
         return FollowedPlate(
-            prefix, self._config.name, wanted, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
+            prefix, self._config.name, options, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
         )
 
     def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:

@@ -9,7 +9,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from resonator_daemon.config import plate_name
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.monitoring.latency import LatencyHistogram
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -47,7 +47,7 @@ class SharedPlates:
         Names, or "+" alone for all below the prefix.
     group
         Whose decoders share the frames.
-    wanted, decoder_id, publish, uncertainty
+    options, decoder_id, publish, uncertainty
         As of `FollowedPlate`.
     """
 
@@ -56,7 +56,7 @@ class SharedPlates:
         prefix: str,
         plates: Sequence[str],
         group: str,
-        wanted: Wanted,
+        options: DecodingOptions,
         decoder_id: str,
         publish: Publish,
         *,
@@ -71,7 +71,7 @@ class SharedPlates:
         self._plates: dict[str, RemotePlate] = {}
         self._reporters: dict[str, SurfaceMessages] = {}
         self._decoded: Counter[str] = Counter()
-        self._stage = SharedStage[_Origin](wanted, self._deliver, self._announce, self._refuse)
+        self._stage = SharedStage[_Origin](options, self._deliver, self._announce, self._refuse)
         self._note = ""
         self._entered_s: dict[str, float] = {}
         self._problems: dict[str, str] = {}  # of plates that are not entered, the oldest first

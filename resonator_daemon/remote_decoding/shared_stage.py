@@ -12,7 +12,7 @@ from typing import Final, Generic, TypeVar
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
 from resonator_daemon.remote_decoding.plate import SkinPlate, told
@@ -37,7 +37,7 @@ class SharedStage(Generic[Origin]):
 
     Parameters
     ----------
-    wanted
+    options
         Without background: nobody sees enough frames of a plate to follow it.
     deliver
         Called on the event loop with the plate, what `offer` was given as origin, and the reading.
@@ -56,12 +56,12 @@ class SharedStage(Generic[Origin]):
 
     def __init__(
         self,
-        wanted: Wanted,
+        options: DecodingOptions,
         deliver: Callable[[str, Origin, SurfaceReading], None],
         announce: Callable[[str], None],
         refuse: Callable[[str, str], None],
     ) -> None:
-        self._wanted = wanted
+        self._options = options
         self._deliver = deliver
         self._announce = announce
         self._refuse = refuse
@@ -143,7 +143,7 @@ class SharedStage(Generic[Origin]):
             loop.call_soon_threadsafe(self._announce, f"decoder is being set up: {step}")
 
         try:
-            decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._wanted, noise_std, progress)
+            decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._options, noise_std, progress)
         except CANNOT_DECODE as error:
             log.error("%s: nothing is decoded: %s", plate, told(error))
             self._announce("")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.forces.readings import SkinReading
 from resonator_daemon.publishing.codec import Encoded
@@ -71,7 +71,9 @@ class SkinSensor(Sensor[SkinReading]):
                 skin.gain_std,
                 Prior(skin.correlation_length_m, skin.tangential_ratio),
             ),
-            Wanted(decoding.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement),
+            DecodingOptions(
+                decoding.method, decoding.contact_physics, decoding.friction_coefficient, decoding.displacement
+            ),
             plate.site_ids,
             plate.grid.pitch_m if plate.grid else None,
             uncertainty=decoding.uncertainty,

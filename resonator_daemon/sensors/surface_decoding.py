@@ -73,8 +73,8 @@ class SequentialDecoding(Generic[Origin]):
     """
 
     def __init__(self, settings: SurfaceSettings, client: SurfaceClient[Origin]) -> None:
-        wanted = replace(settings.wanted, background=False)
-        self._stream = SurfaceStream(replace(settings, wanted=wanted), self._publish, _log_step)
+        options = replace(settings.options, background=False)
+        self._stream = SurfaceStream(replace(settings, options=options), self._publish, _log_step)
         self._client = client
         self._origin: Origin | None = None
         self._undecodable = False

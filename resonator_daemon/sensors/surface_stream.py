@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.streaming import StreamingDecoder
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import Message
@@ -24,7 +24,7 @@ class SurfaceSettings:
 
     Attributes
     ----------
-    skin, wanted
+    skin, options
     site_ids
         Shape (n,).
     pitch_m
@@ -38,7 +38,7 @@ class SurfaceSettings:
     """
 
     skin: Skin
-    wanted: Wanted
+    options: DecodingOptions
     site_ids: NDArray[np.integer]
     pitch_m: float | None
     decoder_id: str | None = None
@@ -81,7 +81,7 @@ class SurfaceStream:
     """
 
     def __init__(self, settings: SurfaceSettings, publish: Publish, progress: Callable[[str], None]) -> None:
-        self._decoder = StreamingDecoder(settings.skin, settings.wanted, progress, settings.last_contact_id)
+        self._decoder = StreamingDecoder(settings.skin, settings.options, progress, settings.last_contact_id)
         self._reporter = SurfaceMessages(
             settings.site_ids,
             settings.skin.site_positions_m,
@@ -127,7 +127,7 @@ class SurfaceStream:
         return self._decoder.rebuild_wanted
 
     def rebuild(self) -> None:
-        """Update matrices for a contact that has moved; `Wanted.background` leaves that to the caller."""
+        """Update matrices for a contact that has moved; `DecodingOptions.background` leaves that to the caller."""
         self._decoder.rebuild()
 
 

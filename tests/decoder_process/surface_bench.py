@@ -9,7 +9,7 @@ import numpy as np
 from decoder_bench import BOOT, NOISE, NU, PITCH_M, SITES, SITES_M, T_NS, E, Floats, pressed, until
 
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import decode, encode
 from resonator_daemon.publishing.headers import MeasuredFields
@@ -22,7 +22,9 @@ SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
 
 
 def settings(skin: Skin = SKIN, **options: Any) -> SurfaceSettings:
-    return SurfaceSettings(skin, Wanted(contact_physics=False), np.arange(100, 100 + SITES), PITCH_M, **options)
+    return SurfaceSettings(
+        skin, DecodingOptions(contact_physics=False), np.arange(100, 100 + SITES), PITCH_M, **options
+    )
 
 
 def header(seq: int) -> MeasuredFields:

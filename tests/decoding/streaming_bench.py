@@ -7,7 +7,7 @@ from skin_scenes import DEPTH_M, NU, E, grid, noisy, press
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import Decoded
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
@@ -16,7 +16,7 @@ SHAPE, SITES = (12, 12), 144
 SKIN = Skin(HalfSpace(E, NU), grid(SHAPE), DEPTH_M)
 NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)  # powers of two, which rounding keeps
 NOTHING = np.zeros((3, SITES))
-LINEAR = Wanted(contact_physics=False)
+LINEAR = DecodingOptions(contact_physics=False)
 NAN = np.nan
 
 
@@ -25,7 +25,7 @@ class SubstituteDecoder:
 
     name, shape, rebuild_wanted = "substitute", (SITES,), False
 
-    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
+    def __init__(self, skin: Skin, wanted: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> None:
         self.built_for = noise_std
 
     def fits(self, noise_std: Floats) -> bool:

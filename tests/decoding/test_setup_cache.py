@@ -12,7 +12,7 @@ import pytest
 from resonator_daemon import decoding, elastic
 from resonator_daemon.decoding import setup_cache
 from resonator_daemon.decoding.setup_cache import cached
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
 
 
@@ -38,7 +38,7 @@ def depends_on(*, gain_std: float = 0.0, contact_physics: bool = True, noise: fl
     sites_m = 4e-4 * np.stack(np.meshgrid(np.arange(3.0), np.arange(3.0)), axis=-1).reshape(-1, 2)
     return (
         Skin(HalfSpace(2e5, 0.5), sites_m, 1e-3, gain_std),
-        Wanted(contact_physics=contact_physics),
+        DecodingOptions(contact_physics=contact_physics),
         np.array([noise]),
     )
 

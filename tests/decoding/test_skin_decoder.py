@@ -11,7 +11,7 @@ from skin_scenes import SKIN as SKIN_LONG
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding import ContactDecoder, FourierDecoder, OpenPlaneDecoder
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.elastic import HalfSpace
 
@@ -22,10 +22,10 @@ SCATTERED = replace(SKIN, site_positions_m=grid(SHAPE) + np.random.default_rng(0
 # Powers of two, which rounding keeps.
 NOISE = np.tile([[2.0**-7], [2.0**-8], [2.0**-8]], SITES)
 QUIET = np.full((3, len(SITES_M)), 2.0**-8)
-LINEAR, PHYSICS, FOURIER = Wanted(contact_physics=False), Wanted(), Wanted("fourier")
+LINEAR, PHYSICS, FOURIER = DecodingOptions(contact_physics=False), DecodingOptions(), DecodingOptions("fourier")
 
 
-def build(skin: Skin, wanted: Wanted, said: list[str] | None = None) -> SkinDecoder:
+def build(skin: Skin, wanted: DecodingOptions, said: list[str] | None = None) -> SkinDecoder:
     return SkinDecoder(skin, wanted, NOISE, [].append if said is None else said.append)
 
 
@@ -208,7 +208,7 @@ def test_friction_that_was_told_bounds_shear() -> None:
     sliding = press(sites_m=SKIN.site_positions_m, shear_newton=(FRICTION, 0.0))
     status = {}
     for friction in (FRICTION, FRICTION / 5.0):
-        decoder = build(SKIN, Wanted(friction_coefficient=friction))
+        decoder = build(SKIN, DecodingOptions(friction_coefficient=friction))
         for seed in range(3):
             decoded = decoder.decode(noisy(sliding, np.random.default_rng(seed), NOISE), NOISE).decoded
             decoder.rebuild()
@@ -264,7 +264,7 @@ def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
         signals = press(force_newton, (5e-4, -3e-4), sites_m=sites_m) if force_newton else np.zeros((3, 16))
         reading = decoder.decode(noisy(signals, random, noise), noise)
         assert reading.decoded.status == "ok"
-        assert reading.decoded.reason.startswith("template fit: 16 sites")
+        assert reading.decoded.reason.startswith("parametric contact fit: 16 sites")
         contacts = reading.contacts
         events += [event.event for event in reading.events]
     assert events == ["onset"]

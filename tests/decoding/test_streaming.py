@@ -12,14 +12,14 @@ from skin_scenes import DEPTH_M, FRICTION, PITCH_M, RADIUS_M
 from streaming_bench import LINEAR, NAN, NOISE, NOTHING, SHAPE, SITES, SKIN, Floats, SubstituteDecoder, marked, pressed
 
 from resonator_daemon.decoding import Decoded
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
 from simulators.contact import pixel_tractions
 
 
-def streaming(wanted: Wanted = LINEAR, skin: Skin = SKIN, **options: Any) -> StreamingDecoder:
+def streaming(wanted: DecodingOptions = LINEAR, skin: Skin = SKIN, **options: Any) -> StreamingDecoder:
     return StreamingDecoder(skin, wanted, lambda _: None, **options)
 
 
@@ -47,7 +47,7 @@ def test_results_are_those_of_the_decoder() -> None:
 
 def test_two_runs_are_the_same_with_contact_physics_too() -> None:
     frames = [NOTHING, pressed(0), pressed(1), pressed(2), NOTHING, NOTHING]
-    one, other = streaming(Wanted(background=False)), streaming(Wanted(background=False))
+    one, other = streaming(DecodingOptions(background=False)), streaming(DecodingOptions(background=False))
     for frame in frames:
         first, again = read(one, frame), read(other, frame)
         np.testing.assert_allclose(again.decoded.traction_pascal, first.decoded.traction_pascal, atol=1.0)
@@ -194,7 +194,7 @@ def test_contact_physics_follows_when_the_caller_rebuilds() -> None:
     def error(reading: SurfaceReading) -> float:
         return float(np.linalg.norm(reading.decoded.traction_pascal - truth) / np.linalg.norm(truth))
 
-    decoder = streaming(Wanted(friction_coefficient=FRICTION))
+    decoder = streaming(DecodingOptions(friction_coefficient=FRICTION))
     linear, first = read(streaming(), pressed()), read(decoder, pressed())
     assert decoder.rebuild_wanted
     decoder.rebuild()

@@ -14,7 +14,7 @@ from decoder_bench import NOISE, NU, SITES_M, E, Floats, incoming, info, pressed
 
 from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.publishing.codec import Encoded, decode, encode
 from resonator_daemon.publishing.payloads import Info, Message, Signals
@@ -26,15 +26,15 @@ from resonator_daemon.remote_decoding.plate import header_of
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings, SurfaceStream
 
 SKIN = Skin(HalfSpace(E, NU), SITES_M, 1e-3)
-LINEAR = Wanted(contact_physics=False)
-REPRODUCIBLE = Wanted(background=False)
+LINEAR = DecodingOptions(contact_physics=False)
+REPRODUCIBLE = DecodingOptions(background=False)
 NOTHING = np.zeros((3, len(SITES_M)))
 
 
 class Followed:
     """A followed plate, and what it has published."""
 
-    def __init__(self, wanted: Wanted = LINEAR, **options: Any) -> None:
+    def __init__(self, wanted: DecodingOptions = LINEAR, **options: Any) -> None:
         self.published: list[tuple[str, str, Message]] = []
         self.plate = FollowedPlate("resonator", "hand", wanted, "host-1", self._publish, **options)
         self._info, self._signals = self.plate.subscriptions
@@ -106,7 +106,7 @@ def without_number(event: bytes) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("wanted", [LINEAR, REPRODUCIBLE], ids=["linear", "contact physics"])
-async def test_results_are_those_of_the_daemons_own_stage(wanted: Wanted) -> None:
+async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOptions) -> None:
     frames = [signals(seq, pressed(seq)) for seq in range(8)] + [signals(seq, NOTHING) for seq in range(8, 13)]
     noise = frames[0].noise_std.astype(np.float64)
     expected: dict[str, list[bytes]] = {"decoded": [], "decoded/summary": [], "contacts": [], "contacts/event": []}
@@ -155,7 +155,7 @@ async def test_messages_carry_the_numbers_of_their_signals() -> None:
 
 @pytest.mark.parametrize(("uncertainty", "displacement"), [(True, False), (False, True)])
 async def test_only_what_is_asked_for_is_published(uncertainty: bool, displacement: bool) -> None:
-    wanted = Wanted(contact_physics=False, displacement=displacement)
+    wanted = DecodingOptions(contact_physics=False, displacement=displacement)
     async with Followed(wanted, uncertainty=uncertainty).running() as followed:
         await followed.prepare(info())
         await followed.read(signals(0))
@@ -196,7 +196,7 @@ async def test_before_there_is_an_info_frames_are_unusable_and_it_says_so() -> N
 
 async def test_a_plate_without_a_skin_and_one_that_cannot_be_decoded_are_told_apart() -> None:
     on_a_line = tuple(site.model_copy(update={"position_m": (1e-4 * i, 0.0)}) for i, site in enumerate(info().sites))
-    async with Followed(Wanted("fourier")).running() as followed:
+    async with Followed(DecodingOptions("fourier")).running() as followed:
         await followed.tell(info(skin=None))
         assert followed.plate.condition() == ("waiting", "hand: has no skin: there is nothing to decode")
         await followed.tell(info(sites=on_a_line, grid=None))

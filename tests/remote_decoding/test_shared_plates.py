@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from decoder_bench import incoming, info, signals, until
 
-from resonator_daemon.decoding.skin import Wanted
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.remote_decoding import shared_plates, shared_stage
 from resonator_daemon.remote_decoding.shared_plates import PROBLEMS_MAX, SharedPlates
 
-LINEAR = Wanted(contact_physics=False, background=False)
+LINEAR = DecodingOptions(contact_physics=False, background=False)
 
 
 class Shared:

@@ -10,7 +10,7 @@ import pytest
 from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
 
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import set_up
 from resonator_daemon.elastic import HalfSpace
@@ -18,8 +18,8 @@ from resonator_daemon.remote_decoding import shared_stage
 from resonator_daemon.remote_decoding.plate import SkinPlate
 from resonator_daemon.remote_decoding.shared_stage import DECODERS_MAX, SharedStage
 
-COLD = Wanted(background=False)
-LINEAR = Wanted(contact_physics=False, background=False)
+COLD = DecodingOptions(background=False)
+LINEAR = DecodingOptions(contact_physics=False, background=False)
 
 
 def skin(depth_m: float = 1e-3, sites_m: Floats = SITES_M) -> SkinPlate:
@@ -29,7 +29,7 @@ def skin(depth_m: float = 1e-3, sites_m: Floats = SITES_M) -> SkinPlate:
 class Stage:
     """A stage and what it has delivered."""
 
-    def __init__(self, wanted: Wanted = LINEAR) -> None:
+    def __init__(self, wanted: DecodingOptions = LINEAR) -> None:
         self.delivered: list[tuple[str, int, SurfaceReading]] = []
         self.refused: list[tuple[str, str]] = []
         self.notes: list[str] = []
@@ -90,7 +90,7 @@ def substitute(monkeypatch: pytest.MonkeyPatch) -> type[Substitute]:
     Substitute.built = []
     Substitute.released = threading.Semaphore(0)
 
-    def put(of: Skin, _wanted: Wanted, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
+    def put(of: Skin, _wanted: DecodingOptions, noise_std: Floats, _progress: Callable[[str], None]) -> Substitute:
         return Substitute(of, noise_std)
 
     monkeypatch.setattr(shared_stage, "set_up", put)
@@ -196,7 +196,7 @@ async def test_a_frame_that_fails_is_flagged_and_the_next_one_is_decoded(substit
 
 async def test_a_skin_that_cannot_be_decoded_is_refused_and_the_others_go_on() -> None:
     on_a_line = np.column_stack([np.arange(144) * 1e-4, np.zeros(144)])
-    async with Stage(Wanted("fourier", background=False)).running() as stage:
+    async with Stage(DecodingOptions("fourier", background=False)).running() as stage:
         stage.offer("line", 0, marked(0.0), of=skin(sites_m=on_a_line))
         await stage.read("grid", pressed(0))
         assert stage.stage.unusable["line"] == 1

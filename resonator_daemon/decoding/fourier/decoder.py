@@ -5,7 +5,7 @@ Four things that a small array needs are added to eq. (5) of Karason, Srinivasan
 - The array is extended to 1.5 times its side, edge samples repeated and tapered to 0, because the fields fall off so
   slowly that the period of the plain transform would fold 10 % of them back.
 - The prior of the traction is smooth: its power spectrum is q (r, r, 1) / (1 + omega^2 l^2)^2 for x, y, z.
-- Its scale q is chosen for each frame out of a bank by maximum likelihood. (Generalised cross-validation fails badly
+- Its scale q is chosen for each frame out of a grid by maximum likelihood. (Generalised cross-validation fails badly
   where a contact crosses the border.)
 - The noise is at least the declared one. Where the best fit leaves more (gain errors, a contact across the border), the
   excess counts as noise and widens the error bars; without that, small noise would make errors of the model explode.
@@ -23,7 +23,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
-from resonator_daemon.decoding.fourier.refill import Refill
+from resonator_daemon.decoding.fourier.imputation import Imputation
 from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener, product
 from resonator_daemon.decoding.parameters import (
@@ -36,7 +36,9 @@ from resonator_daemon.decoding.parameters import (
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
 
-_BANK = np.logspace(-1.0, 5.0, 30)  # standard deviation of the prior over the traction that makes a signal of the noise
+_SCALES = np.logspace(
+    -1.0, 5.0, 30
+)  # standard deviation of the prior over the traction that makes a signal of the noise
 _PRIOR_LIMIT_PASCAL = 1e30  # keeps squares of it well within double precision
 _SECTORS = 36  # of directions in which a contact may slide
 _STACK = 16  # frames decoded at once: many more would not stay in the processor's cache
@@ -115,10 +117,10 @@ class FourierDecoder:
         forward = grid.transfer_matrix(half_space, "sensor", "traction", depth_m)
         bin_std = np.sqrt(bin_power)[..., None] * channel_std
         noise_traction = 2.0 * half_space.shear_modulus_pascal * np.sqrt(np.mean(channel_std**2))
-        bank = (noise_traction * _BANK) ** 2 if std_pascal is None else np.array([std_pascal**2])
+        scales = (noise_traction * _SCALES) ** 2 if std_pascal is None else np.array([std_pascal**2])
 
         def wiener(spectra: Spectra) -> SpectralWiener:
-            return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, bank)
+            return SpectralWiener(forward, prior_root(spectra, grid), bin_std, grid.multiplicity, scales)
 
         self._inverse: SpectralWiener | AveragedWiener
         chosen = _spectra(spectra, prior)
@@ -131,7 +133,7 @@ class FourierDecoder:
             predictor = wiener(sliding(chosen, sliding_friction, 0.0, 2.0 * np.pi))
 
         self._noise_variance = float(np.mean(channel_std**2))
-        self._refill = Refill(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
+        self._imputation = Imputation(shape, self._transform, predictor, self._noise_variance, depth_m / pitch_m)
         # A periodic load has no level to move from: zero at omega = 0.
         zero: Literal["isolated", "periodic"] = "periodic" if extension == "periodic" else "isolated"
         compliance = grid.transfer_matrix(half_space, "displacement", "traction", 0.0, zero=zero)
@@ -193,10 +195,10 @@ class FourierDecoder:
         if worst < KNOWN_LIMIT:
             reason = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
             return self._unknown(displacement, np.nan, np.nan, "no_signal", reason)
-        filled, settled = self._refill.fill(frame, known)
+        filled, settled = self._imputation.fill(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
         reason += "" if settled else "; too many side by side for that to settle"
-        density = self._refill.density(known)
+        density = self._imputation.density(known)
         return self._decode_stack(filled[None], float(known.mean()), density, displacement, reason)[0]
 
     def _decode_stack(

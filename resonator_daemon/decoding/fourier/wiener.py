@@ -16,7 +16,7 @@ class Fit:
     """Frames in the eigenbasis, and for each the scale that explains it best."""
 
     rotated: Complexes  # (n, 3, bins)
-    scale: NDArray[np.intp]  # (n,): index in the bank
+    scale: NDArray[np.intp]  # (n,): index in the scales
     chi2: Floats  # (n,): mean square of the innovation in units of prior and declared noise
     excess: Floats  # (n,): noise variance over the declared one, at least 1
     log_evidence: Floats  # (n,)
@@ -36,7 +36,7 @@ class SpectralWiener:
     """Estimate f from s = T f + n for independent frequencies, with covariances q P of f and N of n, N diagonal.
 
     Karason, Srinivasan and Annaswamy, eq. (5), in the form that holds for any N: f = q P T* (q T P T* + N)^-1 s. With
-    P = R R* and N^-1/2 T R = U S V*, it is f = R V (q S / (q S^2 + 1)) U* N^-1/2 s, for each q of a bank at no more
+    P = R R* and N^-1/2 T R = U S V*, it is f = R V (q S / (q S^2 + 1)) U* N^-1/2 s, for each q of a grid at no more
     cost.
 
     Parameters
@@ -49,12 +49,12 @@ class SpectralWiener:
         Square root of N, shape (ny, nx // 2 + 1, 3).
     multiplicity
         Bins of the whole transform that each column stands for, shape (nx // 2 + 1,).
-    bank
+    scales
         Candidates for q, increasing.
     """
 
     def __init__(
-        self, forward: Complexes, prior_root: Complexes, noise_std: Floats, multiplicity: Floats, bank: Floats
+        self, forward: Complexes, prior_root: Complexes, noise_std: Floats, multiplicity: Floats, scales: Floats
     ) -> None:
         bases = np.linalg.svd(forward / noise_std[..., :, None] @ prior_root)
         left, right = np.asarray(bases.U, np.complex128), np.asarray(bases.Vh, np.complex128)
@@ -62,18 +62,18 @@ class SpectralWiener:
         self._to_signals = _bins_last(left * noise_std[..., :, None])
         self._to_tractions = _bins_last(prior_root @ right.conj().swapaxes(-1, -2))
         self._singular = _bins_last(np.asarray(bases.S, np.float64))
-        self._bank = bank
+        self._scales = scales
         self._weight = np.broadcast_to(multiplicity, forward.shape[:2]).ravel().copy()
 
-        power = bank[:, None, None] * self._singular**2 + 1.0  # of the whitened signals: (bank, 3, bins)
+        power = scales[:, None, None] * self._singular**2 + 1.0  # of the whitened signals: (scales, 3, bins)
         self._shrinkage = 1.0 / power
         self._samples = self._weight.sum()
         self._log_det = (self._weight * np.log(power)).sum(axis=(1, 2)) + (
             3.0 * self._samples * np.log(2.0 * np.pi)
             + 2.0 * (self._weight[:, None] * np.log(noise_std).reshape(-1, 3)).sum()
         )
-        # Variances also far below the bank, for places around which signals are missing.
-        self._levels = np.union1d(bank[0] * np.geomspace(1e-6, 0.5, 20), bank)
+        # Variances also far below the scales, for places around which signals are missing.
+        self._levels = np.union1d(scales[0] * np.geomspace(1e-6, 0.5, 20), scales)
         share = np.abs(self._to_tractions) ** 2 * self._weight / self._samples
         left_over = 1.0 / (self._levels[:, None, None] * self._singular**2 + 1.0)
         self._variance = self._levels[:, None] * np.einsum("imb,kmb->ki", share, left_over)
@@ -86,12 +86,12 @@ class SpectralWiener:
     def fit(self, spectrum: Complexes, known_share: float) -> Fit:
         """Choose the scales for signals of shape (n, 3, bins), of which `known_share` were measured, not filled in.
 
-        Whittle's likelihood, the frequencies taken as independent, maximised over the bank and over a common factor of
-        prior and noise that is at least 1.
+        Whittle's likelihood, the frequencies taken as independent, is maximised over the scales and over a common
+        factor of prior and noise that is at least 1.
         """
         rotated = product(self._rotate, spectrum)
         energy = self._weight * (rotated.real**2 + rotated.imag**2)
-        innovation = energy.reshape(len(energy), -1) @ self._shrinkage.reshape(self._bank.size, -1).T
+        innovation = energy.reshape(len(energy), -1) @ self._shrinkage.reshape(self._scales.size, -1).T
         count = 3.0 * self._samples * known_share
         chi2 = innovation / count
         excess = np.maximum(chi2, 1.0)
@@ -102,7 +102,7 @@ class SpectralWiener:
 
     def tractions(self, fit: Fit) -> Complexes:
         """Estimates of f, shape (n, 3, bins)."""
-        gain = self._bank[fit.scale, None, None] * self._singular * self._shrinkage[fit.scale]
+        gain = self._scales[fit.scale, None, None] * self._singular * self._shrinkage[fit.scale]
         return product(self._to_tractions, fit.rotated * gain)
 
     def signals(self, fit: Fit) -> Complexes:
@@ -121,7 +121,7 @@ class SpectralWiener:
         place: the noise there counts as larger by its inverse, up to the prior's own variance where none is known.
         """
         by_frame = (-1, *[1] * (density.ndim + 1))
-        chosen = self._bank[fit.scale].reshape(by_frame)
+        chosen = self._scales[fit.scale].reshape(by_frame)
         reduced = np.maximum(chosen * density, self._levels[0])
         known = [np.interp(np.log(reduced), np.log(self._levels), np.log(variance)) for variance in self._variance.T]
         return np.asarray(

@@ -12,10 +12,10 @@ from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid, at_border, refuse_duplicates
 from resonator_daemon.decoding.open_plane.covariance import SiteCovariance
 from resonator_daemon.decoding.open_plane.grid_modes import LEVELS, GridCovariance, GridModes
-from resonator_daemon.decoding.open_plane.linear_map import Estimate, LinearMap, Tier
+from resonator_daemon.decoding.open_plane.linear_map import Estimate, LinearMap, ModeSet
 from resonator_daemon.decoding.open_plane.modes import DenseModes, Modes
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
-from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
+from resonator_daemon.decoding.open_plane.scale_grid import ScaleGrid
 from resonator_daemon.decoding.parameters import check_gain, noise_of_signals, positions, positive
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR, Prior
 from resonator_daemon.elastic import HalfSpace
@@ -104,7 +104,7 @@ class OpenPlaneDecoder:
             }
         log_noise = np.log(noise).ravel()
         self._map = LinearMap(
-            [Tier(level, kept, ScaleBank(kept.eigenvalues, scales, log_noise)) for level, kept in modes.items()],
+            [ModeSet(level, kept, ScaleGrid(kept.eigenvalues, scales, log_noise)) for level, kept in modes.items()],
             noise.ravel(),
             gain_std,
             np.repeat(stationary.traction_variance, len(places)),

@@ -14,7 +14,7 @@ from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
 from resonator_daemon.decoding.open_plane.modes import Modes
-from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
+from resonator_daemon.decoding.open_plane.scale_grid import Choice, ScaleGrid
 from resonator_daemon.decoding.parameters import (
     CHI2_LIMIT,
     GAIN_FLOOR,
@@ -29,12 +29,12 @@ _SIGNIFICANT = 3.0  # standard deviations
 _LOST_SETS = 8  # sets of lost signals of which the solution is kept
 
 
-class Tier(NamedTuple):
+class ModeSet(NamedTuple):
     """Eigenmodes that serve frames up to a mean power of the whitened signals, and the likelihood of scales in them."""
 
     level: float
     modes: Modes
-    bank: ScaleBank
+    scale_grid: ScaleGrid
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class LinearMap:
 
     Parameters
     ----------
-    tiers
+    mode_sets
         In the order of their levels; the last one serves whatever is beyond.
     noise_std
         Of each signal, (3 n,).
@@ -164,18 +164,18 @@ class LinearMap:
 
     def __init__(
         self,
-        tiers: Sequence[Tier],
+        mode_sets: Sequence[ModeSet],
         noise_std: Floats,
         gain_std: float,
         prior_variance: Floats,
         contact_factor: float,
         border: NDArray[np.bool_],
     ) -> None:
-        self._tiers = tiers
+        self._mode_sets = mode_sets
         self._whiten = (1.0 / noise_std).astype(np.float32)
         self._gain_floor = (GAIN_FLOOR * gain_std) ** 2 / noise_std.size
-        scales = tiers[-1].bank.scales
-        explained = tiers[-1].modes.explained_variance(scales)
+        scales = mode_sets[-1].scale_grid.scales
+        explained = mode_sets[-1].modes.explained_variance(scales)
         self._std = np.sqrt(np.maximum(scales[:, None] * prior_variance - explained, 0.0))
         self._least_std = self._std[:, -self._std.shape[1] // 3 :].min(axis=1).tolist()
         self._contact_factor = contact_factor
@@ -188,18 +188,18 @@ class LinearMap:
         """Estimate the surface from one frame (3 n,), in arrays of `shape`, (3, m) or m split in two."""
         whitened, known, energy = self._prepare(signals)
         frame = shape, whitened, known, energy
-        tier = self._tier(energy)
+        mode_set = self._mode_set(energy)
         reason, lost_variance = "", None
         if known is None:
-            choice, modes = self._complete(tier, whitened, energy)
+            choice, modes = self._complete(mode_set, whitened, energy)
         else:
             share = float(known.mean())
             if share < KNOWN_LIMIT:
                 reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
                 return Estimate(*frame, np.nan, np.nan, "no_signal", reason)
             reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
-            lost = self._lost_signals(tier, known)
-            choice, modes, _ = lost.choose(tier.modes.project(whitened), energy, self._floor(energy))
+            lost = self._lost_signals(mode_set, known)
+            choice, modes, _ = lost.choose(mode_set.modes.project(whitened), energy, self._floor(energy))
             lost_variance = self._std[choice.scale] ** 2 + lost.added_variance(choice.scale)
 
         if choice.chi2 > CHI2_LIMIT:
@@ -211,8 +211,8 @@ class LinearMap:
         std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance)
         excess = math.sqrt(choice.excess)
         surface = Surface(
-            tier.modes,
-            tier.bank.gain[choice.scale] * modes,
+            mode_set.modes,
+            mode_set.scale_grid.gain[choice.scale] * modes,
             std.reshape(3, -1),
             excess,
             self._contact_factor,
@@ -224,20 +224,20 @@ class LinearMap:
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""
         whitened, known, energy = self._prepare(signals)
-        tier = self._tier(energy)
+        mode_set = self._mode_set(energy)
         everything = np.arange(whitened.size)
         if known is None:
-            choice, modes = self._complete(tier, whitened, energy)
+            choice, modes = self._complete(mode_set, whitened, energy)
         elif known.mean() < KNOWN_LIMIT:
             return np.full(whitened.size, np.nan)
         else:
-            choice, modes, predicted = self._lost_signals(tier, known).choose(
-                tier.modes.project(whitened), energy, self._floor(energy)
+            choice, modes, predicted = self._lost_signals(mode_set, known).choose(
+                mode_set.modes.project(whitened), energy, self._floor(energy)
             )
             whitened[~known] = predicted
-        explained = tier.bank.explained[choice.scale]
-        rows = tier.modes.rows(everything)
-        key = tier.level, choice.scale
+        explained = mode_set.scale_grid.explained[choice.scale]
+        rows = mode_set.modes.rows(everything)
+        key = mode_set.level, choice.scale
         if key not in self._inverse_diagonal:
             self._inverse_diagonal[key] = 1.0 - (rows**2) @ explained
         left = whitened - rows @ (explained * modes)
@@ -256,21 +256,21 @@ class LinearMap:
         whitened[~known] = 0.0
         return whitened, known, float(whitened @ whitened)
 
-    def _complete(self, tier: Tier, whitened: Singles, energy: float) -> tuple[Choice, Singles]:
-        modes = tier.modes.project(whitened)
-        return tier.bank.choose(modes, energy, self._floor(energy)), modes
+    def _complete(self, mode_set: ModeSet, whitened: Singles, energy: float) -> tuple[Choice, Singles]:
+        modes = mode_set.modes.project(whitened)
+        return mode_set.scale_grid.choose(modes, energy, self._floor(energy)), modes
 
-    def _tier(self, energy: float) -> Tier:
+    def _mode_set(self, energy: float) -> ModeSet:
         power = energy / self._whiten.size
-        return next((tier for tier in self._tiers if power <= tier.level), self._tiers[-1])
+        return next((mode_set for mode_set in self._mode_sets if power <= mode_set.level), self._mode_sets[-1])
 
     def _floor(self, energy: float) -> float:
         return 1.0 + self._gain_floor * energy
 
-    def _lost_signals(self, tier: Tier, known: NDArray[np.bool_]) -> LostSignals:
-        key = tier.level, known.tobytes()
+    def _lost_signals(self, mode_set: ModeSet, known: NDArray[np.bool_]) -> LostSignals:
+        key = mode_set.level, known.tobytes()
         if key not in self._lost:
-            self._lost[key] = LostSignals(tier.modes, tier.bank, np.flatnonzero(~known))
+            self._lost[key] = LostSignals(mode_set.modes, mode_set.scale_grid, np.flatnonzero(~known))
             if len(self._lost) > _LOST_SETS:
                 self._lost.popitem(last=False)
         self._lost.move_to_end(key)

@@ -11,7 +11,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from resonator_daemon.arrays import Floats, Singles
 from resonator_daemon.decoding.open_plane.modes import Modes
-from resonator_daemon.decoding.open_plane.scale_bank import Choice, ScaleBank
+from resonator_daemon.decoding.open_plane.scale_grid import Choice, ScaleGrid
 
 
 class LostSignals:
@@ -19,19 +19,19 @@ class LostSignals:
 
     Parameters
     ----------
-    modes, bank
+    modes, scale_grid
     lost
         Indices into the flat signals (3 n,).
     """
 
-    def __init__(self, modes: Modes, bank: ScaleBank, lost: NDArray[np.intp]) -> None:
+    def __init__(self, modes: Modes, scale_grid: ScaleGrid, lost: NDArray[np.intp]) -> None:
         self._modes = modes
-        self._bank = bank
+        self._scale_grid = scale_grid
         self._lost = lost
         self._rows = modes.rows(lost)
         self._factors: dict[int, tuple[Floats, bool]] = {}
         self._added_variance: dict[int, Floats] = {}
-        self._scale = bank.scales.size // 2  # where the last frame's search ended
+        self._scale = scale_grid.scales.size // 2  # where the last frame's search ended
 
     def choose(self, modes: Singles, energy: float, floor: float) -> tuple[Choice, Singles, Floats]:
         """Climb to the scale of largest likelihood; its modes and the predicted signals, whitened.
@@ -45,10 +45,12 @@ class LostSignals:
                 tried[scale] = self._judge(scale, modes, energy, floor)
             return tried[scale]
 
-        step = max(self._bank.scales.size // 16, 1)
+        step = max(self._scale_grid.scales.size // 16, 1)
         while True:
             around = [
-                s for s in (self._scale - step, self._scale, self._scale + step) if 0 <= s < self._bank.scales.size
+                s
+                for s in (self._scale - step, self._scale, self._scale + step)
+                if 0 <= s < self._scale_grid.scales.size
             ]
             best = max(around, key=lambda scale: at(scale)[0].log_evidence)
             if best == self._scale:
@@ -60,7 +62,7 @@ class LostSignals:
     def added_variance(self, scale: int) -> Floats:
         """Return what the loss adds to the variance of the traction, (3 m,), for noise of the declared variance."""
         if scale not in self._added_variance:
-            gain = self._bank.gain[scale]
+            gain = self._scale_grid.gain[scale]
             spread = np.array([self._modes.traction(gain * row) for row in self._rows.astype(np.float32)], np.float64)
             factor, lower = self._factor(scale)
             reduced = solve_triangular(factor, spread, lower=lower, trans=0 if lower else 1)
@@ -69,14 +71,14 @@ class LostSignals:
 
     def _judge(self, scale: int, modes: Singles, energy: float, floor: float) -> tuple[Choice, Singles, Floats]:
         factor = self._factor(scale)
-        predicted = np.asarray(cho_solve(factor, self._rows @ (self._bank.explained[scale] * modes)), np.float64)
+        predicted = np.asarray(cho_solve(factor, self._rows @ (self._scale_grid.explained[scale] * modes)), np.float64)
         filled = (modes + predicted @ self._rows).astype(np.float32)
         log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
         energy += float(predicted @ predicted)
-        return self._bank.judge(scale, filled, energy, floor, self._lost, log_det), filled, predicted
+        return self._scale_grid.judge(scale, filled, energy, floor, self._lost, log_det), filled, predicted
 
     def _factor(self, scale: int) -> tuple[Floats, bool]:
         if scale not in self._factors:
-            inverse = np.eye(self._lost.size) - (self._rows * self._bank.explained[scale]) @ self._rows.T
+            inverse = np.eye(self._lost.size) - (self._rows * self._scale_grid.explained[scale]) @ self._rows.T
             self._factors[scale] = cho_factor(inverse, lower=True)
         return self._factors[scale]

@@ -1,4 +1,4 @@
-"""The template fit on 16 jittered sites, on contacts whose signals come from closed forms in space."""
+"""The parametric contact fit on 16 jittered sites, on contacts whose signals come from closed forms in space."""
 
 from collections.abc import Callable
 from functools import cache
@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
+from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, is_sparse
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
@@ -46,8 +46,8 @@ def noise_std(depth_m: float, decibel: float) -> float:
 
 
 @cache
-def decoder(depth_m: float, decibel: float, gain_std: float = 0.0) -> TemplateDecoder:
-    return TemplateDecoder(
+def decoder(depth_m: float, decibel: float, gain_std: float = 0.0) -> ParametricDecoder:
+    return ParametricDecoder(
         SKIN, SITES_M, depth_m, noise_std(depth_m, decibel), gain_std=gain_std, query_positions_m=QUERIES_M
     )
 
@@ -56,7 +56,7 @@ class Scores:
     """Errors of many contacts, in mm and in standard deviations."""
 
     def __init__(
-        self, template: TemplateDecoder, depth_m: float, std: float, shear: float, count: int, gain_std: float = 0.0
+        self, template: ParametricDecoder, depth_m: float, std: float, shear: float, count: int, gain_std: float = 0.0
     ) -> None:
         rng = np.random.default_rng(1)
         self.apart_mm: list[float] = []
@@ -113,7 +113,7 @@ def test_what_is_hardly_felt_is_not_told() -> None:
 def test_one_site_alone_cannot_tell_a_place() -> None:
     sites = np.array([[0.0, 0.0], [12e-3, 0.0], [0.0, 12e-3]])
     frame = signals(np.array([5e-4, 5e-4]), 1e-3, sites_m=sites)
-    decoded, patch = TemplateDecoder(SKIN, sites, 1e-3, 0.05 * float(np.abs(frame).max())).decode_with_patch(frame)
+    decoded, patch = ParametricDecoder(SKIN, sites, 1e-3, 0.05 * float(np.abs(frame).max())).decode_with_patch(frame)
     assert (decoded.status, patch) == ("ambiguous", None)
     assert "too few sites feel it" in str(decoded.reason)
     assert np.isnan(decoded.traction_pascal).all()
@@ -140,7 +140,7 @@ def test_without_noise_all_is_found() -> None:
     """Shear of full sliding has the profile of the pressure."""
     centre, force = np.array([1.3e-3, -2.1e-3]), (0.3, -0.4, 1.0)
     frame = signals(centre, 2e-3, force)
-    exact = TemplateDecoder(SKIN, SITES_M, 2e-3, 1e-3 * noise_std(2e-3, 40), query_positions_m=QUERIES_M)
+    exact = ParametricDecoder(SKIN, SITES_M, 2e-3, 1e-3 * noise_std(2e-3, 40), query_positions_m=QUERIES_M)
     decoded, patch = exact.decode_with_patch(frame, displacement=True)
     assert patch is not None
     np.testing.assert_allclose(patch.centroid_m, centre, atol=2e-6)
@@ -188,7 +188,7 @@ def test_noise_alone_is_no_contact() -> None:
     assert not decoded.traction_pascal.any()
     assert decoded.displacement_m is not None
     assert not decoded.displacement_m.any()
-    assert str(decoded.reason[0]) == "template fit: 16 sites, a map needs at least 40; no contact"
+    assert str(decoded.reason[0]) == "parametric contact fit: 16 sites, a map needs at least 40; no contact"
     assert np.isfinite(decoded.traction_std_pascal).all()
     assert decoder(2e-3, 30).decode_with_patch(noise[0])[1] is None
     assert np.mean(decoded.chi2[:-1]) == pytest.approx(1.0, abs=0.1)
@@ -248,7 +248,7 @@ def test_sites_at_two_depths() -> None:
     depths = np.where(np.arange(16) % 2, 2e-3, 3e-3)
     centre = np.array([-1.2e-3, 2.2e-3])
     frame = np.where(np.arange(16) % 2, signals(centre, 2e-3), signals(centre, 3e-3))
-    _, patch = TemplateDecoder(SKIN, SITES_M, depths, noise_std(2e-3, 50)).decode_with_patch(frame)
+    _, patch = ParametricDecoder(SKIN, SITES_M, depths, noise_std(2e-3, 50)).decode_with_patch(frame)
     assert patch is not None
     np.testing.assert_allclose(patch.centroid_m, centre, atol=5e-5)
 
@@ -271,11 +271,11 @@ def test_when_a_map_misleads() -> None:
         axis = np.arange(count) * pitch_mm * 1e-3
         return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
 
-    assert is_sparse(SITES_M, 3e-3) == "template fit: 16 sites, a map needs at least 40"
-    assert is_sparse(sites(8, 2.9)[:39], 1e-3).startswith("template fit: 39 sites")
+    assert is_sparse(SITES_M, 3e-3) == "parametric contact fit: 16 sites, a map needs at least 40"
+    assert is_sparse(sites(8, 2.9)[:39], 1e-3).startswith("parametric contact fit: 39 sites")
     assert is_sparse(sites(8, 2.9)[:40], 1e-3) == ""
     assert is_sparse(sites(8, 3.1), 1e-3) == (
-        "template fit: sites 3.1 mm apart at a depth of 1 mm, a map needs at most 3 depths"
+        "parametric contact fit: sites 3.1 mm apart at a depth of 1 mm, a map needs at most 3 depths"
     )
 
 
@@ -295,6 +295,6 @@ def test_when_a_map_misleads() -> None:
     ],
 )
 def test_refuses(change: dict[str, object], message: str) -> None:
-    build: Callable[..., TemplateDecoder] = TemplateDecoder
+    build: Callable[..., ParametricDecoder] = ParametricDecoder
     with pytest.raises(ValueError, match=message):
         build(**({"half_space": SKIN, "site_positions_m": SITES_M, "depth_m": 2e-3, "noise_std": 1e-5} | change))

@@ -1,7 +1,7 @@
-"""One contact under 16 sites, by template fit: how well its place and force are found, and whether error bars hold.
+"""Parametric fit of one contact under 16 sites: errors of its place and force, and whether error bars hold.
 
-Run it with `python benchmarks/template.py [CONTACTS]`. Truth is closed-form; noise is that below the peak of the signal
-3 p_n / (2 E) right under a contact. One thread of linear algebra.
+Run it with `python benchmarks/parametric_fit.py [CONTACTS]`. Truth is closed-form; noise is that below the peak of the
+signal 3 p_n / (2 E) right under a contact. One thread of linear algebra.
 """
 
 import sys
@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting.template import TemplateDecoder
+from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
 from simulators.half_space_fields import hertz_fields
@@ -32,7 +32,7 @@ def row(sites_m: Floats, depth_m: float, decibel: float, shear: float, contacts:
     rng = np.random.default_rng(1)
     peak = float(signals(np.zeros((1, 2)), depth_m, np.array([0.0, 0.0, 1.0]))[0, 0])
     std = abs(peak) * 10 ** (-decibel / 20)
-    decoder = TemplateDecoder(HalfSpace(YOUNGS_PASCAL, NU), sites_m, depth_m, std)
+    decoder = ParametricDecoder(HalfSpace(YOUNGS_PASCAL, NU), sites_m, depth_m, std)
     apart, force, scores, statuses, times = [], [], [], [], []
     for _ in range(contacts):
         centre, angle = rng.uniform(-7.5e-3, 7.5e-3, 2), rng.uniform(0.0, 2.0 * np.pi)

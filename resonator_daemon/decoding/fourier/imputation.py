@@ -11,7 +11,7 @@ _ROUNDS = 20  # most rounds of the model's own prediction ...
 _TOLERANCE = 0.3  # ... which end when it changes by less than this share of the noise
 
 
-class Refill:
+class Imputation:
     """Fills gaps of frames (3, ny, nx).
 
     Parameters

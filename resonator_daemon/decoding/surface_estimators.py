@@ -1,4 +1,4 @@
-"""The two ways to read a skin's surface: a map and the patches on it, or one contact where a map would mislead."""
+"""Estimators of what happens on a skin: a map with its patches, or a single contact if a map would mislead."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -9,44 +9,46 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.fitting.template import TemplateDecoder, is_sparse
+from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, is_sparse
 from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.layout import as_grid, cell_areas_m2
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import Patch, PatchFinder
-from resonator_daemon.decoding.skin import Skin, Wanted
+from resonator_daemon.decoding.skin import DecodingOptions, Skin
 
 # Of sums, relative, inside and at the border of the sites; both to fit closed-form contacts.
 _CUT_BIAS = 0.07, 0.15  # over a map cut to its support
 _SUM_BIAS = 0.0, 0.03  # of the traction without bounds: beyond the border nothing tells the load well
 
 
-class SurfaceReader(Protocol):
-    """Reads frames (3, n) in the order of time."""
+class SurfaceEstimator(Protocol):
+    """Estimator of the surface from frames (3, n) in the order of time."""
 
     name: str  # what decodes
     shape: tuple[int, ...]  # of the places of its maps, (ny, nx) or (n,)
     physics: ContactDecoder | None
 
     def read(self, frame: Floats) -> Decoded:
-        """Map of a frame."""
+        """Return the map of a frame."""
 
     def patches(self, decoded: Decoded) -> list[Patch]:
-        """Patches on the map that was read last."""
+        """Return the patches on the map that was read last."""
 
 
-class MapReader:
-    """By a linear map, with contact physics where that is wanted; its net loads have no bias."""
+class MapEstimator:
+    """Linear map, with contact physics if asked for; its net loads have no bias."""
 
-    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
         sites_m = skin.site_positions_m
         grid = as_grid(sites_m)
-        self.name: str = wanted.method
+        self.name: str = options.method
         self.shape: tuple[int, ...] = grid.shape if grid else (len(sites_m),)
         self.physics: ContactDecoder | None = None
         self._linear: OpenPlaneDecoder | FourierDecoder
-        progress(f"{wanted.method} decoder of {len(sites_m)} sites")
-        if wanted.method == "fourier":
+        progress(f"{options.method} decoder of {len(sites_m)} sites")
+        if options.method == "fourier":
             if grid is None or not np.isclose(grid.pitch_x_m, grid.pitch_y_m):
                 raise ValueError(f'method "fourier" needs a square grid, {len(sites_m)} sites form none')
             self._linear = FourierDecoder(
@@ -66,11 +68,11 @@ class MapReader:
                 gain_std=skin.gain_std,
                 prior=skin.prior,
             )
-            if wanted.contact_physics:
+            if options.contact_physics:
                 progress("contact physics")
-                self.physics = ContactDecoder(self._linear, wanted.friction_coefficient, background=wanted.background)
+                self.physics = ContactDecoder(self._linear, options.friction_coefficient, background=options.background)
                 self.name += "+contact"
-        self._displacement = wanted.displacement
+        self._displacement = options.displacement
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
 
     def read(self, frame: Floats) -> Decoded:
@@ -116,18 +118,20 @@ def _widened(patch: Patch, biases: tuple[float, float]) -> Patch:
     )
 
 
-class TemplateReader:
-    """By the one contact that explains a frame best."""
+class ParametricEstimator:
+    """Parametric fit of the one contact that explains a frame best."""
 
     name = "template"
     physics: ContactDecoder | None = None
 
-    def __init__(self, skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> None:
-        self._displacement = wanted.displacement
+    def __init__(
+        self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+    ) -> None:
+        self._displacement = options.displacement
         self._patch: Patch | None = None
         self.shape: tuple[int, ...] = (len(skin.site_positions_m),)
-        progress(f"template of a contact under {self.shape[0]} sites")
-        self._decoder = TemplateDecoder(
+        progress(f"parametric contact fit of {self.shape[0]} sites")
+        self._decoder = ParametricDecoder(
             skin.half_space, skin.site_positions_m, skin.depth_m, noise_std, gain_std=skin.gain_std
         )
 
@@ -139,8 +143,10 @@ class TemplateReader:
         return [] if self._patch is None else [self._patch]
 
 
-def surface_reader(skin: Skin, wanted: Wanted, noise_std: Floats, progress: Callable[[str], None]) -> SurfaceReader:
-    """Choose by the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
-    if wanted.method == "open-plane" and is_sparse(skin.site_positions_m, skin.depth_m):
-        return TemplateReader(skin, wanted, noise_std, progress)
-    return MapReader(skin, wanted, noise_std, progress)
+def surface_estimator(
+    skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
+) -> SurfaceEstimator:
+    """Return the estimator for the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
+    if options.method == "open-plane" and is_sparse(skin.site_positions_m, skin.depth_m):
+        return ParametricEstimator(skin, options, noise_std, progress)
+    return MapEstimator(skin, options, noise_std, progress)

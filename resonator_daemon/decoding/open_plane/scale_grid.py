@@ -14,13 +14,13 @@ _STRIDE = 5  # the likelihood of every fifth scale is computed; a parabola finds
 class Choice(NamedTuple):
     """The scale that explains one frame best."""
 
-    scale: int  # index in the bank
+    scale: int  # index in the grid
     chi2: float  # mean square of the innovation in units of prior and noise
     excess: float  # noise variance over the declared one, at least 1
     log_evidence: float
 
 
-class ScaleBank:
+class ScaleGrid:
     """Scales q of the prior, and what each makes of whitened signals with covariance q V diag(L) V' + 1.
 
     Besides the scale a common factor of prior and noise is maximised over, at least 1: where gain errors or a depth

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from resonator_daemon.decoding.open_plane.scale_bank import ScaleBank
+from resonator_daemon.decoding.open_plane.scale_grid import ScaleGrid
 
 COUNT, MODES = 40, 12
 RNG = np.random.default_rng(3)
@@ -12,7 +12,7 @@ VECTORS = np.linalg.qr(RNG.standard_normal((COUNT, MODES)))[0]
 EIGENVALUES = np.geomspace(3.0, 0.01, MODES)
 NOISE = RNG.uniform(0.5, 2.0, COUNT)
 SCALES = np.geomspace(1e-2, 1e6, 81)
-BANK = ScaleBank(EIGENVALUES, SCALES, np.log(NOISE))
+BANK = ScaleGrid(EIGENVALUES, SCALES, np.log(NOISE))
 
 
 def covariance(scale: float, factor: float = 1.0):

@@ -1,4 +1,4 @@
-"""For sites too few or too far apart to draw a map: one contact of known profile, fitted to the signals of a frame."""
+"""Parametric contact fit for sites too few or too far apart for a map: one contact of known profile in each frame."""
 
 from dataclasses import replace
 
@@ -50,19 +50,19 @@ _RIM_FACTOR = 1.2  # errors at the rim are not Gaussian: with it 92 % within two
 
 
 def is_sparse(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str:
-    """Say why a map would mislead for sites (n, 2) at a depth, or depths (n,); "" where it would not."""
+    """Return why a map would mislead for sites (n, 2) at a depth, or depths (n,); "" where it would not."""
     sites = np.asarray(site_positions_m, np.float64)
     if len(sites) < FEWEST_SITES:
-        return f"template fit: {len(sites)} sites, a map needs at least {FEWEST_SITES}"
+        return f"parametric contact fit: {len(sites)} sites, a map needs at least {FEWEST_SITES}"
     spacing, depth = gap_m(sites), float(np.median(np.asarray(depth_m, np.float64)))
     if spacing > WIDEST_SPACING_DEPTHS * depth:
         limit = f"a map needs at most {WIDEST_SPACING_DEPTHS:g} depths"
-        return f"template fit: sites {spacing * 1e3:.3g} mm apart at a depth of {depth * 1e3:.3g} mm, {limit}"
+        return f"parametric contact fit: sites {spacing * 1e3:.3g} mm apart at a depth of {depth * 1e3:.3g} mm, {limit}"
     return ""
 
 
-class TemplateDecoder:
-    """Finds the one contact that explains a frame best: a disc with the profile of a Hertz pressure, for shear alike.
+class ParametricDecoder:
+    """Decoder that fits one contact to a frame: a disc with the profile of a Hertz pressure, for shear alike.
 
     Every centre is tried, its force by linear least squares; fits start from the best places.
 
@@ -121,7 +121,7 @@ class TemplateDecoder:
         self._upper = np.array([*highest_m, self._model.radius_max_m**2])
         self._search = CentreSearch(self._model, self._noise, lowest_m, highest_m)
         self._nearest = np.array([np.hypot(*(self._search.centres_m - place).T).argmin() for place in places])
-        self._why = is_sparse(sites, depths) or f"template fit: {count} sites"
+        self._why = is_sparse(sites, depths) or f"parametric contact fit: {count} sites"
         self._draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, _UNKNOWNS))
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
