@@ -27,8 +27,8 @@ from emulated_loads import (
     IDEAL,
     NOMINAL,
     TRUE,
+    Loads,
     Touches,
-    comb_ear,
     comb_frames,
     fitted,
     frames,
@@ -65,14 +65,14 @@ def calibrated(
     touches = Touches(physics=physics)
     touches.follow(steps, masses)
     guide = Guide(nominal, steps, 60.0)
-    ear = comb_ear(nominal, true) if comb else None
+    loads = Loads(nominal, true) if comb else None
     with tempfile.TemporaryDirectory() as folder:
         counted = (comb_frames if comb else frames)(true, touches, Path(folder))
-        for _ in lead(guide, nominal, counted, ear):
+        for _ in lead(guide, nominal, counted, loads):
             pass
     if not guide.done:
         raise RuntimeError("the loads ended before the calibration")
-    outcome = fitted(guide, wanted, nominal, ear)
+    outcome = fitted(guide, wanted, nominal, loads)
     record = make_record(
         nominal,
         wanted,
@@ -82,7 +82,7 @@ def calibrated(
         unit="",
         today=date(2026, 1, 1),
         valid_days=1,
-        untouched_hz=None if ear is None else ear.f0_hz,
+        untouched_hz=None if loads is None else loads.untouched_hz,
     )
     rows = [nominal.site_ids.tolist().index(site.site_id) for site in record.sites]
     error = np.array([site.sensitivity for site in record.sites]) / true.tones.sensitivity[rows] - 1

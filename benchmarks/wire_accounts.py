@@ -17,7 +17,6 @@ from firmware_protocol.layouts import CHANNEL_COUNT, SINGLE_TONE_STRUCT
 from firmware_protocol.messages import BoardStatus, CounterKind, Description, Identity
 from firmware_protocol.packets import PACKET_OVERHEAD_BYTES, SYNC
 from firmware_protocol.states import BoardState
-from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
@@ -191,7 +190,7 @@ class Receiver:
         self.account = LinkCounters()
         self.arrivals: list[Arrival] = []
         self._queue = FrameQueue(64 << 20, lambda: None)
-        self._numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, GATE_NS)
+        self._numbering = FrameNumbering(PLATE.frame_bytes, GATE_TICKS, GATE_NS)
         started = self._numbering.started
 
         def started_before_the_wrap(now_monotonic_ns: int) -> None:

@@ -71,6 +71,11 @@ class Description:
     capabilities: int = 0
     gate_ticks_step: int = 1
 
+    @property
+    def oscillators(self) -> int:
+        """Number of oscillators that tones are counted against; 0 for a counter that captures a tone."""
+        return self.tones if self.counter_kind == CounterKind.CHANNELISED else 0
+
 
 @dataclass(frozen=True, slots=True)
 class Configuration:

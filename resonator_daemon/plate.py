@@ -28,7 +28,8 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from firmware_protocol.layouts import CHANNEL_COUNT
+from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
+from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.arrays import Floats, Integers
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files.reading import (
@@ -342,6 +343,20 @@ class Plate(Table):
     def decodable(self) -> bool:
         """Whether its signals are decoded to the traction on a surface, which may be touched anywhere."""
         return self.skin is not None
+
+    @property
+    def oscillators(self) -> int:
+        """Number of oscillators that a board must describe for it; 0 for a counter that captures a tone."""
+        return len(self.tones.f0_hz) if self.counter.frames_in_parts else 0
+
+    @property
+    def frame_bytes(self) -> int:
+        """Size of one frame on the wire, packets' overhead included (PROTOCOL.md, sections 6 and 7)."""
+        if not self.counter.frames_in_parts:
+            return PACKET_OVERHEAD_BYTES + CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
+        tones = len(self.tones.f0_hz)
+        parts = math.ceil(tones / ((MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size))
+        return CHANNEL_COUNT * (parts * (PACKET_OVERHEAD_BYTES + BLOCK_STRUCT.size) + tones * TONE_STRUCT.size)
 
     @property
     def windowed(self) -> bool:

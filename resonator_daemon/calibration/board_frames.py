@@ -1,7 +1,6 @@
 """Frames of the board that is calibrated, straight from its link."""
 
 import signal
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,33 +9,32 @@ from typing import Final
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.config import Config
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
-from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.arrival_loop import ArrivalLoop
 from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
+    Frame,
     LinkChange,
     ReaderFailed,
     SingleToneFrame,
 )
 
-FromBoard = BoardOnline | SingleToneFrame | ChannelisedFrame
+FromBoard = BoardOnline | Frame
 
 OPEN_S: Final = 10.0  # in which a board must answer
+_TURN_S: Final = 0.2
 
 
 @contextmanager
 def board_frames(config: Config, timeout_s: float) -> Iterator[Iterator[FromBoard]]:
     """Give what the board says of itself, then its frames as they come; SIGTERM and SIGHUP end it like Ctrl-C."""
-    arrived = threading.Event()
-    anyone = config.plate.calibration.model_copy(update={"unit": None})  # another board may be calibrated anew
-    reader = BoardReader(config.link, config.plate.model_copy(update={"calibration": anyone}), arrived.set)
+    loop = ArrivalLoop(config.link, config.plate, any_unit=True)  # another board may be calibrated anew
     handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
-    reader.start()
     try:
-        yield _arrivals(reader, arrived, timeout_s)
+        with loop:
+            yield _arrivals(loop, timeout_s)
     finally:
-        reader.stop()
         for number, handler in handlers.items():
             signal.signal(number, handler)
 
@@ -45,14 +43,12 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def _arrivals(reader: BoardReader, arrived: threading.Event, timeout_s: float) -> Iterator[FromBoard]:
+def _arrivals(loop: ArrivalLoop, timeout_s: float) -> Iterator[FromBoard]:
     state = LinkChange("starting", "the link is being opened", 0, 0)
     online = False
     last_s = time.monotonic()
     while True:
-        arrived.wait(0.2)
-        arrived.clear()
-        for arrival in reader.pop_arrivals():
+        for arrival in loop.wait(_TURN_S):
             match arrival:
                 case SingleToneFrame() | ChannelisedFrame():
                     last_s = time.monotonic()

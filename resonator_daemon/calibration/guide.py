@@ -10,11 +10,12 @@ from typing import Final, Literal
 import numpy as np
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.hearing import NOTHING, PILOT, READING_S, Heard
+from resonator_daemon.calibration.load_readings import NOTHING, PILOT, LoadReading
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import Step
 from resonator_daemon.plate import Plate
+from resonator_daemon.tones.tone_detector import READING_S
 
 BASELINE_S: Final = 2.0
 STEADY_READINGS: Final = 5
@@ -29,7 +30,7 @@ Kind = Literal["untouched", "place", "wrong_site", "unsteady", "captured", "remo
 class News:
     """Something for whoever loads the plate."""
 
-    kind: Kind
+    event: Kind
     step: Step | None  # None: the untouched baseline
     text: str
 
@@ -80,8 +81,8 @@ class Guide:
         self.untouched = Untouched()
         self.loadings: dict[int, Loading] = {}  # by number of the step
         self.released_s: list[float] = []  # when each load was taken away
-        self._held: deque[Heard] = deque()
-        self._quiet: list[Heard] = []
+        self._held: deque[LoadReading] = deque()
+        self._quiet: list[LoadReading] = []
         self._phase: Literal["baseline", "load", "release", "done"] = "baseline"
         self._captured_newton: float | None = None  # last force captured, where the site was not released since
         self._since_s: float | None = None
@@ -105,7 +106,7 @@ class Guide:
         self._begin()
         return list(self._ask())
 
-    def push(self, heard: Heard) -> list[News]:
+    def push(self, heard: LoadReading) -> list[News]:
         """Take one reading.
 
         Raises
@@ -139,7 +140,7 @@ class Guide:
         force: Floats = np.mean((shift - common_mode) / self._sensitivity[site], axis=-1)
         return force
 
-    def _take_baseline(self, heard: Heard) -> Iterator[News]:
+    def _take_baseline(self, heard: LoadReading) -> Iterator[News]:
         if heard.touched is not None:
             self._held.append(heard)
             if len(self._held) >= STEADY_READINGS:
@@ -156,7 +157,7 @@ class Guide:
             yield News("untouched", None, f"untouched plate captured for {BASELINE_S:g} s")
             yield from self._ask()
 
-    def _await_release(self, heard: Heard) -> Iterator[News]:
+    def _await_release(self, heard: LoadReading) -> Iterator[News]:
         self._complaint = "the last load was not taken away" if heard.touched is not None else ""
         self._complaint = self._complaint or _missing(heard, PILOT, "the pilot")
         if len(self._quiet) >= CLEAR_READINGS:
@@ -189,7 +190,7 @@ class Guide:
         replace = " in place of the last mass, without releasing it" if step.continues else ""
         yield News("place", step, f"{warm}place {step.load}{replace}")
 
-    def _await_load(self, heard: Heard, step: Step) -> Iterator[News]:
+    def _await_load(self, heard: LoadReading, step: Step) -> Iterator[News]:
         site = self._site_ids.index(step.site_id)
         if heard.untouched:
             self._hear_nothing(step)
@@ -221,7 +222,7 @@ class Guide:
         if len(self._held) * READING_S >= step.hold_s - 1e-9:
             yield from self._capture(step, float(np.mean(force)))
 
-    def _steady(self, force: Floats, heard: Heard, site: int, step: Step) -> bool:
+    def _steady(self, force: Floats, heard: LoadReading, site: int, step: Step) -> bool:
         """Whether the first forces held agree with each other, and the last one with all."""
         sigma = math.sqrt(heard.oscillator_std**2 + float(np.mean(heard.std**2)) / len(heard.std))
         noise_newton = sigma / float(np.abs(self._sensitivity[site]).mean())
@@ -279,7 +280,7 @@ class Guide:
             self._phase = "release"
             yield News("remove", step, f"take everything off site {step.site_id}")
 
-    def _complain(self, heard: Heard, site: int, step: Step) -> Iterator[News]:
+    def _complain(self, heard: LoadReading, site: int, step: Step) -> Iterator[News]:
         touched = heard.touched
         if touched is not None and touched != site:
             other = self._site_ids[touched]
@@ -299,7 +300,7 @@ class Guide:
         return f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {self._complaint or 'nothing is heard'}"
 
 
-def _missing(heard: Heard, wanted: int, name: str) -> str:
+def _missing(heard: LoadReading, wanted: int, name: str) -> str:
     """Say for each channel that does not hear what is wanted what it hears instead."""
     return ", ".join(
         f"channel {channel} {_instead(tone, fault)} instead of {name}"
@@ -308,7 +309,7 @@ def _missing(heard: Heard, wanted: int, name: str) -> str:
     )
 
 
-def _instead(tone: int, fault: str) -> str:
+def _instead(tone: int, fault: str | None) -> str:
     if tone == NOTHING:
         return f"hears nothing ({fault})"
     return "hears the pilot" if tone == PILOT else "hears another site"

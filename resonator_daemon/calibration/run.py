@@ -7,12 +7,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.board_frames import FromBoard, board_frames
-from resonator_daemon.calibration.comb_hearing import CombEar
 from resonator_daemon.calibration.guide import Guide, Loading, News
-from resonator_daemon.calibration.hearing import Ear, Heard
+from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
 from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
+from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
@@ -29,8 +28,10 @@ from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
 from resonator_daemon.plate import FORCE_SIGNAL
+from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.compatibility import oscillator_hz
-from resonator_daemon.session.frames import BoardOnline, SingleToneFrame
+from resonator_daemon.session.frames import BoardOnline
+from resonator_daemon.tones.tone_detector import ToneDetector, reading_frames
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,9 @@ class _Calibration:
         self._config, self._wanted, self._ending = config, wanted, ending
         self._steps, self._file, self._session = steps, file, session
         self._guide = Guide(config.plate, steps, ending.timeout_s)
-        self._ear: Ear | CombEar | None = None
+        self._detector: ToneDetector | None = None
+        every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
+        self._loads: LoadDetector = (MultitoneLoads if every_tone else CapturedLoads)(config.plate)
         self._teller = Teller(ending.as_json)
         self._unit = ""
         self._repeated: set[int] = set()
@@ -128,7 +131,7 @@ class _Calibration:
         outcome: Outcome | None = None
         with board_frames(self._config, self._ending.timeout_s) as arrivals:
             for arrival in arrivals:
-                heard = self._hear(arrival)
+                heard = self._read(arrival)
                 if heard is None:
                     continue
                 for news in self._guide.push(heard):
@@ -141,25 +144,15 @@ class _Calibration:
             raise CalibrationRefusedError("the link ended before the calibration did")
         return outcome
 
-    def _hear(self, arrival: FromBoard) -> Heard | None:
+    def _read(self, arrival: FromBoard) -> LoadReading | None:
         if isinstance(arrival, BoardOnline):
             self._unit = arrival.identity.serial_number
-            if self._ear is None:
-                plate = self._config.plate
-                single = plate.counter.kind == "single-tone"
-                self._ear = Ear(plate) if single else CombEar(plate, oscillator_hz(arrival.description))
+            if self._detector is None:
+                frames = reading_frames(1 / self._config.plate.counter.frame_rate_hz)
+                self._detector = sensor_of(self._config.plate).tone_detector(frames, oscillator_hz(arrival.description))
             return None
-        if isinstance(arrival, SingleToneFrame):
-            return self._ear.push(arrival.index, arrival.payload) if isinstance(self._ear, Ear) else None
-        if not isinstance(self._ear, CombEar):
-            return None
-        return self._ear.push(
-            arrival.index, arrival.phase_turn32, arrival.offset_hz16, arrival.sigma_code, arrival.known
-        )
-
-    @property
-    def _untouched_hz(self) -> Floats | None:
-        return self._ear.f0_hz if isinstance(self._ear, CombEar) else None
+        reading = self._detector.push(arrival) if self._detector is not None else None
+        return self._loads.read(reading) if reading is not None else None
 
     def _fit(self, loads: list[Loading], *, with_response: bool) -> Outcome:
         return fit_loadings(
@@ -168,17 +161,17 @@ class _Calibration:
             self._guide,
             loads,
             with_response=with_response,
-            untouched_hz=self._untouched_hz,
+            untouched_hz=self._loads.untouched_hz,
         )
 
     def _tell(self, news: News, recording: Recording) -> None:
         step = news.step
-        value: dict[str, Any] = {"event": news.kind, "step": step.number if step else 0, "steps": len(self._steps)}
+        value: dict[str, Any] = {"event": news.event, "step": step.number if step else 0, "steps": len(self._steps)}
         if step is not None:
             value |= {"site": step.site_id, "mass_kg": step.mass_kg, "force_newton": step.force_newton}
             value["kelvin"] = step.kelvin
         text = news.text
-        if news.kind == "captured" and step is not None:
+        if news.event == "captured" and step is not None:
             value["residual_newton"], so_far = self._fit_so_far(step)
             text += so_far
             recording.write("loading", self._captured(step))
@@ -257,7 +250,7 @@ class _Calibration:
             unit=self._unit,
             today=datetime.now(UTC).date(),
             valid_days=self._ending.valid_days,
-            untouched_hz=self._untouched_hz,
+            untouched_hz=self._loads.untouched_hz,
         )
 
     def _stage(self, record: Record, outcome: Outcome) -> dict[str, Any]:

@@ -64,9 +64,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
         The configuration cannot be used or its plate has no skin; no broker can be reached.
     """
     config = load_config(config_path)
-    skin = config.plate.skin
-    if skin is None:
-        raise ConfigurationError(f"plate {config.plate.name!r} has no [skin]: there is nothing to calibrate")
+    skin = config.plate.required_skin
     capture = asyncio.run(_capture(config, seconds, _tell))
     found: PriorFit | None = None
     if capture.loaded >= FEWEST_FRAMES:

@@ -21,8 +21,6 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from firmware_protocol.layouts import BLOCK_STRUCT, CHANNEL_COUNT, SINGLE_TONE_STRUCT, TONE_STRUCT
-from firmware_protocol.packets import MAX_PAYLOAD_BYTES, PACKET_OVERHEAD_BYTES
 from resonator_daemon.config.link_targets import LinkTarget, ReplayLink, SerialLink, parse_link
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
@@ -129,7 +127,7 @@ class Config(Table):
     def notes(self) -> tuple[str, ...]:
         """Warnings about keys without effect and keys that are obsolete."""
         notes = [self.plate.calibration.expiry_note(datetime.now(UTC).date())]
-        if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.skin is not None:
+        if self.decoding.method == "fourier" and self.decoding.contact_physics and self.plate.decodable:
             notes.append(
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
                 "tractions are those of the linear map"
@@ -202,17 +200,8 @@ def example_config() -> str:
     return _EXAMPLE
 
 
-def frame_bytes(plate: Plate) -> int:
-    """Return the size of one frame on the wire, packets' overhead included (PROTOCOL.md, sections 6 and 7)."""
-    if plate.counter.kind == "single-tone":
-        return PACKET_OVERHEAD_BYTES + CHANNEL_COUNT * SINGLE_TONE_STRUCT.size
-    tones = len(plate.tones.f0_hz)
-    parts = math.ceil(tones / ((MAX_PAYLOAD_BYTES - BLOCK_STRUCT.size) // TONE_STRUCT.size))
-    return CHANNEL_COUNT * (parts * (PACKET_OVERHEAD_BYTES + BLOCK_STRUCT.size) + tones * TONE_STRUCT.size)
-
-
 def _check_load(plate: Plate, baud: int) -> None:
-    size = frame_bytes(plate)
+    size = plate.frame_bytes
     rate_hz = plate.counter.frame_rate_hz
     load = size * _BITS_PER_BYTE * rate_hz
     if load >= baud:  # status messages need some of it, too
@@ -233,7 +222,7 @@ def timing_problems(spans_ms: Mapping[str, float], plate: Plate | None) -> list[
     if len(spans_ms) == 2 and spans_ms["step_ms"] > spans_ms["window_ms"]:
         sentence = f"must be at most window_ms = {spans_ms['window_ms']:g}, or counts would be lost between windows"
         problems.append(("step_ms", spans_ms["step_ms"], sentence))
-    if plate and plate.skin is None:
+    if plate and plate.windowed:
         period_ms = 1e3 / plate.counter.frame_rate_hz
         for key, value in spans_ms.items():
             frames = value / period_ms

@@ -15,7 +15,7 @@ from collections.abc import Callable, Coroutine, Mapping
 from importlib.metadata import version
 from typing import Any
 
-from resonator_daemon.config import Config, frame_bytes, plate_name
+from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
@@ -93,7 +93,7 @@ async def serve(store: ConfigStore) -> None:
 def frames_waiting_bytes(plate: Plate) -> int:
     """Return the memory that the frames take that may wait to be measured."""
     frames = math.ceil(_FRAMES_WAITING_S * plate.counter.frame_rate_hz)
-    return frames * (frame_bytes(plate) + _FRAME_OVERHEAD_BYTES)
+    return frames * (plate.frame_bytes + _FRAME_OVERHEAD_BYTES)
 
 
 class Service:

@@ -111,8 +111,8 @@ class _Bench:
     def __init__(self, options: LatencyOptions) -> None:
         self._options = options
         self._plate = load_plate(options.plate)
-        self._topic = FORCES if self._plate.skin is None else DECODED
-        if options.apart and self._plate.skin is None:
+        self._topic = DECODED if self._plate.decodable else FORCES
+        if options.apart and not self._plate.decodable:
             raise UserError(f"--apart: nothing is decoded on plate {options.plate}; leave it out")
         self._ended = asyncio.Event()
         self.cut_short = False
@@ -162,7 +162,7 @@ class _Bench:
         """Start the parts as a user would; return the truth file."""
         plate, decoding = self._options.plate, "[decoding]\napart = true\n" if self._options.apart else ""
         _tell(f"starting an emulated board and its daemon: {plate}")
-        emulator, link, truth = await start_emulator(plate, folder, self._plate.counter.kind)
+        emulator, link, truth = await start_emulator(plate, folder, over_tcp=self._plate.counter.frames_in_parts)
         children.append(emulator)
         config = folder / "bench.toml"
         config.write_text(f'name = "{_NAME}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n{decoding}')

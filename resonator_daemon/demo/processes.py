@@ -103,10 +103,10 @@ def _rss_bytes(process: psutil.Process) -> int:
         return 0
 
 
-async def start_emulator(plate: str, folder: Path, kind: str) -> tuple[Child, str, Path]:
+async def start_emulator(plate: str, folder: Path, *, over_tcp: bool) -> tuple[Child, str, Path]:
     """Start an emulated board; return it, its link as a configuration writes it, and its truth file."""
     truth = folder / f"{plate}.truth.jsonl"
-    link = ("--pty", str(folder / f"{plate}.port")) if kind == "single-tone" else ("--tcp", "127.0.0.1:0")
+    link = ("--tcp", "127.0.0.1:0") if over_tcp else ("--pty", str(folder / f"{plate}.port"))
     arguments = ("emulate", "--plate", plate, *link, "--truth", str(truth), "--json")
     child = await start_child(f"emulator {plate}", folder, (*_RESONATORD, *arguments), stdout=PIPE)
     return child, json.loads(await child.first_line())["link"], truth

@@ -113,7 +113,7 @@ class _Demo:
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the processes of one plate; the emulator ends with the stack."""
         self._report(f"starting emulated board and daemon: {name}")
-        emulator, link, truth_path = await start_emulator(name, folder, plate.counter.kind)
+        emulator, link, truth_path = await start_emulator(name, folder, over_tcp=plate.counter.frames_in_parts)
         stack.push_async_callback(emulator.stop)
         daemon = await start_daemon(name, link, broker_url, folder)
         truth = TruthTable(truth_path)
@@ -121,7 +121,7 @@ class _Demo:
             truth,
             plate.counter.frame_rate_hz,
             plate.site_positions_m,
-            touched_anywhere=plate.skin is not None,
+            touched_anywhere=plate.decodable,
         )
         self._stations[name] = _Station(plate, emulator, daemon, truth, score, PlateView(name, full_rate=False))
 
@@ -218,7 +218,7 @@ class _Demo:
         for name, station in self._stations.items():
             station.truth.close()
             part = station.daemon.part
-            plates[name] = plate_result(station.score, self._ended_ns, has_skin=station.plate.skin is not None) | {
+            plates[name] = plate_result(station.score, self._ended_ns, has_skin=station.plate.decodable) | {
                 "cpu_percent": round(100 * self._usage[part] / seconds, 1),
                 "rss_mb": round(self._memory_mb[part], 1),
             }
@@ -256,7 +256,7 @@ def _truth_to_show(station: _Station) -> Truth:
     plate, traction = station.plate, None
     if lines and plate.grid:
         traction = surface_traction(lines[-1], (plate.grid.shape[0], plate.grid.shape[1]), plate.grid.pitch_m)[2]
-    elif lines and plate.skin:
+    elif lines and plate.decodable:
         traction = site_traction(lines[-1], plate.site_positions_m)[2]
     contacts = lines[-1].contacts if lines else ()
     return Truth(

@@ -17,7 +17,6 @@ from resonator_daemon.config import (
     SerialLink,
     TcpLink,
     UsbLink,
-    frame_bytes,
     load_config,
 )
 from resonator_daemon.doctor import link_checks, sensor_checks
@@ -173,7 +172,7 @@ class _Examination:
 
     def _port(self, link: LinkTarget, holders: Holders) -> Iterator[Finding]:
         plate = self._config.plate if self._config else None
-        load = None if plate is None else frame_bytes(plate) * _BITS_PER_BYTE * plate.counter.frame_rate_hz
+        load = None if plate is None else plate.frame_bytes * _BITS_PER_BYTE * plate.counter.frame_rate_hz
         if isinstance(link, SerialLink):
             yield from check_port(link, self._host, holders)
             name = self._host.at(link.path).resolve().name

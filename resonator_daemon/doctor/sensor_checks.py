@@ -9,9 +9,10 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
 from resonator_daemon.doctor.finding import Area, Check, Finding, Outcome, graded, not_checked
-from resonator_daemon.doctor.hearing import PAIRS, Hearing
+from resonator_daemon.doctor.plate_readings import PAIRS
 from resonator_daemon.doctor.sitting import Sitting
 from resonator_daemon.plate import SKIN_SIGNALS, Plate
+from resonator_daemon.sensors.expected_tones import ExpectedTones
 
 CHANNELS: Final = Check("sensor.channels", Area.SENSOR, "channels")
 AT_REST: Final = Check("sensor.at_rest", Area.SENSOR, "plate at rest")
@@ -39,8 +40,8 @@ _STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
 
 def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
     """Yield what the tones say; `sitting` is one in which frames came."""
-    hearing = sitting.hearing
-    if hearing is None or len(sitting.readings) < _READINGS_MIN:
+    expected = sitting.tones
+    if expected is None or len(sitting.readings) < _READINGS_MIN:
         reason = f"{len(sitting.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
         yield from not_checked(OF_THE_PLATE, reason)
         return
@@ -49,16 +50,16 @@ def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
     std = np.array([reading.std for reading in sitting.readings])
     strange_hz = np.array([reading.strange_hz for reading in sitting.readings])
     touched = np.array([reading.touched for reading in sitting.readings]) | _moving(shift, plate)
-    yield _at_rest(touched, shift, plate, hearing)
+    yield _at_rest(touched, shift, plate, expected)
     quiet = ~touched
     if np.count_nonzero(quiet) < _READINGS_MIN:
         yield from not_checked((CHANNELS, TONES, NOISE, CROSS_TALK, DRIFT), "the plate is touched")
     else:
         shift, std, strange_hz = shift[quiet], std[quiet], strange_hz[quiet]
-        yield _channels(shift, strange_hz, hearing)
-        yield _tones(shift, strange_hz, hearing)
+        yield _channels(shift, strange_hz, expected)
+        yield _tones(shift, strange_hz, expected)
         scatter_radian = np.array([reading.scatter_radian for reading in sitting.readings])[quiet]
-        yield _worse(_noise(shift, std, plate, hearing), _scatter(scatter_radian))
+        yield _worse(_noise(shift, std, plate, expected), _scatter(scatter_radian))
         yield _cross_talk(np.array([reading.pair_noise for reading in sitting.readings])[quiet])
         yield _drift(times_s[quiet], shift, std)
     yield _temperature(sitting.temperatures_kelvin)
@@ -91,7 +92,7 @@ def _forces(shift: Floats, plate: Plate) -> Floats:
 
 
 def _at_rest(
-    touched: np.ndarray[tuple[int], np.dtype[np.bool_]], shift: Floats, plate: Plate, hearing: Hearing
+    touched: np.ndarray[tuple[int], np.dtype[np.bool_]], shift: Floats, plate: Plate, expected: ExpectedTones
 ) -> Finding:
     remedy = "take everything off the plate, and ask again"
     readings = len(touched)
@@ -99,14 +100,14 @@ def _at_rest(
         return AT_REST.fault("a site is pressed all the time", remedy)
     if touched[0]:
         return AT_REST.warning(f"pressed at the start, and in {touched.sum()} of {readings} readings", remedy)
-    if plate.signals != SKIN_SIGNALS and len(hearing.tones) > 2 and plate.calibration.id is not None:
+    if plate.signals != SKIN_SIGNALS and len(expected.names) > 2 and plate.calibration.id is not None:
         middle = np.median(np.nanmean(shift, axis=0), axis=0)
         force = _forces((np.nanmean(shift, axis=0) - middle)[None], plate)[0]
         worst = int(np.abs(force).argmax())
         limit_newton = _PRESSED_SHARE * plate.force_max_newton
         if abs(force[worst]) > limit_newton:
             return AT_REST.fault(
-                f"{hearing.tones[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
+                f"{expected.names[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
                 f"{remedy}; where it is bare, calibrate anew",
                 value=float(abs(force[worst])),
                 limit=limit_newton,
@@ -120,7 +121,7 @@ def _at_rest(
     return AT_REST.ok("nothing touches it")
 
 
-def _channels(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
+def _channels(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
     """Judge each channel by the share of all tones that it hears, wherever they are."""
     heard = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
     dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if heard[channel] < _HEARD_SHARE]
@@ -135,17 +136,17 @@ def _channels(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
     return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", value=float(heard.min()), limit=_HEARD_SHARE)
 
 
-def _tones(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
+def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
     alive = np.isfinite(shift).mean(axis=(0, 1)) >= _HEARD_SHARE  # of dead channels another finding tells
     heard = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
     unheard = np.flatnonzero((heard < _HEARD_SHARE).any(axis=1))
     off = np.nanmax(np.abs(_middle(shift)), axis=1, initial=0.0)  # (t,)
-    outside = np.flatnonzero(off > hearing.band)
+    outside = np.flatnonzero(off > expected.band)
     if np.isfinite(strange_hz).any():
         frequency_hz = float(np.nanmean(strange_hz))
-        nearest_hz = float(hearing.f0_hz.mean())
+        nearest_hz = float(expected.f0_hz.mean())
         return TONES.fault(
-            f"{frequency_hz / 1e6:.6f} MHz is heard, which is neither {hearing.tones[0]} ({nearest_hz / 1e6:.6f} MHz) "
+            f"{frequency_hz / 1e6:.6f} MHz is heard, which is neither {expected.names[0]} ({nearest_hz / 1e6:.6f} MHz) "
             "nor a site of the plate file",
             "name the plate file of this plate, or calibrate it anew",
             value=frequency_hz,
@@ -153,17 +154,17 @@ def _tones(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
             unit="Hz",
         )
     if len(outside):
-        worst = int(outside[np.argmax(off[outside] / hearing.band[outside])])
+        worst = int(outside[np.argmax(off[outside] / expected.band[outside])])
         return TONES.fault(
-            f"{len(outside)} of {len(off)} out of band, the worst is {hearing.tones[worst]}: "
-            f"{1e6 * off[worst]:.1f} ppm off, at most {1e6 * hearing.band[worst]:.1f} ppm",
+            f"{len(outside)} of {len(off)} out of band, the worst is {expected.names[worst]}: "
+            f"{1e6 * off[worst]:.1f} ppm off, at most {1e6 * expected.band[worst]:.1f} ppm",
             "name the plate file of this plate; a single tone that is off is a broken site",
             value=1e6 * float(off[worst]),
-            limit=1e6 * float(hearing.band[worst]),
+            limit=1e6 * float(expected.band[worst]),
             unit="ppm",
         )
     if len(unheard):
-        names = ", ".join(hearing.tones[tone] for tone in unheard[:5])
+        names = ", ".join(expected.names[tone] for tone in unheard[:5])
         return TONES.fault(
             f"{len(unheard)} of {len(off)} are not heard by every channel that is alive: {names}",
             "these sites are broken, or another tone covers theirs",
@@ -173,12 +174,12 @@ def _tones(shift: Floats, strange_hz: Floats, hearing: Hearing) -> Finding:
         )
     if not alive.any():
         return TONES.not_checked("no channel hears them")
-    worst = int(np.argmax(off / hearing.band))
+    worst = int(np.argmax(off / expected.band))
     return TONES.ok(
         f"{'the only one is' if len(off) == 1 else f'all {len(off)} are'} in band: at most {1e6 * off[worst]:.1f} ppm "
-        f"off (limit {1e6 * hearing.band[worst]:.1f})",
+        f"off (limit {1e6 * expected.band[worst]:.1f})",
         value=1e6 * float(off[worst]),
-        limit=1e6 * float(hearing.band[worst]),
+        limit=1e6 * float(expected.band[worst]),
         unit="ppm",
     )
 
@@ -190,7 +191,7 @@ def _middle(shift: Floats) -> Floats:
     return np.where(heard.any(axis=0), total / np.maximum(heard.sum(axis=0), 1), math.nan)
 
 
-def _noise(shift: Floats, std: Floats, plate: Plate, hearing: Hearing) -> Finding:
+def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) -> Finding:
     """Compare how readings bend with what counter and oscillator give, tone by tone; drift hardly bends them."""
     steps = np.diff(shift, 2, axis=0)
     usable = np.isfinite(steps)

@@ -1,6 +1,5 @@
 """Some seconds with a board: who it is, what it counts, and what became of the bytes on the way."""
 
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -10,11 +9,13 @@ from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardStatus, MalformedMessageError, decode_message
 from firmware_protocol.packets import Packet, PacketDecoder
 from resonator_daemon.config import LinkTarget
-from resonator_daemon.doctor.hearing import Hearing, Reading, make_hearing
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
+from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 from resonator_daemon.plate import Plate
-from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.sensors.expected_tones import ExpectedTones
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.session.arrival_loop import ArrivalLoop
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
@@ -26,6 +27,7 @@ from resonator_daemon.session.frames import (
     SingleToneFrame,
 )
 from resonator_daemon.session.link_events import Received, WireEvent
+from resonator_daemon.tones.tone_detector import reading_frames
 
 OPEN_S: Final = 6.0  # in which a board must count
 _TURN_S: Final = 0.1
@@ -55,8 +57,8 @@ class Sitting:
     seconds: float = 0.0
     board: BoardOnline | None = None
     link: str = ""
-    hearing: Hearing | None = None
-    readings: list[Reading] = field(default_factory=list)
+    tones: ExpectedTones | None = None
+    readings: list[PlateReading] = field(default_factory=list)
     before: LinkCounters = field(default_factory=LinkCounters)
     after: LinkCounters = field(default_factory=LinkCounters)
     interruptions: list[str] = field(default_factory=list)
@@ -79,12 +81,12 @@ class Sitting:
         return self.seconds > 0.0
 
 
-class _StatusEar:
-    """Picks what a board says of itself out of the bytes; called from the reader's thread."""
+class _StatusDecoder:
+    """Collects the status messages of a board; called from the reader's thread."""
 
     def __init__(self) -> None:
         self._decoder = PacketDecoder(from_board=True)
-        self.heard: list[BoardStatus] = []
+        self.messages: list[BoardStatus] = []
 
     def put(self, event: WireEvent) -> None:
         if not isinstance(event, Received):
@@ -92,61 +94,57 @@ class _StatusEar:
         for packet in self._decoder.feed(event.data):
             if isinstance(packet, Packet) and packet.type == MessageType.STATUS:
                 try:
-                    self.heard.append(decode_message(BoardStatus, packet.payload))
+                    self.messages.append(decode_message(BoardStatus, packet.payload))
                 except MalformedMessageError:
                     continue  # the link's account has it
 
 
 def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, host: Host) -> Sitting:
-    """Have the board count for `seconds` from its first frame on, and listen.
+    """Capture `seconds` of a board from its first frame on.
 
     Raises
     ------
     Exception
         What the reader's thread failed with, which is a mistake of ours.
     """
-    arrived = threading.Event()
-    ear = _StatusEar()
-    anyone = plate.calibration.model_copy(update={"unit": None})  # that it is another board is said beside the rest
-    reader = BoardReader(target, plate.model_copy(update={"calibration": anyone}), arrived.set, on_event=ear.put)
+    status = _StatusDecoder()
+    loop = ArrivalLoop(target, plate, any_unit=True, on_event=status.put)  # another unit is reported beside the rest
+    reader = loop.reader
     sitting = Sitting(plate.counter.frame_rate_hz)
-    with Load(host) as load:
-        reader.start()
-        try:
-            _listen(reader, arrived, sitting, plate, seconds, progress)
-        finally:
-            reader.stop()
+    with Load(host) as load, loop:
+        _capture(loop, sitting, plate, seconds, progress)
     sitting.busy = load.busy()
     if sitting.counted:
         sitting.after = reader.counters()
     else:
         sitting.before = sitting.after = reader.counters()
-    kelvin = (status.temperature_millikelvin for status in ear.heard)
+    kelvin = (message.temperature_millikelvin for message in status.messages)
     sitting.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
     return sitting
 
 
-def _listen(
-    reader: BoardReader, arrived: threading.Event, sitting: Sitting, plate: Plate, seconds: float, progress: Progress
-) -> None:
+def _capture(loop: ArrivalLoop, sitting: Sitting, plate: Plate, seconds: float, progress: Progress) -> None:
+    reader, sensor = loop.reader, sensor_of(plate)
+    frames = reading_frames(1 / plate.counter.frame_rate_hz, FEWEST_FRAMES)
+    expected, detector = sensor.expected_tones, None
     begun_s = time.monotonic()
     first_s: float | None = None
     while True:
-        arrived.wait(_TURN_S)
-        arrived.clear()
+        arrivals = loop.wait(_TURN_S)
         now_s = time.monotonic()
-        for arrival in reader.pop_arrivals():
+        for arrival in arrivals:
             match arrival:
                 case SingleToneFrame() | ChannelisedFrame():
                     if first_s is None:
                         first_s = now_s
                         sitting.before = reader.counters()
-                    if sitting.hearing is not None and (reading := sitting.hearing.push(arrival)) is not None:
-                        sitting.readings.append(reading)
+                    if detector is not None and (reading := detector.push(arrival)) is not None:
+                        sitting.readings.append(plate_reading(reading, expected))
                 case BoardOnline():
                     sitting.board = arrival
-                    if sitting.hearing is None:
-                        sitting.hearing = make_hearing(plate, oscillator_hz(arrival.description))
+                    if detector is None:
+                        sitting.tones = expected
+                        detector = sensor.tone_detector(frames, oscillator_hz(arrival.description))
                 case LinkChange():
                     sitting.link = arrival.reason
                     if first_s is not None and arrival.state == "stalled":

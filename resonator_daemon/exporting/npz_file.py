@@ -93,7 +93,7 @@ class _Numbers:
 
     def append(self, values: Sequence[Value]) -> None:
         array: NDArray[Any] = np.zeros((len(values), *self._shape), self._dtype)
-        if self._dtype.kind == "f":
+        if np.issubdtype(self._dtype, np.floating):
             array[...] = np.nan
         for index, value in enumerate(values):
             if value is not None:
@@ -154,10 +154,11 @@ class _Text:
 
 
 def _make(column: Column, name: str, place: Path) -> _Numbers | _WithGaps | _Text:
-    if column.kind == "text":
-        return _Text(name, place)
-    if column.kind == "float32 array":
-        return _Numbers(name, "<f4", column.shape, place)
+    match column.kind:
+        case "text":
+            return _Text(name, place)
+        case "float32 array":
+            return _Numbers(name, "<f4", column.shape, place)
     dtype = _DTYPES[column.kind]
     if column.nullable and column.kind != "float64":
         return _WithGaps(name, dtype, place)

@@ -86,7 +86,7 @@ class RosMessages:
 
     def __init__(self, plate: Plate, frame_id: str) -> None:
         self._clouds = Clouds(plate)
-        self._with_map = plate.skin is not None
+        self._with_map = plate.decodable
         self._frame_id = frame_id
         self._store = get_typestore(Stores.ROS2_JAZZY)
         for kind, text in ((CONTACT, _OF_CONTACT), (CONTACTS, _OF_CONTACTS), (EVENT, _OF_EVENT)):

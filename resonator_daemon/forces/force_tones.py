@@ -11,7 +11,6 @@ APART_SIGMAS: Final = 8.0
 CORNER_ERROR: Final = 2e-7  # relative, by which f0 of a corner may be off
 MODEL_MARGIN: Final = 0.1  # of a shift, by which corners may differ in K
 FORCE, TEMPERATURE = 0, 1  # in `signal_index`
-SIGMA_HZ: Final[Floats] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
 
 
 class SiteShifts(NamedTuple):

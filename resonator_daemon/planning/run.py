@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.config import frame_bytes
 from resonator_daemon.errors import UsageError
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
@@ -125,7 +124,7 @@ def _scatter(request: Request, plate: Plate, window_s: float, stamps_per_s: floa
 
 
 def _too_slow(plate: Plate, baud: float) -> tuple[str, ...]:
-    size, rate_hz = frame_bytes(plate), plate.counter.frame_rate_hz
+    size, rate_hz = plate.frame_bytes, plate.counter.frame_rate_hz
     needed = size * BITS_A_BYTE * rate_hz
     if needed < baud:
         return ()

@@ -113,7 +113,7 @@ class FollowedPlate:
             last_contact_id = 0
             while True:
                 self._changed.clear()
-                if self._plate.skin is None:
+                if not self._plate.skin:
                     await self._changed.wait()
                 else:
                     last_contact_id = await self._decode(self._plate.skin, last_contact_id)

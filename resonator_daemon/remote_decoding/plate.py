@@ -114,9 +114,9 @@ class RemotePlate:
             self.unusable += 1
             return None
         self._follow(message)
-        sites = 0 if self.skin is None else len(self.skin.site_ids)
+        sites = len(self.skin.site_ids) if self.skin else 0
         usable = message.status is Status.OK and message.signals.shape == message.noise_std.shape == (3, sites)
-        if not usable or self.skin is None:
+        if not usable or not self.skin:
             self.unusable += 1
             return None
         self.last_s = now_s
@@ -173,7 +173,7 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
         raise _UnusableInfoError(f"its messages have schema version {version[:20]!a}, {reads}")
     if DECODED.path in info.rates_hz:
         raise _UnusableInfoError(DECODED_BY_DAEMON)
-    if info.skin is None:
+    if not info.skin:
         raise _UnusableInfoError("has no skin: there is nothing to decode")
     positions_m = np.array([site.position_m for site in info.sites], np.float64).reshape(-1, 2)
     try:

@@ -95,7 +95,7 @@ class SharedPlates:
         heard = [
             plate
             for plate in self._plates.values()
-            if now_s - plate.last_s <= WAITS_AFTER_S and plate.skin is not None and served.get(plate.name) is plate.skin
+            if now_s - plate.last_s <= WAITS_AFTER_S and plate.skin and served.get(plate.name) is plate.skin
         ]
         problems = [f"{plate.name}: {plate.problem}" for plate in self._plates.values() if plate.problem]
         problems += [f"{name}: {problem}" for name, problem in self._problems.items()]
@@ -152,7 +152,7 @@ class SharedPlates:
             return
         plate = RemotePlate(name)
         plate.take_info(message.payload)
-        if plate.skin is None:
+        if not plate.skin:
             self._remember(name, plate.problem)
         elif self._has_room(name):
             self._plates[name], self._entered_s[name] = plate, time.monotonic()
@@ -193,7 +193,7 @@ class SharedPlates:
         if plate is None:
             return
         signals = plate.take_signals(message.payload, time.monotonic())
-        if signals is None or plate.skin is None:
+        if signals is None or not plate.skin:
             return
         skin = plate.skin
         if plate.name not in self._reporters:

@@ -4,14 +4,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar, Generic, TypeVar
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Decoding, Measurement
 from resonator_daemon.forces.readings import ForceReading, SkinReading
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import BoardOnline, Frame
+from resonator_daemon.tones.tone_detector import ToneDetector
 
 Reading = TypeVar("Reading", ForceReading, SkinReading)
 
@@ -75,6 +78,15 @@ class Sensor(ABC, Generic[Reading]):
     def wake_frames(self) -> tuple[int, ...]:
         """Numbers of frames that are worth waking for: every multiple of one of them."""
         return (1,)
+
+    @property
+    @abstractmethod
+    def expected_tones(self) -> ExpectedTones:
+        """Tones of the untouched plate."""
+
+    @abstractmethod
+    def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
+        """Return a detector of readings over `frames`; the board counts each tone against `oscillator_hz` (t,)."""
 
     @abstractmethod
     def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:

@@ -2,13 +2,22 @@
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.force_tones import ForceTones
+from resonator_daemon.sensors.expected_tones import ExpectedTones, force_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.multitone_processing import MultitoneProcessing
 from resonator_daemon.sensors.plate_sites import force_sites
+from resonator_daemon.tones.tone_detector import MultitoneDetector, ToneDetector
 
 
 class MultitoneSensor(ForceSensor):
     """Force sites, each with a tone that is always counted."""
+
+    @property
+    def expected_tones(self) -> ExpectedTones:
+        return force_tones(self.plate)
+
+    def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
+        return MultitoneDetector(frames, 1 / self.plate.counter.frame_rate_hz, oscillator_hz)
 
     def make_processing(self, oscillator_hz: Floats) -> MultitoneProcessing:
         plate, tones = self.plate, self.plate.tones

@@ -13,7 +13,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.contacts import ONSET_NEWTON, ContactEvent, ContactTracker, Touch, touch_of
 from resonator_daemon.forces.force import cell_std_m
 from resonator_daemon.forces.force_sites import ForceSites
-from resonator_daemon.forces.force_tones import SIGMA_HZ, ForceTones, SiteShifts
+from resonator_daemon.forces.force_tones import ForceTones, SiteShifts
 from resonator_daemon.forces.plate_drift import OFF_SIGMAS, DriftReading, PlateDrift
 from resonator_daemon.forces.readings import Compensation, ForceReading, SensorStatus
 from resonator_daemon.forces.site_errors import PressedSites, SiteErrors
@@ -21,7 +21,7 @@ from resonator_daemon.forces.site_identification import SiteForce
 from resonator_daemon.forces.spread import TOUCHES_MAX, SpreadFit, Touches
 from resonator_daemon.session.frames import ChannelisedFrame, Frame
 from resonator_daemon.tones.frequency_estimators import oscillator_std
-from resonator_daemon.tones.tone_merging import merge_tones
+from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer

@@ -3,9 +3,11 @@
 from typing import ClassVar, Final
 
 from resonator_daemon.arrays import Floats
+from resonator_daemon.sensors.expected_tones import ExpectedTones, captured_tones
 from resonator_daemon.sensors.force_sensor import ForceSensor
 from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.sensors.single_tone_processing import SingleToneProcessing
+from resonator_daemon.tones.tone_detector import CapturedToneDetector, ToneDetector, capture_band_hz
 
 _ONSET_S: Final = 0.005  # an onset waits no longer for the frames after it
 
@@ -24,6 +26,15 @@ class SingleToneSensor(ForceSensor):
     @property
     def records_unusable(self) -> dict[str, int]:
         return dict(self._processing.unusable) if self._processing is not None else {}
+
+    @property
+    def expected_tones(self) -> ExpectedTones:
+        return captured_tones(self.plate)
+
+    def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
+        plate, counter = self.plate, self.plate.counter
+        band_hz = capture_band_hz(plate.pilot_hz, plate.tones.f0_hz)
+        return CapturedToneDetector(frames, counter.reference_hz, 1 / counter.frame_rate_hz, band_hz)
 
     def make_processing(self, oscillator_hz: Floats) -> SingleToneProcessing:
         plate = self.plate

@@ -20,10 +20,9 @@ from resonator_daemon.tones.frequency_estimators import Sums, oscillator_std
 from resonator_daemon.tones.gate_block import GateBlock, WindowSums
 from resonator_daemon.tones.record_checks import CAPTURE_SWITCH
 from resonator_daemon.tones.tone_count import UNHEARD, ToneCount, count_tone
+from resonator_daemon.tones.tone_detector import PILOT_TOLERANCE, capture_band_hz
 from resonator_daemon.tones.tone_windows import ToneWindows
 
-PILOT_TOLERANCE: Final = 100e-6  # reference error and temperature together stay below it
-BAND_MARGIN: Final = 0.05  # beyond the plate's tones no press and no clock error can reach
 BASELINE_READINGS: Final = 20  # untouched readings before the common mode counts as known
 UNKNOWN_CONTACT_S: Final = 0.5
 ONSET_FRAMES: Final = 2  # window of the fast path
@@ -51,15 +50,11 @@ class SingleToneProcessing:
         hidden = None
         if load_sharing_exponent is not None:
             hidden = hidden_fraction(sites.positions_m, sites.outline_m, load_sharing_exponent)
-        band_hz = (
-            (1 - BAND_MARGIN) * min(pilot_hz, float(sites.f0_hz.min())),
-            (1 + BAND_MARGIN) * max(pilot_hz, float(sites.f0_hz.max())),
-        )
         self._sites = sites
         self._pilot_hz = pilot_hz
         self._reference_hz = reference_hz
         self._gate_s = gate_s
-        self._windows = ToneWindows(channels, window_frames, reference_hz, band_hz)
+        self._windows = ToneWindows(channels, window_frames, reference_hz, capture_band_hz(pilot_hz, sites.f0_hz))
         reading_std = oscillator_std(window_frames * gate_s)
         self._common_mode = CommonMode(channels, needed=BASELINE_READINGS, reading_std=reading_std)
         self._matcher = Matcher(

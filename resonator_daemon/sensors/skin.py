@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any, ClassVar, Final
 
+from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
@@ -12,6 +13,7 @@ from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import ContactEvent, Lost, Message, Signals, Status
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, DECODED, DECODED_SUMMARY, SIGNALS, Topic
 from resonator_daemon.sensors.base import Sensor
+from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.skin_processing import SkinProcessing
 from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SurfaceDecoding
@@ -19,6 +21,7 @@ from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSetting
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, ChannelisedFrame, Frame
+from resonator_daemon.tones.tone_detector import MultitoneDetector, ToneDetector
 
 _SURFACE: Final = (DECODED, DECODED_SUMMARY, CONTACTS)
 
@@ -53,6 +56,13 @@ class SkinSensor(Sensor[SkinReading]):
     @property
     def rate_hz(self) -> float:
         return self.plate.counter.frame_rate_hz
+
+    @property
+    def expected_tones(self) -> ExpectedTones:
+        return all_tones(self.plate)
+
+    def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
+        return MultitoneDetector(frames, 1 / self.plate.counter.frame_rate_hz, oscillator_hz)
 
     def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
         self._output = output

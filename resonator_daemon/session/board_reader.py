@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, frame_bytes
+from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.opening import open_link
@@ -95,7 +95,7 @@ class BoardReader:
         self._wake_due = False
         self._queue = FrameQueue(frame_queue_bytes, self._wake_soon, step_frames)
         self._machine = LinkStateMachine(plate, self._queue, on_event)
-        self._pacing = StepPacing(frame_bytes(plate), round(1e9 / plate.counter.frame_rate_hz))
+        self._pacing = StepPacing(plate.frame_bytes, round(1e9 / plate.counter.frame_rate_hz))
         self._log = LinkLog()
         self._stopping = False
         self._requests: deque[tuple[str, str]] = deque()

@@ -31,8 +31,7 @@ def gate_ticks(plate: Plate) -> int:
 
 def oscillator_hz(description: Description) -> NDArray[np.float64]:
     """Return the frequency (tones,) against which a channelised board counts each tone; of others nothing."""
-    channelised = description.counter_kind == CounterKind.CHANNELISED
-    number = np.arange(description.tones if channelised else 0, dtype=np.float64)
+    number = np.arange(description.oscillators, dtype=np.float64)
     return (description.oscillator_millihertz + number * description.oscillator_spacing_millihertz) / 1e3
 
 
@@ -47,8 +46,8 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]
     ]
     if abs(reference_hz / plate.counter.reference_hz - 1) > _REFERENCE_TOLERANCE:
         pairs.append(("reference_hz", reference_hz, plate.counter.reference_hz))
-    if plate.counter.kind == "channelised":
-        pairs.append(("tones", description.tones, len(plate.tones.f0_hz)))
+    if plate.oscillators:
+        pairs.append(("tones", description.tones, plate.oscillators))
     found = [
         f"{what}: the board describes {board}, the plate file has {expected}"
         for what, board, expected in pairs
@@ -71,7 +70,7 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]
             f"frame rate: the board makes gates of multiples of {description.gate_ticks_step} ticks, the plate file's "
             f"{plate.counter.frame_rate_hz:g} Hz need {gate_ticks(plate)}",
         )
-    if plate.counter.kind == "channelised":
+    if plate.oscillators:
         offset_hz = np.abs(plate.tones.f0_hz - oscillator_hz(description)[:, None])
         worst = int(offset_hz.max(axis=1).argmax())
         if offset_hz[worst].max() > _OFFSET_LIMIT_HZ:

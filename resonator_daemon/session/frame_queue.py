@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from threading import Lock
 
 from resonator_daemon.session.counters import FrameLoss
-from resonator_daemon.session.frames import Arrival, ChannelisedFrame, Gap, SingleToneFrame
+from resonator_daemon.session.frames import Arrival, Frame, Gap
 
 
 class FrameQueue:
@@ -36,7 +36,7 @@ class FrameQueue:
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
         self._overflow = 0
-        self.newest: SingleToneFrame | ChannelisedFrame | None = None
+        self.newest: Frame | None = None
 
     def put(self, news: Arrival) -> None:
         """Append what is no frame."""
@@ -44,7 +44,7 @@ class FrameQueue:
             self._items.append((0, news))
         self._wake()
 
-    def put_frames(self, frames: Sequence[SingleToneFrame] | Sequence[ChannelisedFrame]) -> None:
+    def put_frames(self, frames: Sequence[Frame]) -> None:
         """Append adjacent frames, one or more; when they complete a step, the consumer is woken."""
         size_bytes = frames[0].memory_bytes  # all of one board are of one size
         self.newest = frames[-1]
@@ -79,7 +79,7 @@ class FrameQueue:
         ahead = self._ahead
         while self._bytes > self._limit_bytes:
             size_bytes, arrival = self._items.popleft()
-            if isinstance(arrival, SingleToneFrame | ChannelisedFrame):
+            if isinstance(arrival, Frame):
                 self._bytes -= size_bytes
                 self._overflow += 1
                 arrival = Gap(arrival.index, FrameLoss(ring_overflow=1))

@@ -26,7 +26,7 @@ class FrameReceiver:
 
     def __init__(self, plate: Plate, numbering: FrameNumbering, queue: FrameQueue, counters: LinkCounters) -> None:
         self._gate_ticks = gate_ticks(plate)
-        self._single_tone = plate.counter.kind == "single-tone"
+        self._in_parts = plate.counter.frames_in_parts
         self._assembler = FrameAssembler(len(plate.tones.f0_hz))
         self._numbering = numbering
         self._queue = queue
@@ -61,7 +61,7 @@ class FrameReceiver:
         LinkLostError
             Its clock jumped.
         """
-        if not self._single_tone:
+        if self._in_parts:
             self._counters.messages_malformed += len(frames)
             return []
         begun = []
@@ -86,7 +86,7 @@ class FrameReceiver:
 
     def assemble(self, parts: Sequence[FramePart]) -> list[AssembledFrame]:
         """Put parts of channelised frames together; return the frames that are over."""
-        if self._single_tone:
+        if not self._in_parts:
             self._counters.messages_malformed += len(parts)
             return []
         return self._assembler.add(parts)

@@ -4,7 +4,6 @@ import threading
 from collections.abc import Callable
 
 from firmware_protocol.host import Described
-from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
@@ -51,9 +50,7 @@ class LinkStateMachine:
         self._plate = plate
         self._queue = queue
         self._on_event = on_event
-        self._numbering = FrameNumbering(
-            frame_bytes(plate), gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz)
-        )
+        self._numbering = FrameNumbering(plate.frame_bytes, gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz))
         self._lock = threading.Lock()  # held while a chunk is taken apart, so that accounts are whole
         self._counters = LinkCounters()
         self._known: Described | None = None

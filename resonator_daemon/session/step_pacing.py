@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
-from resonator_daemon.session.frames import ChannelisedFrame, SingleToneFrame
+from resonator_daemon.session.frames import Frame
 
 _EARLY_NS: Final = 15_000  # by which the lag grows after a read that came too early
 _RIGHT_NS: Final = 3_000  # by which it shrinks after a read that found the whole step
@@ -34,9 +34,7 @@ class StepPacing:
         self._lag_ns = 0
         self._awaited: int | None = None
 
-    def sleep_ns(
-        self, now_ns: int, newest: SingleToneFrame | ChannelisedFrame, step_frames: Sequence[int], limit_ns: int
-    ) -> int:
+    def sleep_ns(self, now_ns: int, newest: Frame, step_frames: Sequence[int], limit_ns: int) -> int:
         """Return how long to wait before the next read, at most as long as the link's buffers hold.
 
         Parameters
@@ -62,7 +60,7 @@ class StepPacing:
             self._awaited = newest.index + frames
         return max(0, min(wait_ns, longest_ns))
 
-    def has_read(self, newest: SingleToneFrame | ChannelisedFrame) -> None:
+    def has_read(self, newest: Frame) -> None:
         """Correct the lag by the outcome of the read after `sleep_ns`."""
         if self._awaited is not None:
             lag_ns = self._lag_ns + _EARLY_NS if newest.index < self._awaited else self._lag_ns - _RIGHT_NS

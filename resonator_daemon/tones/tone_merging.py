@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
 
+SIGMA_HZ: Final[Floats] = np.exp2((np.arange(256) - 128) / 8)  # by sigma_code
 TURN32: Final = 2.0**32  # units of phase in a turn
 HERTZ16: Final = 2.0**16  # units of offset in a hertz
 NOISE_SIGMAS: Final = 6.0

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
-from resonator_daemon.config import frame_bytes
 from resonator_daemon.errors import UserError
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
@@ -81,7 +80,7 @@ class CodePlan:
     def _loads(self) -> dict[str, int]:
         """Bytes of a frame by kind of counter."""
         counters = {kind: Counter.model_validate({"kind": kind}) for kind in ("single-tone", "channelised")}
-        return {kind: frame_bytes(self.plate.model_copy(update={"counter": c})) for kind, c in counters.items()}
+        return {kind: self.plate.model_copy(update={"counter": c}).frame_bytes for kind, c in counters.items()}
 
     def as_json(self) -> dict[str, Any]:
         """Everything that is shown but the picture."""

@@ -5,17 +5,21 @@ import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS
-from resonator_daemon.calibration.comb_hearing import CombEar
+from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
+from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.guide import Guide, News
-from resonator_daemon.calibration.hearing import Ear
+from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
+from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
 from resonator_daemon.plate import Plate
+from resonator_daemon.sensors.kinds import sensor_of
+from resonator_daemon.tones.tone_detector import reading_frames
 from simulators.comb_plate import CombPlate
 from simulators.plate import record_type
 from simulators.quartz_plate import QuartzPlate
@@ -119,24 +123,43 @@ def comb_frames(plate: Plate, touches: Touches, folder: Path, seed: int = 1) -> 
             index += 1
 
 
-def comb_ear(plate: Plate, true: Plate) -> CombEar:
-    """Return an ear for what the board of a true plate counts."""
-    return CombEar(plate, even_oscillators(true)[0])
+class Loads:
+    """Tone detector of a board, and what its readings say about the loads of a plate."""
+
+    def __init__(self, plate: Plate, true: Plate) -> None:
+        sensor = sensor_of(plate)
+        frames = reading_frames(1 / plate.counter.frame_rate_hz)
+        every_tone = sensor.expected_tones.pressed_hz is None
+        self._detector = sensor.tone_detector(frames, even_oscillators(true)[0] if every_tone else np.zeros(0))
+        self._loads: LoadDetector = MultitoneLoads(plate) if every_tone else CapturedLoads(plate)
+
+    @property
+    def untouched_hz(self) -> Floats | None:
+        return self._loads.untouched_hz
+
+    def push(self, index: int, *counted: Any) -> LoadReading | None:
+        """Add a frame: its payload, or its phases, offsets, sigma codes and what is known."""
+        frame: Any
+        if len(counted) == 1:
+            frame = SimpleNamespace(index=index, payload=counted[0], records=single_tone_records(counted[0]))
+        else:
+            names = ("phase_turn32", "offset_hz16", "sigma_code", "known")
+            frame = SimpleNamespace(index=index, **dict(zip(names, counted, strict=True)))
+        reading = self._detector.push(frame)
+        return None if reading is None else self._loads.read(reading)
 
 
-def fitted(guide: Guide, wanted: Wanted, plate: Plate = NOMINAL, ear: CombEar | None = None) -> Outcome:
+def fitted(guide: Guide, wanted: Wanted, plate: Plate = NOMINAL, loads: Loads | None = None) -> Outcome:
     """Fit everything that the guide has captured."""
-    loads, untouched_hz = list(guide.loadings.values()), None if ear is None else ear.f0_hz
-    return fit_loadings(plate, wanted, guide, loads, with_response=wanted.response, untouched_hz=untouched_hz)
+    captured, untouched_hz = list(guide.loadings.values()), None if loads is None else loads.untouched_hz
+    return fit_loadings(plate, wanted, guide, captured, with_response=wanted.response, untouched_hz=untouched_hz)
 
 
-def lead(
-    guide: Guide, plate: Plate, counted: Iterable[tuple[Any, ...]], ear: Ear | CombEar | None = None
-) -> Iterator[News]:
-    """Let the guide hear frames until it is done; plate is what the guide believes."""
-    ear = ear or Ear(plate)
+def lead(guide: Guide, plate: Plate, counted: Iterable[tuple[Any, ...]], loads: Loads | None = None) -> Iterator[News]:
+    """Give the guide the readings of frames until it is done; `plate` is what the guide assumes."""
+    loads = loads or Loads(plate, plate)
     for frame in counted:
-        if (heard := ear.push(*frame)) is not None:
-            yield from guide.push(heard)
+        if (reading := loads.push(*frame)) is not None:
+            yield from guide.push(reading)
             if guide.done:
                 return

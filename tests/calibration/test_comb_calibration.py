@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Touches, comb_ear, comb_frames, comb_text, fitted, lead
+from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_frames, comb_text, fitted, lead
 
 from resonator_daemon.calibration.coupling import Felt, compare_with_width, width_m
 from resonator_daemon.calibration.guide import Guide, News
@@ -27,10 +27,10 @@ IDS = COMB_TRUE.site_ids.tolist()
 def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[Guide, Record, list[str]]:
     steps, touches = plan_steps(wanted, COMB_NOMINAL), Touches(physics=physics)
     touches.follow(steps)
-    guide, ear = Guide(COMB_NOMINAL, steps, 60.0), comb_ear(COMB_NOMINAL, COMB_TRUE)
-    list(lead(guide, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), ear))
+    guide, loads = Guide(COMB_NOMINAL, steps, 60.0), Loads(COMB_NOMINAL, COMB_TRUE)
+    list(lead(guide, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), loads))
     assert guide.done
-    outcome = fitted(guide, wanted, COMB_NOMINAL, ear)
+    outcome = fitted(guide, wanted, COMB_NOMINAL, loads)
     record = make_record(
         COMB_NOMINAL,
         wanted,
@@ -40,7 +40,7 @@ def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[Guid
         unit="EMU-0001",
         today=date(2026, 11, 21),
         valid_days=30,
-        untouched_hz=ear.f0_hz,
+        untouched_hz=loads.untouched_hz,
     )
     return guide, record, notes(COMB_NOMINAL, wanted, outcome, record)
 
@@ -104,7 +104,7 @@ def test_scatter_of_touches_becomes_the_model_error(tmp_path: Path) -> None:
 
 def lead_on(touches: Touches, folder: Path, plate: Plate = COMB_NOMINAL, true: Plate = COMB_TRUE) -> list[News]:
     guide = Guide(plate, plan_steps(WANTED, plate), 4.0)
-    return list(lead(guide, plate, comb_frames(true, touches, folder), comb_ear(plate, true)))
+    return list(lead(guide, plate, comb_frames(true, touches, folder), Loads(plate, true)))
 
 
 def from_the_start(site_id: int, newton: float, seconds: float) -> str:
@@ -153,7 +153,7 @@ def test_a_silent_tone_is_named(tmp_path: Path) -> None:
 
     guide = Guide(COMB_NOMINAL, plan_steps(WANTED, COMB_NOMINAL), 3.0)
     with pytest.raises(CalibrationRefusedError, match=f"channel 2 hears nothing .without sites {IDS[4]}."):
-        list(lead(guide, COMB_NOMINAL, deaf(), comb_ear(COMB_NOMINAL, COMB_TRUE)))
+        list(lead(guide, COMB_NOMINAL, deaf(), Loads(COMB_NOMINAL, COMB_TRUE)))
 
 
 def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
@@ -161,7 +161,7 @@ def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
     touches.follow(steps)
     counted = (frame for frame in comb_frames(COMB_TRUE, touches, tmp_path) if frame[0] not in {31, 77, 163})
     guide = Guide(COMB_NOMINAL, steps, 20.0)
-    list(lead(guide, COMB_NOMINAL, counted, comb_ear(COMB_NOMINAL, COMB_TRUE)))
+    list(lead(guide, COMB_NOMINAL, counted, Loads(COMB_NOMINAL, COMB_TRUE)))
     assert guide.done
 
 

@@ -16,7 +16,7 @@ WANTED = Wanted(sites=(7,), masses_kg=(0.1, 0.3), hold_s=1.0)
 
 
 def kinds(news: list[News]) -> list[tuple[str, int]]:
-    return [(item.kind, item.step.number if item.step else 0) for item in news]
+    return [(item.event, item.step.number if item.step else 0) for item in news]
 
 
 def refused(guide: Guide, touches: Touches, folder: Path) -> tuple[list[News], str]:

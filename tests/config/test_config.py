@@ -15,7 +15,6 @@ from resonator_daemon.config import (
     TcpLink,
     UsbLink,
     example_config,
-    frame_bytes,
     load_config,
     parse_link,
 )
@@ -360,7 +359,7 @@ def test_a_serial_line_must_carry_the_frames(tmp_path: Path) -> None:
 
 def test_a_serial_line_for_the_dense_plate_needs_148_megabaud(tmp_path: Path) -> None:
     """By hand: 4 channels x (5 parts x (28 + 8) + 3072 x 12 bytes) = 148 176 bytes, 100 times a second."""
-    assert frame_bytes(load_plate("skin32")) == 148_176
+    assert load_plate("skin32").frame_bytes == 148_176
     serial = 'plate = "skin32"\nlink = "serial:/dev/x?baud={}"\n'
     (message,) = refusals(tmp_path, serial.format(12_000_000))
     for part in ("100 frames/s of 148176 bytes", "148176000 bit/s", "the highest that fits is 8 Hz"):

@@ -11,9 +11,9 @@ from emulation import emulated
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.config import parse_link
 from resonator_daemon.doctor.finding import Finding, Outcome
-from resonator_daemon.doctor.hearing import Reading
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_sitting
+from resonator_daemon.doctor.plate_readings import PlateReading
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
 from resonator_daemon.doctor.sitting import Sitting, sit_with
 from resonator_daemon.plate import Plate, load_plate
@@ -76,7 +76,7 @@ def test_a_plate_that_is_well_has_nothing_wrong(calm: Sitting, quartz16: Plate) 
 
 
 def test_a_channel_that_hears_nothing_is_dead(calm: Sitting, quartz16: Plate) -> None:
-    def deaf(reading: Reading, _number: int) -> np.ndarray:
+    def deaf(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[:, 2] = np.nan
         return shift
@@ -97,7 +97,7 @@ def test_a_plate_that_is_silent_is_dead_on_all_channels(calm: Sitting, quartz16:
 def test_a_noise_floor_above_the_counters_own_is_told(
     calm: Sitting, quartz16: Plate, times: float, outcome: Outcome
 ) -> None:
-    def noisy(reading: Reading, number: int) -> np.ndarray:
+    def noisy(reading: PlateReading, number: int) -> np.ndarray:
         return reading.shift + (-1) ** number * times * reading.std / np.sqrt(2.0)
 
     assert bad(judged(changed(calm, shift=noisy), quartz16)) == {"sensor.noise": outcome}
@@ -127,7 +127,7 @@ def test_tones_that_are_not_heard_do_not_make_the_noise_smaller(comb: Sitting, c
     plate = comb16.model_copy(update={"calibration": record})
 
     def told(heard: int) -> str:
-        def deaf(_reading: Reading, number: int) -> np.ndarray:
+        def deaf(_reading: PlateReading, number: int) -> np.ndarray:
             shift = np.full((len(comb16.tones.f0_hz), CHANNEL_COUNT), (-1) ** number * 1e-8)
             shift[heard:] = np.nan
             return shift
@@ -147,7 +147,7 @@ def test_two_channels_that_are_too_much_alike_hear_each_other(
 
 
 def test_a_drift_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
-    def drifting(reading: Reading, _number: int) -> np.ndarray:
+    def drifting(reading: PlateReading, _number: int) -> np.ndarray:
         return reading.shift + 1e-7 * reading.time_s + 1e-7 * reading.time_s**2  # and it grows
 
     assert bad(judged(changed(calm, shift=drifting), quartz16)) == {"sensor.drift": Outcome.WARNING}
@@ -221,7 +221,7 @@ def test_a_comb_that_is_well_has_nothing_wrong(comb: Sitting, comb16: Plate) -> 
 
 
 def test_a_tone_that_no_channel_hears_is_a_fault(comb: Sitting, comb16: Plate) -> None:
-    def deaf(reading: Reading, _number: int) -> np.ndarray:
+    def deaf(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] = np.nan
         return shift
@@ -232,7 +232,7 @@ def test_a_tone_that_no_channel_hears_is_a_fault(comb: Sitting, comb16: Plate) -
 
 
 def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Sitting, comb16: Plate) -> None:
-    def pressed(reading: Reading, _number: int) -> np.ndarray:
+    def pressed(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] += 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4]
         return shift
@@ -244,7 +244,7 @@ def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Sittin
 
 def test_a_tone_out_of_its_band_is_named(comb: Sitting, comb16: Plate) -> None:
 
-    def off(reading: Reading, _number: int) -> np.ndarray:
+    def off(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] += 2e-4
         return shift

@@ -8,7 +8,7 @@ from listener import Listener, frames
 from recording_bench import replayed, same
 
 from firmware_protocol.packets import Packet, PacketDecoder
-from resonator_daemon.config import frame_bytes, parse_link
+from resonator_daemon.config import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
@@ -31,7 +31,7 @@ def test_pings_on_their_way_teach_the_clock_of_whoever_joins() -> None:
         bench.run(0.5)
     bench.board.session.receive = lambda _data, _ticks: b""  # type: ignore[method-assign]  # these are the last
     queue = FrameQueue(64 << 20, lambda: None)
-    numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
+    numbering = FrameNumbering(PLATE.frame_bytes, GATE_TICKS, MS)
     numbering.join(bench.numbering.snapshot)
     state = LinkState(queue.put)
     state.join(bench.state.snapshot, bench.host_time().utc_ns)

@@ -10,7 +10,6 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
-from resonator_daemon.config import frame_bytes
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
@@ -94,7 +93,7 @@ class Bench:
         self.now_ns = 10_000 * MS
         self.utc_step_ns = self.slept_ns = 0
         self.queue = FrameQueue(64 << 20, lambda: None)
-        self.numbering = FrameNumbering(frame_bytes(PLATE), GATE_TICKS, MS)
+        self.numbering = FrameNumbering(PLATE.frame_bytes, GATE_TICKS, MS)
         self.total = LinkCounters()
         self.state = LinkState(self.queue.put)
         self.known: Described | None = None

@@ -1,0 +1,91 @@
+"""Tone readings of a board against the tones that its plate should send."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+
+from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.arrays import Floats
+from resonator_daemon.sensors.expected_tones import ExpectedTones
+from resonator_daemon.tones.tone_detector import ToneReading
+
+FEWEST_FRAMES: Final = 3  # of a reading
+PAIRS: Final = tuple(combinations(range(CHANNEL_COUNT), 2))
+_TONES_PAIRED: Final = 64  # more say no more about two channels
+
+
+@dataclass(frozen=True, slots=True)
+class PlateReading:
+    """A tenth of a second: of t tones that were expected, arrays (t, 4); NaN where one was not counted.
+
+    Attributes
+    ----------
+    shift
+        Relative, against the plate file: f / f0 - 1.
+    std
+        Relative, that noise of counter and oscillator give it.
+    strange_hz
+        (4,): frequency that is neither an expected tone nor a site's; NaN where there is none.
+    pair_noise
+        (6,): mean square of the difference between two channels from gate to gate, over what their noise gives.
+    touched
+        Whether a site is counted in the place of the pilot.
+    scatter_radian
+        (4,): standard deviation of an edge, as phase of the tone; NaN of a counter that has no edges.
+    """
+
+    time_s: float
+    shift: Floats
+    std: Floats
+    strange_hz: Floats
+    pair_noise: Floats
+    touched: bool
+    scatter_radian: Floats
+
+
+def plate_reading(reading: ToneReading, expected: ExpectedTones) -> PlateReading:
+    """Return what a tone reading says about a plate with these tones."""
+    shift = reading.frequency_hz / expected.f0_hz - 1.0
+    std = np.hypot(reading.std, reading.oscillator_std)
+    strange_hz = np.full(CHANNEL_COUNT, math.nan)
+    gate_hz, touched = reading.gate_hz, False
+    if expected.pressed_hz is not None:
+        lowest_hz, highest_hz = expected.pressed_hz
+        (heard_hz,), off = reading.frequency_hz, np.abs(shift[0]) >= expected.band[0]
+        of_site = off & ((lowest_hz <= heard_hz) & (heard_hz <= highest_hz)).any(axis=0)
+        touched = bool(of_site.any())
+        strange_hz = np.where(off & ~of_site, heard_hz, math.nan)
+        shift, std = np.where(off, math.nan, shift), np.where(off, math.nan, std)
+        gate_hz = np.where(np.abs(gate_hz / expected.f0_hz.T - 1.0) < expected.band, gate_hz, math.nan)
+    return PlateReading(
+        reading.time_s,
+        shift,
+        std,
+        strange_hz,
+        _pair_noise(gate_hz, reading.gate_std_hz),
+        touched,
+        reading.scatter_radian,
+    )
+
+
+def _pair_noise(gate_hz: Floats, std_hz: Floats) -> Floats:
+    """Return the square of the difference of each two channels over that of their noise, (6,); arrays (k, 4, t).
+
+    Differences of following gates take out what moves slowly, and the oscillator that both channels count.
+    """
+    tones = range(min(gate_hz.shape[2], _TONES_PAIRED))
+    noise: Floats = np.nanmean([list(_pairs(gate_hz[:, :, tone], std_hz[:, :, tone])) for tone in tones], axis=0)
+    return noise
+
+
+def _pairs(value: Floats, std: Floats) -> Iterator[float]:
+    for first, second in PAIRS:
+        steps = np.diff(value[:, first] - value[:, second])
+        expected = 2.0 * (std[:, first] ** 2 + std[:, second] ** 2)[1:]
+        ratio = steps**2 / expected
+        usable = np.isfinite(ratio)
+        yield float(ratio[usable].mean()) if usable.any() else math.nan

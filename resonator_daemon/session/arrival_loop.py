@@ -1,0 +1,48 @@
+"""Arrivals of one board for a loop in the caller's own thread."""
+
+import threading
+from typing import Any, Self
+
+from resonator_daemon.config import LinkTarget
+from resonator_daemon.plate import Plate
+from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.frames import Arrival
+
+
+class ArrivalLoop:
+    """Reads a board from entry to exit.
+
+    Parameters
+    ----------
+    target
+        Link of the board.
+    plate
+    any_unit
+        Whether a board is accepted that is not the one with which the plate was calibrated.
+    options
+        Of `BoardReader`.
+
+    Attributes
+    ----------
+    reader
+    """
+
+    def __init__(self, target: LinkTarget, plate: Plate, *, any_unit: bool = False, **options: Any) -> None:
+        if any_unit:
+            calibration = plate.calibration.model_copy(update={"unit": None})
+            plate = plate.model_copy(update={"calibration": calibration})
+        self._arrived = threading.Event()
+        self.reader = BoardReader(target, plate, self._arrived.set, **options)
+
+    def __enter__(self) -> Self:
+        self.reader.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.reader.stop()
+
+    def wait(self, timeout_s: float) -> list[Arrival]:
+        """Wait until something arrives, for `timeout_s` at most; return what has arrived."""
+        self._arrived.wait(timeout_s)
+        self._arrived.clear()
+        return self.reader.pop_arrivals()
