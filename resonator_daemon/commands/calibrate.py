@@ -86,14 +86,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    for name in _FORCE_ONLY if arguments.kind == "skin" else _SKIN_ONLY:
+    foreign, calibrate = {"force": (_SKIN_ONLY, _calibrate_force), "skin": (_FORCE_ONLY, _calibrate_skin)}[
+        arguments.kind
+    ]
+    for name in foreign:
         if getattr(arguments, name) is not None:
             raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.kind}")
-    if arguments.kind == "skin":
-        from resonator_daemon.calibration.skin import calibrate_skin
+    return calibrate(arguments)
 
-        return calibrate_skin(arguments.config, _given(arguments, seconds=20.0)["seconds"], as_json=arguments.json)
 
+def _calibrate_skin(arguments: argparse.Namespace) -> ExitCode:
+    from resonator_daemon.calibration.skin import calibrate_skin
+
+    return calibrate_skin(arguments.config, _given(arguments, seconds=20.0)["seconds"], as_json=arguments.json)
+
+
+def _calibrate_force(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
     from resonator_daemon.calibration.steps import Wanted
 
