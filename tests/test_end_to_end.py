@@ -20,10 +20,10 @@ from resonator_daemon.plate import Plate, load_plate
 from simulators.physics import Physics
 
 TOUCHES = 5
-SHORT_TOUCHES = 100
-PAIRS = 30
-COMB_PAIRS = 15
-HELD_S = 60.0
+SHORT_TOUCHES = 50
+PAIRS = 16
+COMB_PAIRS = 8
+HELD_S = 30.0
 
 
 def at_rate(plate: Plate, frame_rate_hz: float) -> Plate:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.calibration.outcome import BAD_NEWTON, Outcome
@@ -102,7 +102,7 @@ def _usual(sites: Sequence[_SiteLoads]) -> float:
     """Scatter of a load, relative, by the middle one of some sites; 0 where they are too few to tell."""
     if len(sites) < FEWEST_OTHERS:
         return 0.0
-    return math.sqrt(np.median([site.share**2 * site.freedom / chi2.median(site.freedom) for site in sites]))
+    return math.sqrt(np.median([site.share**2 * site.freedom / chdtri(site.freedom, 0.5) for site in sites]))
 
 
 def _rms(values: np.ndarray) -> float:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import f as f_distribution
+from scipy.special import fdtri
 
 from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.forces.loading_fit import LoadingFit, LoadingProblem
@@ -140,7 +140,7 @@ def _without_doubtful(
     suspect = int(np.argmax(problem.deleted_chi2(fit)))
     fit_of_others = fit_without(means.step[[suspect]])
     chi2 = problem.deleted_chi2(fit_of_others)
-    gate = f_distribution.isf(CHANCE / len(means.step), channels, fit_of_others.degrees_of_freedom)
+    gate = fdtri(channels, fit_of_others.degrees_of_freedom, 1.0 - CHANCE / len(means.step))
     if chi2[suspect] <= channels * gate:
         return none, fit
     doubtful = means.step[(means.site == means.site[suspect]) & (chi2 > chi2[suspect] - RIVAL_GAP)]

@@ -5,7 +5,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtri
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.loading_solution import StepMeans
@@ -27,7 +27,7 @@ def swapped_steps(means: StepMeans, sensitivity: Floats) -> tuple[int, int] | No
         shift, force = means.mean[rows], means.force[rows]
         if means.held[site]:
             continue
-        gate = chi2_distribution.isf(CHANCE, max((len(rows) - 2) * shift.shape[1], 1))
+        gate = chdtri(max((len(rows) - 2) * shift.shape[1], 1), CHANCE)
         as_stated = _chi2(shift, force, expected)
         if as_stated <= gate:
             continue

@@ -396,7 +396,7 @@ WORDS = [
 ]
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(
     edits=st.lists(
         st.tuples(
@@ -437,7 +437,7 @@ VALUES = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(changes=st.dictionaries(st.integers(0, 11), VALUES, min_size=1, max_size=4))
 def test_whatever_value_a_key_gets(tmp_path_factory: pytest.TempPathFactory, changes: dict[int, str]) -> None:
     lines = example_config().splitlines()

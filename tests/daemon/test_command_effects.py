@@ -1,6 +1,7 @@
 """What commands do to a daemon that is busy: under a touch, in a flood, and in a recording that is played again."""
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +107,7 @@ async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquit
         stopped = await ask(bench, "stop_recording")
         live = {message["board_ticks"]: message for message in forces(heard)}
     path = Path(started["file"])
-    assert path.is_relative_to(bench.folder / "state" / "resonatord" / "recordings")
+    assert path.is_relative_to(os.environ["XDG_STATE_HOME"])
     assert "press" in path.name
     assert health["recording"]["file"] == str(path)
     assert stopped["recording"]["events_missing"] == 0

@@ -76,7 +76,7 @@ async def test_each_command_does_what_it_says(bench: Bench) -> None:
         assert (path.stat().st_size, recording["events_missing"]) == (recording["all_bytes"], 0)
         assert marks(path) == [(int(marked["t_ns"]), "nothing touches it")]
 
-        step_ticks = max(ticks_between(heard.payloads(FORCES)))
+        step_ticks = min(ticks_between(heard.payloads(FORCES)))
         assert await ask("set_window", window_ms=20, step_ms=10) == {
             "verb": "set_window",
             "ok": True,

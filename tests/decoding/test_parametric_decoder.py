@@ -87,7 +87,12 @@ def rms(scores: list[Floats]) -> Floats:
 
 @pytest.mark.parametrize(
     ("depth_mm", "decibel", "shear", "median_mm"),
-    [(1, 40, 0.0, 0.10), (3, 20, 0.0, 0.32), (2, 40, 0.3, 0.12), (3, 20, 0.3, 0.45)],
+    [
+        pytest.param(1, 40, 0.0, 0.10, marks=pytest.mark.soak),
+        (3, 20, 0.0, 0.32),
+        (2, 40, 0.3, 0.12),
+        pytest.param(3, 20, 0.3, 0.45, marks=pytest.mark.soak),
+    ],
 )
 def test_location_and_honest_errors(depth_mm: float, decibel: float, shear: float, median_mm: float) -> None:
     depth_m = depth_mm * 1e-3

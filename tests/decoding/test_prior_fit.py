@@ -41,7 +41,10 @@ def noisy(frames: Floats, decibel: float, rng: np.random.Generator) -> tuple[Flo
     return frames + std * rng.standard_normal(frames.shape), std
 
 
-@pytest.mark.parametrize(("sites_m", "length_m", "ratio"), [(SITES_M, 1.5e-3, 0.1), (SCATTERED_M, 0.6e-3, 0.8)])
+@pytest.mark.parametrize(
+    ("sites_m", "length_m", "ratio"),
+    [pytest.param(SITES_M, 1.5e-3, 0.1, marks=pytest.mark.soak), (SCATTERED_M, 0.6e-3, 0.8)],
+)
 def test_recovers_the_prior_that_loads_are_drawn_from(sites_m: Floats, length_m: float, ratio: float) -> None:
     rng = np.random.default_rng(1)
     loads = traction_waves(sites_m, length_m, ratio, 30, rng) * rng.uniform(0.5, 2.0, (30, 1, 1))

@@ -89,10 +89,10 @@ def test_what_a_wiener_inverse_keeps_is_what_regression_on_drawn_loads_keeps(com
     array = sensor_array(*components, depth_m=0.7e-3, pitch_m=1e-3, snr_db=14.0)
     experiment = Experiment(array, count=14, finer=3, seed=5)
     waves = [(0, 1), (2, 2), (4, 0), (0, 6), (3, 5)]
-    kept = experiment.kept(load, waves, draws=2000)
+    kept = experiment.kept(load, waves, draws=1000)
     ky, kx = np.transpose(waves) * experiment.step
     ratio = array.load_to_error(load, kx, ky)
-    np.testing.assert_allclose(kept, ratio / (1.0 + ratio), atol=0.035)
+    np.testing.assert_allclose(kept, ratio / (1.0 + ratio), atol=0.05)
     assert kept[0] > kept[3] + 0.05
 
 
@@ -158,10 +158,9 @@ def test_one_quarter_of_the_directions_stands_for_all(components: tuple[str, ...
         np.testing.assert_allclose(array.load_to_error(load, sign_x * wx, sign_y * wy), first, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("snr_db", [30.0, 100.0])
-def test_the_sets_of_the_paper_under_an_incompressible_skin(snr_db: float):
+def test_the_sets_of_the_paper_under_an_incompressible_skin():
     for name, components in CANDIDATES.items():
-        array = sensor_array(*components, snr_db=snr_db)
+        array = sensor_array(*components)
         resolved = {load: not math.isnan(array.features_m(load)[0]) for load in LOADS}
         assert resolved["normal"] == (name in "efg")
         assert resolved["shear"] == (name == "g")

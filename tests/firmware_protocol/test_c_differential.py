@@ -12,7 +12,7 @@ from firmware_protocol.messages import Configuration, Description, Identity, enc
 from firmware_protocol.packets import SYNC, ByteCounts, PacketDecoder, encode_packet
 from firmware_protocol.states import BoardState
 
-STREAMS = 10_000
+STREAMS = 3_000
 BOOT_ID = 0xC0FFEE
 NUMBERS = attrgetter(*(field.name for field in fields(ByteCounts)))  # `astuple` copies each, at length
 LONG_TEXT = "a" + "é" * 200  # is cut within a character

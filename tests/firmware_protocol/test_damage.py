@@ -1,4 +1,4 @@
-"""A million damaged packets: none is accepted, and each costs itself alone."""
+"""Two hundred thousand damaged packets: none is accepted, and each costs itself alone."""
 
 import random
 from collections.abc import Callable
@@ -105,9 +105,9 @@ CORRUPTIONS = [one_bit, two_bits, burst, truncated, spliced]
 
 @pytest.mark.parametrize("corrupt", CORRUPTIONS)
 def test_no_damaged_packet_is_accepted_and_the_next_one_is_found(corrupt: Corruption) -> None:
-    forged, lost, damaged = play(corrupt, 201_000, seed=2)
+    forged, lost, damaged = play(corrupt, 41_000, seed=2)
     assert (forged, lost) == (0, 0)
-    assert damaged >= 200_000
+    assert damaged >= 40_000
 
 
 @pytest.mark.parametrize("corrupt", CORRUPTIONS)

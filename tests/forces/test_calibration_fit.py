@@ -107,14 +107,14 @@ def test_the_true_f0_is_found_without_an_untouched_reading():
 def test_masses_off_by_1_per_cent_leave_k_within_what_is_stated(together):
     # The masses are off one by one, or all alike as after a wrongly set scale.
     standardised = []
-    for seed in range(400):
+    for seed in range(150):
         bench = Bench(seed, 1)
         off = 0.01 * np.random.default_rng(1000 + seed).normal(size=1 if together else 3) * np.ones(3)
         fit = bench.calibrate(UP_AND_DOWN if together else ONE_BY_ONE, 0.01, mass_error=off)
         standardised.append(rms(bench.k_error(fit) * bench.k / fit.sensitivity_mass_std))
         assert (fit.sensitivity_mass_std >= 0.00999 * np.abs(fit.sensitivity)).all()
         assert (fit.sensitivity_std >= fit.sensitivity_mass_std).all()
-    assert 0.8 < rms(standardised) < 1.1  # of 400 draws of masses: 4 % by chance
+    assert 0.75 < rms(standardised) < 1.15  # of 150 draws of masses: 6 % by chance
 
 
 @pytest.mark.parametrize("repeats", [1, 2, 3])
@@ -243,7 +243,7 @@ def test_a_bad_loading_between_holds_is_named_too():
 
 def test_sound_loadings_are_not_doubted():
     doubted = 0
-    for seed in range(60):
+    for seed in range(30):
         doubted += bool(Bench(seed, 3).calibrate(ONE_BY_ONE * 2, 1e-3, scatter=0.015 * (seed % 2)).doubtful_steps)
     assert doubted <= 1
 

@@ -46,7 +46,7 @@ def test_a_touch_without_noise_comes_back():
 
 
 def test_the_estimator_reaches_the_cramer_rao_bound():
-    rng, draws = np.random.default_rng(2), 500
+    rng, draws = np.random.default_rng(2), 160
     fit = SpreadFit(SITES_M, DEPTH_M, model_error=0.0)
     squares, chi2 = [], []
     for position in ((0.0, 0.0), (2e-3, -5e-3), (-5e-3, 6.5e-3)):
@@ -60,9 +60,9 @@ def test_the_estimator_reaches_the_cramer_rao_bound():
             chi2.append(touches.chi2)
         scale = np.sqrt(np.outer(np.diag(bound), np.diag(bound)))
         assert np.mean(covariances, axis=0) / scale == pytest.approx(bound / scale, abs=0.02)
-        assert math.sqrt(np.mean(squares[-draws:]) / 3) == pytest.approx(1.0, abs=0.065)  # 3.5 standard deviations
-    assert math.sqrt(np.mean(squares) / 3) == pytest.approx(1.0, abs=0.035)  # more than three, of three times the draws
-    assert np.mean(chi2) == pytest.approx(13.0, abs=0.45)
+        assert math.sqrt(np.mean(squares[-draws:]) / 3) == pytest.approx(1.0, abs=0.115)  # 3.5 standard deviations
+    assert math.sqrt(np.mean(squares) / 3) == pytest.approx(1.0, abs=0.062)  # more than three, of three times the draws
+    assert np.mean(chi2) == pytest.approx(13.0, abs=0.8)
 
 
 def draw_touches(rng, count, anywhere):
@@ -75,7 +75,7 @@ def draw_touches(rng, count, anywhere):
 
 def test_two_touches_are_found_and_none_is_invented():
     """On sites and between them by turns."""
-    rng, found, invented, draws = np.random.default_rng(3), 0, 0, 500
+    rng, found, invented, draws = np.random.default_rng(3), 0, 0, 160
     fit = SpreadFit(SITES_M, DEPTH_M, model_error=0.015)
     for draw in range(draws):
         position, force = draw_touches(rng, 2, anywhere=bool(draw % 2))
@@ -93,7 +93,7 @@ def test_a_single_touch_is_not_split():
     """On sites and between them by turns."""
     rng, split, rejected, ratios = np.random.default_rng(4), 0, 0, []
     fit = SpreadFit(SITES_M, DEPTH_M, model_error=0.015)
-    for draw in range(1000):
+    for draw in range(300):
         position, force = draw_touches(rng, 1, anywhere=bool(draw % 2))
         felt = site_force(position, force) * (1 + 0.015 * rng.normal(size=16)) + NOISE_STD * rng.normal(size=16)
         touches = fit.fit(felt, VARIANCE)
@@ -102,9 +102,9 @@ def test_a_single_touch_is_not_split():
         error = np.array([*(touches.position_m[0] - position[0]), touches.force_newton[0] - force[0]])
         ratios.append(error @ np.linalg.solve(touches.covariance[0], error))
     assert split == 0
-    assert rejected <= 4  # 1e-3 by chance
+    assert rejected <= 2  # 1e-3 by chance
     # Quantiles of chi2 with 3 degrees of freedom; a light touch at a corner may have its mirror image beyond the sites.
-    assert np.median(ratios) == pytest.approx(2.366, abs=0.25)
+    assert np.median(ratios) == pytest.approx(2.366, abs=0.45)
     assert np.mean(np.array(ratios) <= 7.815) == pytest.approx(0.95, abs=0.02)
 
 

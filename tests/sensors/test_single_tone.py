@@ -308,7 +308,7 @@ def eventful_frames():
     return frames
 
 
-@pytest.mark.parametrize("window_frames", [2, 10, 30])
+@pytest.mark.parametrize("window_frames", [pytest.param(2, marks=pytest.mark.soak), 10, 30])
 def test_how_frames_are_cut_into_blocks_changes_no_reading(window_frames):
     frames, rng = eventful_frames(), np.random.default_rng(5)
     one_by_one, in_blocks = (Bench(window_frames=window_frames, step_frames=min(5, window_frames)) for _ in range(2))

@@ -114,14 +114,14 @@ def test_a_slow_reader_takes_its_rate_and_not_a_byte_more(rate: float) -> None:
     slow = Splitter(FaultPlan(slow_reader_bytes_per_s=rate), 1)
     now_ns = taken = 0
     steps = np.random.default_rng(1)
-    while now_ns < 10_000 * MS:
+    while now_ns < 3_000 * MS:
         piece = slow.piece_bytes(1000, now_ns)
         slow.wrote(piece)
         taken += piece
         due_ns = slow.next_ns
         now_ns = due_ns if due_ns is not None else now_ns + int(steps.integers(1, 3 * MS))
     burst = max(1.0, rate / 100)
-    assert rate * 9.9 <= taken <= rate * now_ns * 1e-9 + burst
+    assert rate * 2.9 <= taken <= rate * now_ns * 1e-9 + burst
 
 
 def test_a_reader_that_takes_nothing_is_waited_for_by_nobody() -> None:
