@@ -154,6 +154,7 @@ def test_a_machine_without_any_says_so(capsys: pytest.CaptureFixture[str]) -> No
     assert asked(capsys, "ports") == (0, {"verb": "ports", "ports": []})
 
 
+@pytest.mark.undisturbed
 def test_a_board_says_who_it_is_and_what_it_can(board: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["identify", board, "--blink"]) == 0
     lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())

@@ -16,6 +16,8 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.publishing.requests import request
 
+pytestmark = pytest.mark.undisturbed
+
 HELD = """
 [plate]
 ideal = true

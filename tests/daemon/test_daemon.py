@@ -23,6 +23,8 @@ from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import Arrival, BoardLogLine
 from simulators.faults import parse_faults
 
+pytestmark = pytest.mark.undisturbed
+
 IDEAL = "[plate]\nideal = true\n"
 LONG_TOUCH = """
 [[touches]]

@@ -16,6 +16,8 @@ from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
 
+pytestmark = pytest.mark.undisturbed
+
 PLACE_M = (1.5e-3, -1.0e-3)
 TOUCHED = """
 [plate]

@@ -8,6 +8,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.undisturbed
+
 COMMAND = (sys.executable, "-m", "resonator_daemon", "demo")
 FRAME_LOSSES = {"link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"}
 OVERRUNS = {"board_overflow", "host_overrun", "ring_overflow"}

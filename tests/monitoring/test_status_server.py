@@ -264,6 +264,7 @@ async def test_a_fault_of_the_program_is_not_hidden(path: Path) -> None:
     assert not path.exists()
 
 
+@pytest.mark.undisturbed
 @pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
 async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
     path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, lost: str

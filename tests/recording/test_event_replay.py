@@ -90,6 +90,7 @@ def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
     return arrivals
 
 
+@pytest.mark.undisturbed
 def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
     faults = parse_faults("bit_error_rate=1e-4,unplug_at_s=0.8,unplug_for_s=0.2,reboot_at_s=1.6")

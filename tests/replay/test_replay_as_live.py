@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
@@ -18,6 +19,8 @@ from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.replay.lines import payload_json
 from resonator_daemon.replay.source import open_playback
 from simulators.faults import parse_faults
+
+pytestmark = pytest.mark.undisturbed
 
 IDEAL = "[plate]\nideal = true\n"
 TOUCHES = "".join(

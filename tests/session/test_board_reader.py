@@ -31,6 +31,8 @@ from resonator_daemon.session.link_events import Received
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
+pytestmark = pytest.mark.undisturbed
+
 QUARTZ = load_plate("quartz16")
 SKIN = load_plate("skin32")
 FRAME_BYTES = SingleToneFrame(0, 0, 0, TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0), b"").memory_bytes

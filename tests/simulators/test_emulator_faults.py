@@ -196,6 +196,7 @@ def test_a_skewed_reference_is_so_much_faster(tmp_path: Path) -> None:
     assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
 
 
+@pytest.mark.undisturbed
 def test_another_board_is_there_for_a_while_and_the_own_one_returns_newly_booted(tmp_path: Path) -> None:
     path = tmp_path / "board"
     boards = []
