@@ -35,7 +35,7 @@ class ConfigInUse:
     def __init__(self, store: ConfigStore) -> None:
         self._store = store
         self._loaded = store.load()
-        self._problems = _told(self._loaded.problems)  # of the file as it is now
+        self._problems = _one_line_each(self._loaded.problems)  # of the file as it is now
         self._waiting: tuple[str, ...] = ()  # keys whose new values need a restart
         self.config: Config = self._loaded.config
 
@@ -69,7 +69,7 @@ class ConfigInUse:
         try:
             loaded: Loaded = await asyncio.to_thread(self._store.reload)
         except ConfigurationError as error:
-            self._problems = _told(error.messages)
+            self._problems = _one_line_each(error.messages)
             for message in error.messages:
                 log.error("%s", message)
             log.error("the configuration cannot be used; all goes on as before")
@@ -81,6 +81,6 @@ class ConfigInUse:
         return found
 
 
-def _told(problems: tuple[str, ...]) -> tuple[str, ...]:
+def _one_line_each(problems: tuple[str, ...]) -> tuple[str, ...]:
     """Return problems as messages can carry them: they name files, and names of files may be no text."""
     return tuple(as_json_text(problem) for problem in problems)

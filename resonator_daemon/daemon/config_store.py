@@ -62,7 +62,7 @@ class ConfigStore:
         self.path = path.absolute()  # what follows from it is told to programs that run elsewhere
         normal = os.path.abspath(path)
         self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(normal)).hexdigest()[:16]}.json"
-        self._told: str | None = None  # why no copy can be kept
+        self._reported: str | None = None  # why no copy can be kept
 
     def load(self) -> Loaded:
         """Load the file, else the last good copy, which is said in the log.
@@ -104,7 +104,7 @@ class ConfigStore:
             raise refused from None
         except (OSError, ValidationError) as error:
             raise ConfigurationError(
-                *refused.messages, f"{named(self._copy)}: {_told(error)}; no last good copy"
+                *refused.messages, f"{named(self._copy)}: {_reason(error)}; no last good copy"
             ) from None
         try:
             config = _checked(self._config_of(copy), self._copy)
@@ -129,11 +129,11 @@ class ConfigStore:
             if not self._kept(copy):
                 self._write(copy.model_dump_json().encode())
         except OSError as error:
-            if (told := _told(error)) != self._told:
-                log.warning("no copy of this configuration is kept for the day it is bad: %s: %s", self._copy, told)
-            self._told = told
+            if (reason := _reason(error)) != self._reported:
+                log.warning("no copy of this configuration is kept for the day it is bad: %s: %s", self._copy, reason)
+            self._reported = reason
         else:
-            self._told = None
+            self._reported = None
 
     def _read(self) -> _Copy:
         with open(self._copy, "rb", opener=_open_at_once) as file:
@@ -194,5 +194,5 @@ def _open_at_once(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 
 
-def _told(error: OSError | ValidationError) -> str:
+def _reason(error: OSError | ValidationError) -> str:
     return error.strerror or str(error) if isinstance(error, OSError) else "is damaged"

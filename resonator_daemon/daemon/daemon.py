@@ -19,7 +19,7 @@ from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
-from resonator_daemon.daemon.plate_publisher import Outlet
+from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
@@ -30,7 +30,7 @@ from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.ages import Ages
 from resonator_daemon.monitoring.daemon_state import DaemonStanding, DaemonState
 from resonator_daemon.monitoring.health import HealthMonitor
-from resonator_daemon.monitoring.liveness import DECLARED_WAITING, FlowWatch
+from resonator_daemon.monitoring.liveness import DECLARED_WAITING, LivenessMonitor
 from resonator_daemon.monitoring.metrics_server import MetricsServer
 from resonator_daemon.monitoring.status import BrokerStatus, Status
 from resonator_daemon.monitoring.status_server import SOCKET_NAME, StatusServer
@@ -116,7 +116,7 @@ class Service:
             config,
             self._daemon_boot_id,
             self._publish,
-            lambda: self._outlet.losses,
+            lambda: self._plate_publisher.losses,
             loop.call_later,
             self._make_decoder,
             is_late=self._is_late,
@@ -132,14 +132,14 @@ class Service:
         self._control_requests = ControlRequests(self._reader.request_control)
         self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
         self._recordings: RecordingCommands | None = None
-        self._outlet = Outlet(config, self._daemon_boot_id, self._make_offline)
+        self._plate_publisher = PlatePublisher(config, self._daemon_boot_id, self._make_offline)
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
         self._tasks = asyncio.TaskGroup()
         self._monitor = HealthMonitor()
-        self._daemon = DaemonState(self._daemon_boot_id, self._say_daemon, self._outlet.restore)
+        self._daemon = DaemonState(self._daemon_boot_id, self._publish_daemon_state, self._plate_publisher.republish)
         self._version = version("resonatord")  # asked for once: it is in a file
         self._manager = ServiceManager()
-        self._flow = FlowWatch()
+        self._liveness = LivenessMonitor()
         self._health: Health | None = None  # as reported last
         self._name = config.name
         self._reload_wanted = asyncio.Event()
@@ -155,7 +155,7 @@ class Service:
         try:
             async with self._tasks:
                 helpers = [self._tasks.create_task(work, name=name) for name, work in self._helpers().items()]
-                self._say_measuring()
+                self._publish_measuring()
                 if self._config.name is not None:
                     await self._keep_recording(self._begin_publishing(self._config.name))  # from the first byte on
                 self._reader.start()
@@ -165,7 +165,7 @@ class Service:
                     helper.cancel()
                 self._report_health()  # the last word on what was counted
                 self._daemon.end()
-                await self._outlet.close(wait_for_broker=self._fatal is not None)
+                await self._plate_publisher.close(wait_for_broker=self._fatal is not None)
         finally:
             self._pipeline.close()
             await asyncio.to_thread(self._reader.stop)
@@ -203,7 +203,7 @@ class Service:
     @property
     def message_account(self) -> MessageAccount:
         """Where the messages went."""
-        return self._outlet.account
+        return self._plate_publisher.account
 
     def _wake_from(self, loop: asyncio.AbstractEventLoop) -> Callable[[], None]:
         pending = False
@@ -226,7 +226,7 @@ class Service:
     def _begin_publishing(self, name: str) -> RecordingCommands:
         parts = DaemonParts(
             report_health=self._report_health,
-            last_message=self._outlet.last_message,
+            last_message=self._plate_publisher.last_message,
             sensor=self._measuring_sensor,
             locate=self._reader.blink,
             streams=tuple(topic.path for topic in self._pipeline.sensor.streams),
@@ -244,8 +244,8 @@ class Service:
             config_sha256=self._in_use.sha256,
         )
         handlers = CommandHandlers(self._config, self._daemon_boot_id, parts, recordings)
-        self._outlet.begin(name, handlers.by_verb, self._daemon)
-        self._tasks.create_task(self._outlet.run(), name="publishing")
+        self._plate_publisher.begin(name, handlers.by_verb, self._daemon)
+        self._tasks.create_task(self._plate_publisher.run(), name="publishing")
         self._recordings = recordings
         return recordings
 
@@ -261,7 +261,7 @@ class Service:
         return sensor if sensor.ready and link is not None and link.state == "online" else None
 
     def _set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
-        self._outlet.set_rate(path, rate_hz)
+        self._plate_publisher.set_rate(path, rate_hz)
         self._pipeline.limit_rates(limits_hz)
 
     async def _keep_reloading(self) -> None:
@@ -278,11 +278,11 @@ class Service:
             if any(key.startswith("measurement.") for key in found.live):
                 await self._control_requests.apply(SetWindow(measurement=config.measurement))
             self._pipeline.allow(config.commands.allow)
-            self._outlet.allow(config.commands.allow)
+            self._plate_publisher.set_allowed(config.commands.allow)
             self._recorded.derived = config.recording.derived
             if self._recordings is not None:
                 await self._recordings.adopt(config, self._in_use.sha256)
-        self._say_measuring()
+        self._publish_measuring()
         if self._ready:
             self._manager.ready(self._sentence())
 
@@ -298,7 +298,7 @@ class Service:
 
     def _handle_next(self) -> None:
         try:
-            with self._outlet.together():
+            with self._plate_publisher.together():
                 finished = self._handle_part()
         except Exception as error:  # noqa: BLE001 - `run` raises it
             if not self._over.done():
@@ -330,7 +330,7 @@ class Service:
 
     def _handle(self, arrival: Arrival | list[Frame]) -> None:
         match arrival:
-            case BoardOnline() if not self._outlet.open and not self._take_name_of(arrival):
+            case BoardOnline() if not self._plate_publisher.open and not self._use_serial_number(arrival):
                 return
             case BoardOnline():
                 self._recording.name_board(arrival)
@@ -345,7 +345,7 @@ class Service:
                 raise arrival.error
         self._pipeline.handle(arrival)
 
-    def _take_name_of(self, board: BoardOnline) -> bool:
+    def _use_serial_number(self, board: BoardOnline) -> bool:
         """Publish under the board's serial number; return whether that can be."""
         serial_number = board.identity.serial_number
         try:
@@ -370,13 +370,13 @@ class Service:
         return self._decoder
 
     def _publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
-        self._outlet.publish(topic, message)
-        self._recorded.take(topic, message)
+        self._plate_publisher.publish(topic, message)
+        self._recorded.record(topic, message)
 
-    def _say_daemon(self, standing: DaemonStanding) -> None:
+    def _publish_daemon_state(self, standing: DaemonStanding) -> None:
         self._publish(STATE_DAEMON, self._pipeline.states.daemon_state(standing, time.time_ns()))
 
-    def _say_measuring(self) -> None:
+    def _publish_measuring(self) -> None:
         reason = "; ".join(filter(None, ("measuring", self._in_use.remark)))
         self._daemon.become(Condition.ONLINE, reason, self._started_utc_ns)
 
@@ -395,20 +395,20 @@ class Service:
         return helpers
 
     async def _keep_watch(self) -> None:
-        """Tell the service manager when it may count on this daemon, and as long as it may."""
+        """Report readiness and liveness to the service manager."""
         while True:
             link = self._pipeline.link
             state = link.state if link is not None else "starting"
             if not self._ready and (self._pipeline.frames or state in DECLARED_WAITING):
                 self._ready = True
                 self._manager.ready(self._sentence())
-            if self._flow.healthy(self._pipeline.frames, state, self._reader.turns):
+            if self._liveness.healthy(self._pipeline.frames, state, self._reader.turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
             await asyncio.sleep(min(_WATCH_S, self._manager.watchdog_s or _WATCH_S))
 
     def _sentence(self) -> str:
-        """Say in a line how it goes."""
+        """Return the status line."""
         link, health = self._pipeline.link, self._health
         said = f"link {link.state}: {link.reason}" if link is not None else "starting"
         if link is not None and link.state == "online" and health is not None:
@@ -418,7 +418,7 @@ class Service:
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""
-        last = self._outlet.last_message
+        last = self._plate_publisher.last_message
         status = Status.model_validate(
             {
                 "name": self._name,
@@ -431,7 +431,9 @@ class Service:
                 "link": last(STATE_LINK.path),
                 "sensor": last(STATE_SENSOR.path),
                 "health": self._health,
-                "broker": BrokerStatus(url=self._config.mqtt.anonymous().url, connected=self._outlet.connected),
+                "broker": BrokerStatus(
+                    url=self._config.mqtt.anonymous().url, connected=self._plate_publisher.connected
+                ),
                 "recording": recording_info(self._recording),
             }
         )
@@ -454,7 +456,7 @@ class Service:
             latency=self._pipeline.output.latencies.info(),
             decoder=self._decoder.info() if self._decoder is not None else None,
             recording=recording_info(self._recording),
-            commands=self._outlet.command_counts,
+            commands=self._plate_publisher.command_counts,
         )
         health = Health(**self._pipeline.headers.of(HEALTH, time.time_ns()), **vitals)
         self._publish(HEALTH, health)

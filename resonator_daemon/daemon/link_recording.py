@@ -238,7 +238,7 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
     from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
     messages = RecordedMessages(recorder, derived=True)
-    return BoardPipeline(config, boot_id, messages.take)
+    return BoardPipeline(config, boot_id, messages.record)
 
 
 def _progress(account: LinkCounters, recorder: Recorder) -> str:

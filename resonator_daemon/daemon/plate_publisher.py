@@ -1,4 +1,4 @@
-"""Where the daemon's messages leave it: below one name at one broker, as soon as the name is known."""
+"""MQTT endpoint of one plate: its topics below its name, and its commands."""
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
@@ -32,8 +32,10 @@ NOTHING_MADE: Final = MessageAccount(
 MakeOffline = Callable[[str], State]
 
 
-class Outlet:
-    """Publishes under a name and hears the commands to it; until the name is known, the last state of each topic waits.
+class PlatePublisher:
+    """MQTT endpoint of one plate: publishes its topics and subscribes to its commands.
+
+    Until the name is known, the last state of each topic waits.
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ class Outlet:
         return self._publisher.together() if self._publisher is not None else nullcontext()
 
     def begin(self, name: str, handlers: Mapping[str, Handler], daemon_state: DaemonState) -> None:
-        """Take a name; `run` connects, and what waits is published first."""
+        """Set the name; `run` connects and publishes the waiting states first."""
         broker = self._config.mqtt
         self._base = f"{broker.prefix}/{name}"
         self._commands = Commands(self._base, handlers, self._allowed, self._answer)
@@ -106,8 +108,8 @@ class Outlet:
             identifier=f"resonatord-{broker.prefix}-{name}-{self._daemon_boot_id}",
             make_will=self._make_will,
             subscriptions=(
-                Subscription(self._commands.topic_filter, 1, self._commands.take),
-                Subscription(full_topic(broker.prefix, name, STATE_DAEMON.path), 1, daemon_state.heard),
+                Subscription(self._commands.topic_filter, 1, self._commands.receive),
+                Subscription(full_topic(broker.prefix, name, STATE_DAEMON.path), 1, daemon_state.receive),
             ),
             spool_directory=state_directory() / "spool" / quote(broker.prefix, safe="") / name,
             on_connected=daemon_state.connected,
@@ -123,16 +125,16 @@ class Outlet:
         if self._publisher is not None:
             await self._publisher.run()
 
-    def allow(self, verbs: Collection[str]) -> None:
-        """Obey these commands from now on, beside those that change nothing."""
+    def set_allowed(self, verbs: Collection[str]) -> None:
+        """Set the commands that are permitted, beside those that change nothing."""
         self._allowed = verbs
         if self._commands is not None:
             self._commands.allowed = verbs
 
-    def restore(self) -> None:
+    def republish(self) -> None:
         """Publish again what is retained."""
         if self._publisher is not None:
-            self._publisher.restore()
+            self._publisher.republish()
 
     def set_rate(self, path: str, rate_hz: float | None) -> None:
         """Lower the rate of a stream; None: no longer."""
@@ -140,7 +142,7 @@ class Outlet:
             self._publisher.set_rate(path, rate_hz)
 
     async def close(self, *, wait_for_broker: bool) -> None:
-        """Answer what was asked, say that the daemon stopped, and end `run`."""
+        """Answer pending commands, publish that the daemon stopped, and end `run`."""
         if self._commands is not None:
             await self._commands.close()
         if self._publisher is not None:

@@ -16,7 +16,7 @@ class Channels(Protocol):
 
 
 class RecordedMessages:
-    """Takes each message that is published; never waits.
+    """Records published messages; never waits.
 
     States and descriptions, which are retained, are always recorded; what is measured where it is wanted. Arrays are
     not: they have ten times the size of the bytes that they come from.
@@ -34,8 +34,8 @@ class RecordedMessages:
         self._schemas: dict[str, dict[str, Any]] = {}
         self.derived = derived
 
-    def take(self, topic: Topic[Any], message: Any) -> None:
-        """Hand a message on, if it is to be recorded."""
+    def record(self, topic: Topic[Any], message: Any) -> None:
+        """Record a message if its topic is to be recorded."""
         if topic.content_type != JSON or not (topic.retained or self.derived):
             return
         if topic.path not in self._schemas:

@@ -91,7 +91,7 @@ class RecordingCommands:
                 self._label, self._by_config = None, True
 
     async def adopt(self, config: Config, config_sha256: str | None) -> None:
-        """Take another configuration.
+        """Use another configuration.
 
         A recording that the configuration began ends where `[recording]` changed, and one by the new configuration
         begins, if that says so; a recording by a command goes on as it began.
@@ -112,7 +112,7 @@ class RecordingCommands:
     async def _end(self) -> RecordingSummary | None:
         summary = await asyncio.to_thread(self._switch.stop)
         if summary is not None:
-            self._last = _told(summary)
+            self._last = _summary_info(summary)
         return summary
 
     def mark(self, request: Mark) -> MarkAnswer:
@@ -177,7 +177,7 @@ def _ended(now: RecordingNow) -> CommandRefusedError:
     )
 
 
-def _told(summary: RecordingSummary) -> RecordingSummaryInfo:
+def _summary_info(summary: RecordingSummary) -> RecordingSummaryInfo:
     return RecordingSummaryInfo(
         file=as_json_text(summary.file),
         files=summary.files,

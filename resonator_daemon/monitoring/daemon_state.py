@@ -28,8 +28,8 @@ class DaemonStanding(NamedTuple):
 class DaemonState:
     """Announces each change of the daemon's state; to be used from the event loop's thread only.
 
-    Two daemons of one name overwrite each other's states. Each hears what is published on its `state/daemon`: a live
-    message of another boot id is a conflict, said once by both, until the other says that it is offline. Any other
+    Two daemons of one name overwrite each other's states. Each subscribes to its own `state/daemon`: a live
+    message of another boot id is a conflict, announced once by both, until the other is offline. Any other
     `offline` is a will that came late, of an earlier run or connection: the present state is announced again. What the
     broker had retained tells nothing: it may be of a daemon that is long gone.
 
@@ -39,16 +39,16 @@ class DaemonState:
         Of this run.
     announce
         Publishes a standing.
-    restore
+    republish
         Publishes again what is retained under this name: another wrote over it.
     """
 
     def __init__(
-        self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None], restore: Callable[[], None]
+        self, daemon_boot_id: str, announce: Callable[[DaemonStanding], None], republish: Callable[[], None]
     ) -> None:
         self._daemon_boot_id = daemon_boot_id
         self._announce = announce
-        self._restore = restore
+        self._republish = republish
         self._condition = Condition.STARTING
         self._reason = ""
         self._since_utc_ns = time.time_ns()
@@ -72,17 +72,17 @@ class DaemonState:
         self._announce(self.standing)
 
     def end(self) -> None:
-        """Say nothing more: the farewell that comes next is the last word."""
+        """Stop announcing: the next message is the last."""
         self._ended = True
 
     def connected(self, number: int) -> None:
-        """Take note of the connection to the broker of this number, which begins now."""
+        """Announce a new connection to the broker, by its number."""
         self._connections, self._connected_utc_ns = number, time.time_ns()
         self._others.clear()  # whoever is still there speaks up when it hears of this one
         self._announce(self.standing)
 
-    def heard(self, message: Incoming) -> None:
-        """Take a message that came on this daemon's `state/daemon`, whoever sent it."""
+    def receive(self, message: Incoming) -> None:
+        """Handle a message on this daemon's `state/daemon`, from any sender."""
         if message.retained or self._ended:
             return
         try:
@@ -97,7 +97,7 @@ class DaemonState:
                 log.warning("the other daemon of this name (boot id %s) is gone", boot_id)
                 self._others.remove(boot_id)
             if boot_id != self._daemon_boot_id:
-                self._restore()
+                self._republish()
             self._announce(self.standing)
         elif boot_id not in (self._daemon_boot_id, *self._others) and len(self._others) < _OTHERS_MAX:
             self._others.add(boot_id)

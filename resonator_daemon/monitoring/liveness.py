@@ -1,4 +1,4 @@
-"""Whether frames flow, or nobody can expect them to: what a watchdog is fed with."""
+"""Liveness of the daemon, for the watchdog: frames flow, or the link reports that none can."""
 
 import logging
 import time
@@ -11,8 +11,8 @@ _PATIENCE_S = 60.0  # the name of a host may take that long to look up
 DECLARED_WAITING = ("waiting", "stalled", "lost", "refused")
 
 
-class FlowWatch:
-    """Judges a daemon by what it takes in, not by its being there.
+class LivenessMonitor:
+    """Judges a daemon by the frames that it measures.
 
     It is well while frames are measured. Where the link says that none can come (`waiting`, `stalled`, `lost`,
     `refused`) it is well while the reader goes on trying. A link that is `online` without frames for 10 s, one that is
@@ -31,7 +31,7 @@ class FlowWatch:
         self._well = True
 
     def healthy(self, frames: int, link_state: str, reader_turns: int) -> bool:
-        """Take note of the counts, and judge; each change of the judgement is logged.
+        """Update the counts and return whether the daemon is healthy; each change is logged.
 
         Parameters
         ----------

@@ -42,17 +42,17 @@ class MetricsServer:
     def __init__(self, listen: Listen, collect: Callable[[], Status]) -> None:
         self._listen = listen
         self._collect = collect
-        self._said: str | None = None
+        self._problem: str | None = None
 
     async def run(self) -> None:
         """Answer until cancelled."""
         while True:
             try:
                 with await asyncio.to_thread(_Server, self._listen) as server:  # a host's name may take its time
-                    self._say(None)
+                    self._log_change(None)
                     await self._answer_all(server)
             except OSError as error:
-                self._say(error.strerror or str(error))
+                self._log_change(error.strerror or str(error))
                 await asyncio.sleep(_AGAIN_S)
 
     async def _answer_all(self, server: "_Server") -> NoReturn:
@@ -75,8 +75,8 @@ class MetricsServer:
             threads.shutdown(wait=False)
         raise refused
 
-    def _say(self, problem: str | None) -> None:
-        if problem is not None and problem != self._said:
+    def _log_change(self, problem: str | None) -> None:
+        if problem is not None and problem != self._problem:
             log.warning(
                 "no metrics at %s: %s; see listen in [metrics], and who else has the port: ss -tlnp",
                 self._listen,
@@ -84,7 +84,7 @@ class MetricsServer:
             )
         elif problem is None:
             log.info("metrics at http://%s%s", self._listen, _PATH)
-        self._said = problem
+        self._problem = problem
 
 
 class _Server(WSGIServer):
@@ -125,7 +125,7 @@ def _not_found(_asked: WSGIEnvironment, answer: StartResponse) -> list[bytes]:
 
 class _Handler(WSGIRequestHandler):
     def log_message(self, format: str, *args: Any) -> None:
-        """Say nothing of single requests."""
+        """Log no single requests."""
 
 
 async def _answer(

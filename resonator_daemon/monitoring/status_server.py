@@ -1,4 +1,4 @@
-"""Tells any program on the same computer how the daemon is: one JSON object to each connection to a Unix socket."""
+"""Serves the status of the daemon to programs on the same computer: one JSON object per connection to a Unix socket."""
 
 import asyncio
 import contextlib
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 
 
 class StatusServer:
-    """Answers on a socket as long as `run` does; failures are said once each and tried again.
+    """Answers on a socket as long as `run` does; each failure is logged once and retried.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class StatusServer:
         self._make = make
         self._answer = b""
         self._answer_s = -_FRESH_S
-        self._said: str | None = None
+        self._problem: str | None = None
 
     async def run(self) -> None:
         """Answer until cancelled."""
@@ -57,7 +57,7 @@ class StatusServer:
                     await self._answer_all(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
-                self._say(f"`resonatord status` does not see this daemon: {_sentence(error)}")
+                self._log_change(f"`resonatord status` does not see this daemon: {_sentence(error)}")
                 await asyncio.sleep(_AGAIN_S)
 
     async def _answer_all(self, listening: "_Listening") -> None:
@@ -73,7 +73,7 @@ class StatusServer:
                     return
                 continue
             with client:
-                self._say(None)
+                self._log_change(None)
                 answer = self._fresh_answer(loop.time())
                 with contextlib.suppress(OSError):  # TimeoutError is one: who does not read is left
                     async with asyncio.timeout(_SEND_S):
@@ -109,12 +109,12 @@ class StatusServer:
                     with contextlib.suppress(OSError):
                         self._path.unlink()
 
-    def _say(self, problem: str | None) -> None:
-        if problem is not None and problem != self._said:
+    def _log_change(self, problem: str | None) -> None:
+        if problem is not None and problem != self._problem:
             log.warning("%s", problem)
-        elif problem is None and self._said is not None:
+        elif problem is None and self._problem is not None:
             log.info("`resonatord status` sees this daemon")
-        self._said = problem
+        self._problem = problem
 
 
 class _Listening(NamedTuple):
@@ -154,7 +154,7 @@ def _alone(path: Path) -> Iterator[Path]:
 
 
 def _listener(path: Path) -> str:
-    """Say which process listens on a socket."""
+    """Return the name of the process that listens on a socket."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
         asking.setblocking(False)
         try:

@@ -28,7 +28,7 @@ from resonator_daemon.publishing.topics import (
     STATE_SENSOR,
 )
 from resonator_daemon.publishing.units import UNITS
-from resonator_daemon.publishing.verbs import obeyed
+from resonator_daemon.publishing.verbs import permitted
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 
@@ -107,7 +107,7 @@ class StateMessages:
             step_s=self._sensor.step_s,
             rates_hz=self._rates_hz(limits_hz),
             units=UNITS,
-            commands=obeyed(self.allowed),
+            commands=permitted(self.allowed),
             force_max_newton=plate.force_max_newton,
             outline_m=_pairs(plate.outline_m),
             transducers_m=_pairs(plate.transducers_m),

@@ -36,12 +36,12 @@ class BoundedQueue(Generic[ItemT]):
         while self._items and (
             len(self._items) >= self._count_max or self.size_bytes + item.size_bytes > self._bytes_max
         ):
-            pushed_out.append(self.take())
+            pushed_out.append(self.pop())
         self._items.append(item)
         self.size_bytes += item.size_bytes
         return pushed_out
 
-    def take(self) -> ItemT:
+    def pop(self) -> ItemT:
         item = self._items.popleft()
         self.size_bytes -= item.size_bytes
         return item

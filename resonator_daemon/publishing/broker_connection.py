@@ -294,7 +294,7 @@ class BrokerConnection:
         self.abort()
 
     def _attach(self) -> None:
-        """Have the event loop watch the socket."""
+        """Watch the socket in the event loop."""
         connection = self._client.socket()
         if not isinstance(connection, socket.socket):
             raise BrokerError("the broker ended the connection at once")

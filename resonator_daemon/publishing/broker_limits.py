@@ -67,7 +67,7 @@ class LargestMessages:
         self._serial = 0
         self._largest: deque[_Largest] = deque()  # rising in size, not known to be taken
         self._awaited: deque[int] = deque()  # serial numbers of what is to be acknowledged
-        self._taken_bytes = 0
+        self._received_bytes = 0
         self._suspect: _Largest | None = None
         self._bytes_max: int | None = None
         self._since_s = 0.0
@@ -85,26 +85,26 @@ class LargestMessages:
         if not at_once:  # another broker may be there, or this one with another limit
             self._suspect = None
             self._bytes_max = None
-            self._taken_bytes = 0
+            self._received_bytes = 0
 
     def sent(self, size_bytes: int, topic: str, now_s: float, *, awaited: bool) -> None:
         """Count a message; `awaited`: the broker will acknowledge it."""
         self._serial += 1
-        if size_bytes > (self._largest[-1].size_bytes if self._largest else self._taken_bytes):
+        if size_bytes > (self._largest[-1].size_bytes if self._largest else self._received_bytes):
             self._largest.append(_Largest(self._serial, size_bytes, topic, now_s))
         if awaited:
             self._awaited.append(self._serial)
 
     def acknowledged(self) -> None:
-        """Take it that the broker has read the oldest message that was to be acknowledged, and all before it."""
+        """Mark the oldest message to be acknowledged, and all before it, as received by the broker."""
         serial = self._awaited.popleft()
         while self._largest and self._largest[0].serial <= serial:
-            self._taken_bytes = self._largest.popleft().size_bytes
+            self._received_bytes = self._largest.popleft().size_bytes
 
     def ended(self, now_s: float) -> tuple[str, int] | None:
         """End the connection; return topic and size of a message that is too large, when that has become clear."""
         while self._largest and now_s - self._largest[0].sent_s > SUSPECT_S:
-            self._taken_bytes = self._largest.popleft().size_bytes
+            self._received_bytes = self._largest.popleft().size_bytes
         previous, self._suspect = self._suspect, None
         if not self._largest or self._largest[-1].size_bytes < SUSPECT_BYTES_MIN:
             return None

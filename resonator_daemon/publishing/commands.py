@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 from resonator_daemon.publishing.mqtt_messages import Incoming, Outgoing
 from resonator_daemon.publishing.strict_json import read_object
 from resonator_daemon.publishing.token_bucket import TokenBucket
-from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb, obeyed
+from resonator_daemon.publishing.verbs import VERBS, Answer, ErrorCode, Problem, Refusal, Request, Verb, permitted
 from resonator_daemon.toml_files.reading import nearest
 
 WAITING_MAX: Final = 32
@@ -108,8 +108,8 @@ class Commands:
     def topic_filter(self) -> str:
         return f"{self._base}/cmd/+"
 
-    def take(self, message: Incoming) -> None:
-        """Take a message; returns at once. What was retained is old, and nobody waits for its answer: passed over.
+    def receive(self, message: Incoming) -> None:
+        """Queue a command; returns at once. Retained messages, and messages after `close`, are ignored.
 
         So is what comes after `close`.
         """
@@ -119,7 +119,7 @@ class Commands:
             self.counts["unanswered"] += 1
             return
         asked = self._asked(message)
-        if not self._bucket.take():
+        if not self._bucket.try_acquire():
             self._complain(asked)
         elif len(self._waiting) + len(self._finishing) >= WAITING_MAX:
             self._refuse(asked, "busy", f"{WAITING_MAX} commands wait already", "send it again later")
@@ -129,7 +129,7 @@ class Commands:
             self._waiting.append(asked)
 
     async def close(self) -> None:
-        """Give up what waits, without an answer; from now on no command is obeyed."""
+        """Discard the waiting commands without an answer; ignore all later ones."""
         self._closed = True
         self.counts["unanswered"] += len(self._waiting)
         self._waiting.clear()
@@ -160,12 +160,12 @@ class Commands:
 
     def _complain(self, asked: _Asked) -> None:
         """Answer some of a flood, but not each: a flood of answers would be no better."""
-        if self._complaints.take():
+        if self._complaints.try_acquire():
             more = f"more than {AT_ONCE} commands at once, or {PER_SECOND:g} a second"
             self._refuse(asked, "too_many", more, "send them more slowly; some get no answer at all")
             return
         self.counts["unanswered"] += 1
-        if self._warnings.take():
+        if self._warnings.try_acquire():
             log.warning("commands come faster than %g a second: some are passed over", PER_SECOND)
 
     def _handle_next(self) -> None:
@@ -196,7 +196,7 @@ class Commands:
         verb, handler = VERBS.get(asked.verb), self._handlers.get(asked.verb)
         if verb is None or handler is None:
             raise CommandRefusedError(
-                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, obeyed(self.allowed))
+                "unknown_verb", f"no command is called {asked.verb!r}", nearest(asked.verb, permitted(self.allowed))
             )
         if verb.changes and asked.verb not in self.allowed:
             raise CommandRefusedError(

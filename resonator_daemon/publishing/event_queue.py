@@ -82,14 +82,14 @@ class EventQueue:
         self._run: int | None = None  # None: the spool was never open
         self._read = _NOTHING
         self._passed = -1
-        self.knows_what_was_left = self._spool is None  # by an earlier run: that goes first
+        self.spool_opened = self._spool is None  # by an earlier run: that goes first
         self._connected = False
         self._closing = False
         self._on_the_way: set[Event] = set()
         self._unneeded: list[Key] = []  # given to the spool, and over
         self._paused: set[str] = set()  # what failed lately
         self._lasting = True  # what is written now is there for the next run
-        self._said = ""  # as long as the disk fails
+        self._failure = ""  # as long as the disk fails
         self._wake = asyncio.Event()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="spool") if self._spool is not None else None
         self._working: asyncio.Task[None] | None = None
@@ -105,16 +105,16 @@ class EventQueue:
         self._number += 1
         self._tail.append(event)
         self._leave_to_disk()
-        failing = bool(self._said)
+        failing = bool(self._failure)
         while len(self._tail) > (IN_MEMORY_MAX if failing or self._spool is None else UNWRITTEN_MAX):
             self._drop(self._tail.popleft(), Cause.SPOOL_FAILED if failing else Cause.QUEUE_FULL)
             self._leave_to_disk()
         if not self._connected or len(self._tail) > IN_MEMORY_MAX // 2:
             self._wake.set()
 
-    def take(self) -> Event | None:
+    def pop(self) -> Event | None:
         """Return what is to be sent next; None: there is nothing, or it is still on its way from the disk."""
-        if not self.knows_what_was_left:
+        if not self.spool_opened:
             return None
         if len(self._head) <= _READ_TOGETHER // 2 and self._on_disk:
             self._wake.set()
@@ -129,7 +129,7 @@ class EventQueue:
         return event
 
     def done(self, event: Event) -> None:
-        """Forget an event that the broker has, or will never have."""
+        """Remove an event that the broker has acknowledged, or that is dropped."""
         event.over = True
         self._on_the_way.discard(event)
         self.spooled -= event.stored
@@ -141,10 +141,10 @@ class EventQueue:
         self._connected = True
 
     def disconnected(self, unknown: Sequence[Event]) -> None:
-        """Take back what was on its way: nobody knows whether it came through, so it is sent once more."""
+        """Queue the events that were in flight again: they may not have arrived."""
         self._connected = False
         self._on_the_way.clear()
-        self._account.made += len(unknown)
+        self._account.enqueued += len(unknown)
         self._account.resent += len(unknown)
         self._head.extendleft(reversed(unknown))
         for queue in (self._head, self._tail):
@@ -159,7 +159,7 @@ class EventQueue:
             self._working.add_done_callback(lambda _: on_defect())
 
     async def close(self) -> None:
-        """Have written what still waits; without a disk that takes it within 2 s it is dropped."""
+        """Write what still waits to disk; drop it if that fails or takes more than 2 s."""
         self._closing = True
         self._wake.set()
         if self._working is not None:
@@ -196,7 +196,7 @@ class EventQueue:
     async def _work(self, spool: Spool) -> None:
         """Write, delete and read as needed, one after the other; a failure pauses what failed alone."""
         await self._try("open", self._open(spool))
-        self.knows_what_was_left = True
+        self.spool_opened = True
         self._on_ready()
         while not self._closing:
             with contextlib.suppress(TimeoutError):
@@ -224,7 +224,7 @@ class EventQueue:
 
     async def _open(self, spool: Spool) -> None:
         self._run, found = await self._in_thread(spool.open)
-        self._account.made += found
+        self._account.enqueued += found
         self._account.recovered += found
         self._on_disk += found
         self.spooled += found
@@ -259,7 +259,7 @@ class EventQueue:
         self._leave_to_disk()
 
     def _leave_to_disk(self) -> None:
-        """Forget what memory cannot hold and the disk has."""
+        """Remove from memory what it cannot hold and the disk has."""
         while len(self._tail) > IN_MEMORY_MAX and self._tail[0].stored:
             self._tail.popleft()
             self._on_disk += 1
@@ -288,27 +288,29 @@ class EventQueue:
         self._account.drop(Cause.SPOOL_FAILED, "events", count)
 
     async def _try(self, what: str, work: Coroutine[object, object, None]) -> None:
-        """Do something with the disk; what fails is said once per change, and tried again later."""
+        """Access the disk; a failure is logged once per change and retried later."""
         try:
             await work
         except SpoolDamagedError as error:
-            self._forget_the_disk()
-            self._say(logging.WARNING, str(error))
+            self._abandon_disk()
+            self._log_change(logging.WARNING, str(error))
             self._wake.set()
         except SpoolError as error:
-            self._say(logging.WARNING, f"events cannot be kept on disk ({error}); the newest {IN_MEMORY_MAX} wait")
+            self._log_change(
+                logging.WARNING, f"events cannot be kept on disk ({error}); the newest {IN_MEMORY_MAX} wait"
+            )
             self._paused.add(what)
             asyncio.get_running_loop().call_later(RETRY_S, self._resume, what)
         else:
-            if self._said and self._lasting and not self._paused and not self._to_be_written():
-                self._say(logging.INFO, "events can be kept on disk again")
-                self._said = ""
+            if self._failure and self._lasting and not self._paused and not self._to_be_written():
+                self._log_change(logging.INFO, "events can be kept on disk again")
+                self._failure = ""
 
     def _resume(self, what: str) -> None:
         self._paused.discard(what)
         self._wake.set()
 
-    def _forget_the_disk(self) -> None:
+    def _abandon_disk(self) -> None:
         """Go on with what is in memory: the rest went with the damaged file."""
         self._lose(self._on_disk)
         self._on_disk = self.spooled = 0
@@ -317,10 +319,10 @@ class EventQueue:
             event.stored = event.given = False
         self._on_ready()
 
-    def _say(self, level: int, text: str) -> None:
-        if text != self._said:
+    def _log_change(self, level: int, text: str) -> None:
+        if text != self._failure:
             log.log(level, "%s", text)
-        self._said = text
+        self._failure = text
 
     async def _in_thread(self, work: Callable[..., ResultT], *arguments: object) -> ResultT:
         return await asyncio.get_running_loop().run_in_executor(self._executor, work, *arguments)

@@ -140,11 +140,11 @@ class Outbox:
             log.warning("broker keeps no retained messages: who subscribes later sees no states")
         self.events.connected()
 
-    def restore(self) -> None:
-        """Send again what the broker may have forgotten."""
+    def republish(self) -> None:
+        """Send the retained messages again."""
         again = {topic: packet for topic, packet in self._retained.items() if topic not in self._states}
-        self._account.made += len(again)
-        self._account.restored += len(again)
+        self._account.enqueued += len(again)
+        self._account.republished += len(again)
         self._states.update(again)
         self.pump_soon()
 
@@ -186,7 +186,7 @@ class Outbox:
         elif sent.qos:
             self._account.acknowledged += 1
         else:
-            self._account.handed_to_socket += sent.messages
+            self._account.written += sent.messages
         if isinstance(token, Event):
             self.events.done(token)
         self._moved.set()
@@ -228,13 +228,13 @@ class Outbox:
             packet = self._states.pop(next(iter(self._states)))
             self._send(client, packet, 1, packet, retain=client.limits.retains)
             return True
-        if (event := self.events.take()) is not None:
+        if (event := self.events.pop()) is not None:
             packet = Packet(event.topic, event.payload(late=event.late), properties_of(CONTACT_EVENT))
             if not self._send(client, packet, 1, event):
                 self.events.done(event)
             return True
         if self._answers:
-            packet = self._answers.take()
+            packet = self._answers.pop()
             self._send(client, packet, 1, packet)
             return True
         return False
@@ -253,7 +253,7 @@ class Outbox:
             return False
         now_s = self._now_s()
         for _ in range(client.send_streams(packets)):
-            stream = (self._reports or self._streams).take()
+            stream = (self._reports or self._streams).pop()
             self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
         return True
 
@@ -293,7 +293,7 @@ class Outbox:
             return
         oldest_s = self._now_s() - self.stream_wait_max_s
         while self._streams and next(iter(self._streams)).since_s < oldest_s:
-            self._account.drop(Cause.LATE, self._streams.take().topic)
+            self._account.drop(Cause.LATE, self._streams.pop().topic)
             self._moved.set()
 
     @staticmethod

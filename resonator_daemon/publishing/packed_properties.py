@@ -13,7 +13,7 @@ _TEXT: Final = 1  # payload format indicator: UTF-8
 
 
 class PackedProperties(Properties):
-    """Takes the place of the library's own where a message is published; cannot be changed any more."""
+    """Properties in packed form, in place of the library's own; immutable."""
 
     _packed: bytes
 

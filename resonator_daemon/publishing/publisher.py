@@ -32,11 +32,11 @@ log = logging.getLogger(__name__)
 
 
 class Subscription(NamedTuple):
-    """What a publisher listens to; of a shared one, `$share/group/filter`, the filter alone is matched."""
+    """Topic filter and handler of its messages; of a shared one, `$share/group/filter`, the filter alone is matched."""
 
     topic_filter: str
     qos: int
-    take: Callable[[Incoming], None]
+    handle: Callable[[Incoming], None]
 
     def matches(self, topic: str) -> bool:
         shared = self.topic_filter.startswith("$share/")
@@ -64,7 +64,7 @@ class Publisher:
     make_will
         Makes the last will of each connection.
     subscriptions
-        Renewed with each connection. What `take` raises is logged once, and costs nothing but that message.
+        Renewed with each connection. What `handle` raises is logged once, and costs nothing but that message.
     spool_directory
         Where events wait; None: in memory alone.
     on_connected
@@ -141,12 +141,12 @@ class Publisher:
     def account(self) -> MessageAccount:
         account = self._account
         return MessageAccount(
-            made=account.made,
-            restored=account.restored,
+            made=account.enqueued,
+            restored=account.republished,
             resent=account.resent,
             recovered=account.recovered,
             acknowledged=account.acknowledged,
-            handed_to_socket=account.handed_to_socket,
+            handed_to_socket=account.written,
             dropped=dict(account.dropped),
             unknown_at_disconnect=account.unknown_at_disconnect,
             waiting=self._outbox.waiting,
@@ -179,10 +179,10 @@ class Publisher:
         if self._make(full_topic, Cause.CLOSED if self._closed else None):
             self._outbox.put_state(Packet(full_topic, payload, pack(content_type=content_type)))
 
-    def restore(self) -> None:
+    def republish(self) -> None:
         """Send again the last message of each retained topic, because somebody else wrote over them."""
         if self._client is not None and not self._closed:
-            self._outbox.restore()
+            self._outbox.republish()
 
     def answer(self, outgoing: Outgoing) -> None:
         """Send an answer to a command, after all events: a flood of commands costs nobody an event."""
@@ -222,7 +222,7 @@ class Publisher:
     async def close(
         self, farewell: tuple[str, Topic[State], State] | None = None, *, wait_for_broker: bool = False
     ) -> None:
-        """Say farewell, wait up to 2 s for what is still to be sent, and end `run`.
+        """Publish a last message, wait up to 2 s until all messages are sent, and end `run`.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class Publisher:
 
     def _make(self, topic: str, refused: Cause | None) -> bool:
         """Count a message; return whether it may be queued."""
-        self._account.made += 1
+        self._account.enqueued += 1
         if refused is not None:
             self._account.drop(refused, topic)
         return refused is None
@@ -306,7 +306,7 @@ class Publisher:
         for subscription in self._subscriptions:
             client.subscribe(subscription.topic_filter, subscription.qos)
         self._on_connected(self._connections)
-        self._outbox.restore()
+        self._outbox.republish()
         try:
             await asyncio.wait([client.lost])
         finally:
@@ -317,7 +317,7 @@ class Publisher:
         for subscription in self._subscriptions:
             if subscription.matches(message.topic):
                 try:
-                    subscription.take(message)
+                    subscription.handle(message)
                 except Exception as error:  # a stranger's message must not end the process, whatever it meets
                     kind = (subscription.topic_filter, type(error))
                     if kind not in self._defects:

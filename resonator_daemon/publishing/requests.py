@@ -87,7 +87,7 @@ async def request(
     common_topic = full_topic(broker.prefix, name, f"rsp/{verb}")
     own_topic = f"{common_topic}/{number}"
 
-    def take(message: Incoming) -> None:
+    def receive(message: Incoming) -> None:
         try:
             content = json.loads(message.payload)
         except (ValueError, RecursionError):
@@ -112,7 +112,7 @@ async def request(
             broker,
             version,
             on_completed=lambda _sent, refused: denied(command_topic) if refused else None,
-            on_message=take,
+            on_message=receive,
             on_denied=lambda topic_filter, _reason: denied(topic_filter),
         )
 

@@ -184,7 +184,7 @@ class Spool:
         return result
 
     def _failed(self, error: sqlite3.Error) -> SpoolError:
-        """Say what the database's error means; only of a full disk there is no need to open the file anew."""
+        """Return the meaning of a database error; close the file unless the disk is full."""
         code = getattr(error, "sqlite_errorcode", 0) & 0xFF
         if code == _FULL and self._database is not None and self._rolled_back(self._database):
             return SpoolError(f"{error}: {self.path.parent}")

@@ -1,4 +1,4 @@
-"""The TLS end of a connection to a broker, made anew from its files each time."""
+"""TLS context of a connection to a broker, made from its files for each connection."""
 
 import contextlib
 import selectors
@@ -9,7 +9,7 @@ from resonator_daemon.config.broker_files import load_certificates
 from resonator_daemon.config.mqtt import Mqtt
 
 LEAST_VERSION: Final = ssl.TLSVersion.TLSv1_2
-VERDICT_S: Final = 0.5
+ALERT_S: Final = 0.5
 
 
 class _PatientSocket(ssl.SSLSocket):
@@ -17,20 +17,20 @@ class _PatientSocket(ssl.SSLSocket):
         try:
             super().do_handshake(block)
             if self.version() == "TLSv1.3":
-                self._hear_verdict()
+                self._await_alert()
         except OSError:
             self.close()  # the MQTT library leaves that to the collector of garbage
             raise
 
-    def _hear_verdict(self) -> None:
-        """Wait for the broker's first word after the handshake: a refusal of the client's certificate, or a ticket.
+    def _await_alert(self) -> None:
+        """Wait for the broker's first data after the handshake: a refusal of the client's certificate, or a ticket.
 
         In TLS 1.3 a client is done before its certificate has been looked at. What it writes until then may have the
         connection reset, and the reason lost. Brokers that give no tickets cost half a second.
         """
         with selectors.DefaultSelector() as selector:
             selector.register(self, selectors.EVENT_READ)
-            selector.select(VERDICT_S)
+            selector.select(ALERT_S)
         timeout_s = self.gettimeout()
         self.setblocking(False)
         with contextlib.suppress(ssl.SSLWantReadError, ConnectionResetError):

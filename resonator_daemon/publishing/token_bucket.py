@@ -13,8 +13,8 @@ class TokenBucket:
         self._tokens = self._at_once
         self._counted_s = clock()
 
-    def take(self) -> bool:
-        """Take a token; False where there is none."""
+    def try_acquire(self) -> bool:
+        """Remove a token; return False if there is none."""
         now_s = self._clock()
         self._tokens = min(self._at_once, self._tokens + (now_s - self._counted_s) * self._per_second)
         self._counted_s = now_s

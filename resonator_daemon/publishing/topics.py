@@ -105,6 +105,6 @@ def full_topic(prefix: str, name: str, path: str) -> str:
 
 
 def split_topic(prefix: str, topic: str) -> tuple[str, str]:
-    """Take a full topic below the prefix apart into the plate's name and the path."""
+    """Split a full topic below the prefix into the plate's name and the path."""
     name, _, path = topic.removeprefix(f"{prefix}/").partition("/")
     return name, path

@@ -264,6 +264,6 @@ VERBS: Final[dict[str, Verb]] = {
 }
 
 
-def obeyed(allowed: Collection[str]) -> tuple[str, ...]:
-    """Return the verbs that a daemon obeys: what changes nothing, and what its configuration allows."""
+def permitted(allowed: Collection[str]) -> tuple[str, ...]:
+    """Return the verbs that a daemon executes: those that change nothing, and those that its configuration allows."""
     return tuple(verb.name for verb in VERBS.values() if not verb.changes or verb.name in allowed)

@@ -76,7 +76,10 @@ class FollowedPlate:
     @property
     def subscriptions(self) -> Sequence[Subscription]:
         info = full_topic(self._prefix, self._plate.name, INFO.path)
-        return (Subscription(info, INFO.qos, self._take_info), Subscription(self.topic_filter, 0, self._take_signals))
+        return (
+            Subscription(info, INFO.qos, self._receive_info),
+            Subscription(self.topic_filter, 0, self._receive_signals),
+        )
 
     def condition(self) -> tuple[Condition, str]:
         name = self._plate.name
@@ -152,11 +155,11 @@ class FollowedPlate:
         decoder.release_contacts("the plate has changed")
         return decoder.last_contact_id
 
-    def _take_info(self, message: Incoming) -> None:
+    def _receive_info(self, message: Incoming) -> None:
         if self._plate.take_info(message.payload):
             self._changed.set()
 
-    def _take_signals(self, message: Incoming) -> None:
+    def _receive_signals(self, message: Incoming) -> None:
         signals = self._plate.take_signals(message.payload, time.monotonic())
         if signals is None:
             return

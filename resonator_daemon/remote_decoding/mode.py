@@ -21,7 +21,7 @@ class Publish(Protocol):
 
 
 class Mode(Protocol):
-    """Takes signals and publishes what they show."""
+    """Decoding of subscribed signals, for one plate or many."""
 
     topic_filter: str  # of the signals
     latency: LatencyHistogram  # of `decoded`

@@ -201,7 +201,7 @@ def _check_size(payload: bytes) -> None:
 
 
 def _problem(info: Info, skin: Skin) -> str:
-    """Say what no decoder could be built for; what only building shows is said then."""
+    """Return why no decoder can be built; errors of building itself come later."""
     if not len(skin.site_positions_m):
         return "no sites"
     if not np.isfinite(skin.site_positions_m).all():

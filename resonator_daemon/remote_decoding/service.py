@@ -19,7 +19,7 @@ from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.systemd import ServiceManager
 from resonator_daemon.monitoring.health import ProcessUsage
-from resonator_daemon.monitoring.liveness import FlowWatch
+from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
@@ -104,19 +104,19 @@ class DecoderProcess:
             stream_wait_max_s=FRESH_S,
         )
         self._manager = ServiceManager()
-        self._flow = FlowWatch()
+        self._liveness = LivenessMonitor()
         self._fatal: UserError | None = None
         self._ending = asyncio.Event()
         self._state = (Condition.STARTING, "started")
         self._since_utc_ns = time.time_ns()
-        self._started_s = self._said_s = time.monotonic()
+        self._started_s = self._published_s = time.monotonic()
         self._process = ProcessUsage()
 
     async def run(self) -> None:
         """Run until `stop`; raises UserError."""
         gc.freeze()  # what was imported stays: a look through all of it would cost tens of milliseconds
         log.info("decoder %s takes %s", self.decoder_id, self._mode.topic_filter)
-        self._say(*self._state)
+        self._publish_state(*self._state)
         async with asyncio.TaskGroup() as tasks:
             helpers = (
                 tasks.create_task(self._mode.run(), name="decoding"),
@@ -130,7 +130,7 @@ class DecoderProcess:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
             self._publish_health()  # the last word on what was counted
-            self._say(Condition.OFFLINE, str(self._fatal or "stopped"))
+            self._publish_state(Condition.OFFLINE, str(self._fatal or "stopped"))
             await self._publisher.close()
         if self._fatal is not None:
             raise self._fatal
@@ -207,7 +207,7 @@ class DecoderProcess:
             turns += 1
             state = self._mode.condition()
             decoded = sum(plate.decoded for plate in self._mode.health().values())
-            if self._flow.healthy(decoded, "online" if state[0] is Condition.ONLINE else "waiting", turns):
+            if self._liveness.healthy(decoded, "online" if state[0] is Condition.ONLINE else "waiting", turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
             if state != self._state:
@@ -215,17 +215,17 @@ class DecoderProcess:
                     self._since_utc_ns = time.time_ns()
                 self._state = state
                 log.info("%s: %s", *state)
-                self._say(*state)
-            elif time.monotonic() - self._said_s > _STATE_AGAIN_S:
-                self._say(*state)
+                self._publish_state(*state)
+            elif time.monotonic() - self._published_s > _STATE_AGAIN_S:
+                self._publish_state(*state)
 
     def _sentence(self) -> str:
-        """Say in a line how it goes."""
+        """Return the status line."""
         condition, reason = self._state
         return f"{condition}: {reason}" + ("" if self._publisher.connected else "; no broker")
 
-    def _say(self, condition: Condition, reason: str) -> None:
-        self._said_s = time.monotonic()
+    def _publish_state(self, condition: Condition, reason: str) -> None:
+        self._published_s = time.monotonic()
         self._publisher.publish(self._base, DECODER_STATE, self._make_state(condition, reason, self._since_utc_ns))
 
     def _make_state(self, condition: Condition, reason: str, since_utc_ns: int | None) -> DecoderState:

@@ -82,9 +82,10 @@ class SharedPlates:
     @property
     def subscriptions(self) -> Sequence[Subscription]:
         infos = [
-            Subscription(full_topic(self._prefix, name, INFO.path), INFO.qos, self._take_info) for name in self._names
+            Subscription(full_topic(self._prefix, name, INFO.path), INFO.qos, self._receive_info)
+            for name in self._names
         ]
-        signals = [Subscription(self._filter(name, SIGNALS.path), 0, self._take_signals) for name in self._names]
+        signals = [Subscription(self._filter(name, SIGNALS.path), 0, self._receive_signals) for name in self._names]
         return (*infos, *signals)
 
     def condition(self) -> tuple[Condition, str]:
@@ -138,7 +139,7 @@ class SharedPlates:
         except ValueError:
             return None
 
-    def _take_info(self, message: Incoming) -> None:
+    def _receive_info(self, message: Incoming) -> None:
         name = self._name(message)
         if name is None:
             return
@@ -187,7 +188,7 @@ class SharedPlates:
         self._reporters.pop(name, None)
         self._stage.forget(name)
 
-    def _take_signals(self, message: Incoming) -> None:
+    def _receive_signals(self, message: Incoming) -> None:
         name = self._name(message)
         plate = None if name is None else self._plates.get(name)
         if plate is None:

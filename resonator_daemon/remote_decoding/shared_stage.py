@@ -78,7 +78,7 @@ class SharedStage(Generic[Origin]):
         return (self._busy_with == plate) + (plate in self._newest)
 
     def offer(self, plate: str, origin: Origin, skin: SkinPlate, signals: Floats, noise_std: Floats) -> None:
-        """Take one frame of a plate, both arrays (3, sites); never waits."""
+        """Queue one frame of a plate, both arrays (3, sites); never waits."""
         self.skipped[plate] += plate in self._newest
         self._newest[plate] = _Frame(origin, skin, signals, noise_std)
         self._offered.set()

@@ -80,13 +80,13 @@ class AtBroker:
     async def __aenter__(self) -> Self:
         await reach(self._mqtt, named_by=self._named_by)
         await self._refuse_a_taken_name()
-        self._state = DaemonState(self.daemon_boot_id, self._say_state, lambda: self._publisher.restore())
+        self._state = DaemonState(self.daemon_boot_id, self._say_state, lambda: self._publisher.republish())
         topic = full_topic(self._mqtt.prefix, self._name, STATE_DAEMON.path)
         self._publisher = Publisher(
             self._mqtt,
             identifier=f"resonatord-replay-{self.daemon_boot_id}",
             make_will=self._make_will,
-            subscriptions=(Subscription(topic, 1, self._state.heard),),
+            subscriptions=(Subscription(topic, 1, self._state.receive),),
             on_connected=self._state.connected,
         )
         self._running = asyncio.create_task(self._publisher.run())

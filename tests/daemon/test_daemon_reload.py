@@ -142,10 +142,10 @@ async def test_what_is_reloaded_before_a_board_has_given_its_name_holds_when_it_
         async with bench.running(service):
             path.write_text(f'{path.read_text()}[recording]\ndirectory = "{tmp_path}/runs"\ncontinuous = true\n')
             reloaded = asyncio.Event()
-            say, service._say_measuring = service._say_measuring, reloaded.set  # type: ignore[method-assign]
+            say, service._publish_measuring = service._publish_measuring, reloaded.set  # type: ignore[method-assign]
             service.reload()
             await reloaded.wait()
-            service._say_measuring = say  # type: ignore[method-assign]
+            service._publish_measuring = say  # type: ignore[method-assign]
             async with bench.emulated():
                 await heard.until_last("resonator/EMU-0001/state/link", state="online")
                 await heard.until(

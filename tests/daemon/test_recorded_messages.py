@@ -33,7 +33,7 @@ def test_states_are_recorded_and_what_is_measured_where_it_is_wanted(derived: bo
     recorded = RecordedMessages(channels, derived=derived)
     published = messages()
     for path, message in published.items():
-        recorded.take(TOPICS[path], message)
+        recorded.record(TOPICS[path], message)
     assert {topic for topic, _ in channels.states} == {"state/daemon", "state/link", "state/sensor", "info"}
     measured = {"forces", "contacts", "contacts/event", "decoded/summary", "health"}
     assert {topic for topic, _ in channels.messages} == (measured if derived else set())
@@ -44,7 +44,7 @@ def test_what_is_wanted_may_change() -> None:
     channels = Channels()
     recorded = RecordedMessages(channels, derived=False)
     recorded.derived = True
-    recorded.take(TOPICS["forces"], messages()["forces"])
+    recorded.record(TOPICS["forces"], messages()["forces"])
     assert len(channels.messages) == 1
 
 
@@ -52,6 +52,6 @@ def test_what_is_encoded_already_is_recorded_as_it_is() -> None:
     channels = Channels()
     contacts = messages()["contacts"]
     recorded = RecordedMessages(channels, derived=True)
-    recorded.take(TOPICS["contacts"], Encoded(contacts.model_dump_json().encode(), t_ns=7))
-    recorded.take(TOPICS["decoded"], Encoded(b"arrays are not recorded", t_ns=7))
+    recorded.record(TOPICS["contacts"], Encoded(contacts.model_dump_json().encode(), t_ns=7))
+    recorded.record(TOPICS["decoded"], Encoded(b"arrays are not recorded", t_ns=7))
     assert channels.messages == [("contacts", 7)]

@@ -50,17 +50,17 @@ def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[Da
 
 
 def test_its_own_messages_say_nothing_new(state: DaemonState, said: list[DaemonStanding]) -> None:
-    state.heard(incoming("aa", "online"))
+    state.receive(incoming("aa", "online"))
     assert said == []
 
 
 def test_its_own_will_of_an_earlier_connection_is_answered_unless_it_has_ended(
     state: DaemonState, said: list[DaemonStanding]
 ) -> None:
-    state.heard(incoming("aa", "offline"))
+    state.receive(incoming("aa", "offline"))
     assert [standing.condition for standing in said] == [Condition.ONLINE]
     state.end()
-    state.heard(incoming("aa", "offline"))
+    state.receive(incoming("aa", "offline"))
     assert len(said) == 1
 
 
@@ -68,7 +68,7 @@ def test_strangers_who_claim_to_be_thousands_are_not_listed(
     state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
 ) -> None:
     for number in range(3000):
-        state.heard(incoming(f"b{number}", "online"))
+        state.receive(incoming(f"b{number}", "online"))
     assert len(said) == len(caplog.records) == 4
     assert len(state.standing.reason) < 400
 
@@ -76,8 +76,8 @@ def test_strangers_who_claim_to_be_thousands_are_not_listed(
 def test_another_daemon_is_told_of_once(
     state: DaemonState, said: list[DaemonStanding], caplog: pytest.LogCaptureFixture
 ) -> None:
-    state.heard(incoming("bb", "online"))
-    state.heard(incoming("bb", "online"))
+    state.receive(incoming("bb", "online"))
+    state.receive(incoming("bb", "online"))
     (conflict,) = said
     assert conflict.condition is Condition.ONLINE
     assert conflict.reason.startswith("measuring; another daemon (boot id bb) publishes under this name")
@@ -88,11 +88,11 @@ def test_another_daemon_is_told_of_once(
 def test_the_conflict_is_over_when_the_other_has_gone(
     state: DaemonState, said: list[DaemonStanding], restored: list[None]
 ) -> None:
-    state.heard(incoming("bb", "online"))
-    state.heard(incoming("cc", "online"))
-    state.heard(incoming("bb", "offline"))
+    state.receive(incoming("bb", "online"))
+    state.receive(incoming("cc", "online"))
+    state.receive(incoming("bb", "offline"))
     assert "boot id cc)" in said[-1].reason
-    state.heard(incoming("cc", "offline"))
+    state.receive(incoming("cc", "offline"))
     assert said[-1].reason == "measuring"
     assert len(said) == 4
     assert len(restored) == 2  # the other had written over everything
@@ -101,19 +101,19 @@ def test_the_conflict_is_over_when_the_other_has_gone(
 def test_a_will_that_comes_late_is_answered(
     state: DaemonState, said: list[DaemonStanding], restored: list[None]
 ) -> None:
-    state.heard(incoming("old", "offline"))
+    state.receive(incoming("old", "offline"))
     assert [standing.reason for standing in said] == ["measuring"]
     assert len(restored) == 1
 
 
 def test_what_was_retained_may_be_of_the_dead(state: DaemonState, said: list[DaemonStanding]) -> None:
-    state.heard(incoming("bb", "online", retained=True))
-    state.heard(incoming("bb", "offline", retained=True))
+    state.receive(incoming("bb", "online", retained=True))
+    state.receive(incoming("bb", "offline", retained=True))
     assert said == []
 
 
 def test_a_new_connection_begins_without_a_conflict(state: DaemonState, said: list[DaemonStanding]) -> None:
-    state.heard(incoming("bb", "online"))
+    state.receive(incoming("bb", "online"))
     state.connected(2)
     assert said[-1].reason == "measuring"
 
@@ -127,7 +127,7 @@ def test_a_new_connection_begins_without_a_conflict(state: DaemonState, said: li
     ],
 )
 def test_garbage_is_passed_over(state: DaemonState, said: list[DaemonStanding], payload: bytes) -> None:
-    state.heard(Incoming("resonator/hand/state/daemon", payload, False, None, None))
+    state.receive(Incoming("resonator/hand/state/daemon", payload, False, None, None))
     assert said == []
 
 
@@ -151,7 +151,7 @@ class Pair:
 
     def deliver(self, name: str) -> None:
         if self.queues[name]:
-            self.states[name].heard(self.queues[name].popleft())
+            self.states[name].receive(self.queues[name].popleft())
 
     def settle(self) -> None:
         for _ in range(100):

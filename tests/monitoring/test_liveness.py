@@ -3,7 +3,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from resonator_daemon.monitoring.liveness import FlowWatch
+from resonator_daemon.monitoring.liveness import LivenessMonitor
 
 WAITING = ("waiting", "stalled", "lost", "refused")
 
@@ -15,10 +15,10 @@ class Course:
     now_s: float = 0.0
     frames: int = 0
     turns: int = 0
-    watch: FlowWatch = field(init=False)
+    watch: LivenessMonitor = field(init=False)
 
     def __post_init__(self) -> None:
-        self.watch = FlowWatch(lambda: self.now_s)
+        self.watch = LivenessMonitor(lambda: self.now_s)
 
     def healthy_s(self, state: str, seconds: int, *, frames: bool, turns: bool) -> int:
         """For how many seconds of those given the watch found it well."""

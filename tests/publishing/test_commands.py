@@ -71,7 +71,7 @@ class Bench:
         """Give messages and return all that was said since."""
         before = len(self.sent)
         for message in messages:
-            self.commands.take(message)
+            self.commands.receive(message)
         await self.settle()
         return self.said[before:]
 
@@ -198,7 +198,7 @@ async def test_a_prefix_of_many_levels_is_the_daemons_own_as_a_whole(bench: Benc
     bench.make(base="site/hall/left")
     topic = "site/hall/left/cmd/ping"
     for response_topic in ("site/hall/right/state/daemon", "site/other"):
-        bench.commands.take(Incoming(topic, b"{}", False, response_topic, None))
+        bench.commands.receive(Incoming(topic, b"{}", False, response_topic, None))
     await bench.settle()
     assert [answer.topic for answer in bench.sent] == ["site/hall/left/rsp/ping", "site/other"]
     assert bench.codes == ["response_topic", "done"]
@@ -231,7 +231,7 @@ async def test_commands_are_done_one_with_each_turn_of_the_loop(bench: Bench) ->
             asyncio.get_running_loop().call_soon(count)
 
     for _ in range(4):
-        bench.commands.take(incoming())
+        bench.commands.receive(incoming())
     count()
     await bench.settle()
     assert turns == [0, 1, 2, 3, 4, 4]
@@ -313,7 +313,7 @@ async def test_those_that_wait_are_bounded_also_when_their_answers_are_late(benc
 
 async def test_nothing_is_left_after_close(bench: Bench) -> None:
     await bench.ask(incoming("identify"))
-    bench.commands.take(incoming())
+    bench.commands.receive(incoming())
     others = asyncio.all_tasks() - {asyncio.current_task()}
     assert any("identify" in task.get_name() for task in others)
     defects: list[object] = []
@@ -338,7 +338,7 @@ async def test_a_command_that_comes_while_another_is_given_up_is_not_obeyed(benc
         try:
             await bench.board
         finally:
-            bench.commands.take(incoming())
+            bench.commands.receive(incoming())
             await asyncio.sleep(0)
         return IdentifyAnswer()
 

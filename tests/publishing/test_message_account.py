@@ -12,7 +12,7 @@ from resonator_daemon.publishing.message_account import Account, Cause
 
 @pytest.fixture(autouse=True)
 def _soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(message_account, "FIRST_WORD_S", 0.01)
+    monkeypatch.setattr(message_account, "FIRST_LINE_S", 0.01)
 
 
 async def test_drops_are_summed_up_in_one_line(caplog: pytest.LogCaptureFixture) -> None:
@@ -35,7 +35,7 @@ async def test_while_it_lasts_it_is_said_now_and_then_and_at_the_end(
     await until(lambda: len(caplog.records) == 1)
     account.drop(Cause.QUEUE_FULL, "t", 5)
     assert account._timer is not None
-    assert account._timer.when() - asyncio.get_running_loop().time() > message_account.NEXT_WORD_S / 2
+    assert account._timer.when() - asyncio.get_running_loop().time() > message_account.NEXT_LINE_S / 2
     account.close()
     assert caplog.messages[1:] == ["messages dropped: 5 t (queue_full)"]
 

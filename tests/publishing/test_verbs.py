@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from resonator_daemon.config import tables as config_tables
 from resonator_daemon.publishing.payloads import WITH_ARRAYS
 from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, obeyed
+from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, permitted
 
 PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
 SECTION = PAGE.read_text().partition("\n## Commands\n")[2].partition("\n## ")[0]
@@ -72,8 +72,8 @@ def test_the_configuration_allows_just_those_that_change_something() -> None:
 
 
 def test_what_changes_nothing_is_always_obeyed() -> None:
-    assert obeyed(()) == ("ping", "health", "snapshot")
-    assert obeyed(("tare", "mark")) == ("ping", "health", "snapshot", "tare", "mark")
+    assert permitted(()) == ("ping", "health", "snapshot")
+    assert permitted(("tare", "mark")) == ("ping", "health", "snapshot", "tare", "mark")
 
 
 def test_topics_that_verbs_name_are_those_there_are() -> None:

@@ -28,7 +28,7 @@ class Commanded:
             Mqtt(url=url),
             identifier=f"test-{name}",
             make_will=lambda: Outgoing(f"{self.base}/state/daemon", b"gone", retained=True),
-            subscriptions=(Subscription(self.commands.topic_filter, 1, self.commands.take),),
+            subscriptions=(Subscription(self.commands.topic_filter, 1, self.commands.receive),),
         )
 
 
