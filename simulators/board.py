@@ -60,16 +60,16 @@ class Board:
     plate
         What the board counts.
     identity
-        Who it says it is; the cause of its last reset comes from `reboot`.
+        Identity that it reports; the cause of its last reset comes from `reboot`.
     boot_id
         Of the first boot.
     queue_limit_bytes
         What the output queue holds at most. When it is full, its oldest whole frames are dropped and counted; an answer
         that finds no room even then is dropped too, the host will ask again.
     drop_rate, seed
-        Share of its frames that the board loses, drawn from that seed; it counts and tells them as it does the others.
+        Share of its frames that the board loses, drawn from that seed; it counts and reports them like the others.
     misbehaviour
-        What it does against its word.
+        Deviations from the protocol.
     gate_ticks
         The only length of a gate that it offers; None: every one that the plate can be counted with.
 
@@ -154,7 +154,7 @@ class Board:
         return self._session.located
 
     def receive(self, data: bytes, now_ticks: int) -> None:
-        """Take bytes from the host. Call `advance` first: a frame whose gate has closed goes before the answer."""
+        """Process bytes of the host. Call `advance` first: a frame whose gate has closed precedes the answer."""
         self._now_ticks = now_ticks
         answers = self._session.receive(data, self._board_ticks)
         configuration = self._session.configuration
@@ -206,7 +206,7 @@ class Board:
         if dropped == run.frames_dropped_reported:
             return outgoing
         run.frames_dropped_reported = dropped
-        # Together with the frame that it speaks of: none is dropped between the two.
+        # Together with the frame that follows the gap: none is dropped between the two.
         status = self._session.status(self._status(dropped), self._board_ticks)
         return Outgoing(status + outgoing.data, sequence)
 
@@ -225,7 +225,7 @@ class Board:
     def _begin_run(self, gate_ticks: int) -> None:
         if self.first_start_ticks is None:
             self.first_start_ticks = self._now_ticks
-        self.discard_output()  # frames of another run, which nobody could tell from those of this one
+        self.discard_output()  # frames of another run, numbered like those of this one
         self._run = _Run(gate_ticks)
         self.next_frame_ticks = self._now_ticks + gate_ticks
         self._plate.start()

@@ -1,4 +1,4 @@
-"""A plate of force sites whose tones a channelised counter hears all at once, at every corner and all the time."""
+"""A plate of force sites whose tones a channelised counter measures all at once, at every corner and all the time."""
 
 import math
 
@@ -13,7 +13,7 @@ from simulators.pressed_sites import PressedGates, PressedSites
 from simulators.scenario import Scenario
 from simulators.tone_records import ToneRecords, even_oscillators
 
-_CARRIER_TO_NOISE_HZ = 1e10  # C/N0 of a tone at the corner that hears it best: 100 dBHz
+_CARRIER_TO_NOISE_HZ = 1e10  # C/N0 of a tone at the corner where it is strongest: 100 dBHz
 _GATE_S = (2e-3, 100e-3)
 
 
@@ -21,7 +21,7 @@ class CombPlate:
     """Sites under a cover that spreads a touch over them; each has a tone for its force, and may have one for warmth.
 
     A force tone is at f0 (1 + y)/(1 - K F), a temperature tone at f0 (1 + s (T - reference)), T the site's own. Noise
-    is white phase noise of 100 dBHz at the corner that hears a tone best, in the others by its level: the standard
+    is white phase noise of 100 dBHz at the corner where a tone is strongest, in the others by its level: the standard
     deviation of frequency is sqrt(6/(4 pi^2 C/N0 T^3)) over a gate T. The oscillators' own noise is common to the
     corners.
     """

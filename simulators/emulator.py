@@ -1,4 +1,4 @@
-"""Runs one emulated board on a link in real time: what `resonatord emulate` calls."""
+"""One emulated board on a link in real time: the implementation of `resonatord emulate`."""
 
 import json
 import math
@@ -134,7 +134,7 @@ class Emulator:
         self._output = Output(self._board, self.link, faults, seed)
 
     def run(self) -> None:
-        """Emulate until `stop`, then let go of link and files."""
+        """Emulate until `stop`, then close link and files."""
         # A second thread of the linear algebra would only spin.
         with self._resources, threadpool_limits(1):
             self._origin_ns = time.monotonic_ns()
@@ -216,10 +216,10 @@ class Emulator:
         return start_ticks + math.ceil(next_s * self._tick_rate_hz)
 
     def _follow_script(self, now_ticks: int) -> None:
-        # One step at a time, so that everyone notices an unplugged link before it is back.
+        # One step at a time, so that an unplugged link is detected before it is back.
         if (due_ticks := self._next_step_ticks) is None or due_ticks > now_ticks:
             return
-        step = self._script.take()
+        step = self._script.pop()
         counts = self._output.counts
         match step.action:
             case Action.UNPLUG:
@@ -238,7 +238,7 @@ class Emulator:
             case Action.SILENCE:
                 counts.silences += 1
                 self._board.silent = True
-            case Action.SPEAK:
+            case Action.RESUME:
                 self._board.silent = False
             case Action.REBOOT:
                 counts.reboots += 1

@@ -1,4 +1,4 @@
-"""What is said of a value that a scenario or a list of faults cannot have."""
+"""Error messages for invalid values of a scenario or of a list of faults."""
 
 import re
 from collections.abc import Sequence

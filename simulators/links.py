@@ -15,7 +15,7 @@ class Link(Protocol):
 
     @property
     def address(self) -> str:
-        """What a host's configuration calls it."""
+        """Text of the link in a host's configuration."""
 
     @property
     def read_fds(self) -> Sequence[int]:
@@ -32,10 +32,10 @@ class Link(Protocol):
         """Write what the host takes now; return how many bytes that was."""
 
     def hang_up(self) -> None:
-        """Pull the plug."""
+        """Disconnect, as when the plug is pulled."""
 
     def plug_in(self) -> None:
-        """Put it back, under the same name."""
+        """Connect again under the same name."""
 
     def close(self) -> None: ...
 
@@ -113,7 +113,7 @@ class PtyLink:
             ) from error
 
     def rename(self, name: str) -> None:
-        """Take another name, in the same directory; a host notices as of a cable that was pulled."""
+        """Change the name within the directory; a host detects it like a cable that was pulled."""
         plugged = self.write_fd is not None
         self.hang_up()
         self._path = self._path.with_name(name)
@@ -147,7 +147,7 @@ class TcpLink:
         return f"tcp://{host}:{self._port}"
 
     def read(self) -> bytes:
-        """As of `Link`; also notices that a client came or went. A second one is turned away."""
+        """Return what the client has sent, b"" if nothing; accepts and drops clients. A second one is refused."""
         if self._client is None:
             self._client = self._accept()
             self._list_descriptors()

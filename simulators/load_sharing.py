@@ -1,4 +1,4 @@
-"""What each force site has to bear of a scenario's touches: its force, what warms it, and which touch it is."""
+"""Loads of each force site under a scenario's touches: force, temperature of contact, and touch."""
 
 from typing import NamedTuple
 

@@ -26,7 +26,7 @@ class GateNoise(NamedTuple):
 
 
 class OscillatorNoise:
-    """Oscillators that know nothing of each other, running on from call to call.
+    """Noise of independent oscillators, continuous from call to call.
 
     White FM with h0 = 2 s^2 has the variance h0 / (2 dt) in the mean over a gate; s is the Allan deviation at 1 s.
     Flicker FM with h-1 = s^2 / (2 ln 2) is a sum of Ornstein-Uhlenbeck processes, two per decade of corner frequency

@@ -1,4 +1,4 @@
-"""The way from a board's output to its link: damage, then timing, then as many bytes as the host takes."""
+"""Data path from a board's queue to its link: damage, then timing, then as many bytes as the host accepts."""
 
 from collections.abc import Callable
 
@@ -11,7 +11,7 @@ from simulators.links import Link
 
 
 class Output:
-    """Takes from a board what its link can carry, and no sooner, so that a full queue is the board's own.
+    """Writer that empties a board's queue only as its link accepts bytes, so that a full queue is the board's own.
 
     Times are those of the host's clock, in ns.
     """
@@ -49,7 +49,7 @@ class Output:
         return self._line.next_due_ns if self._lot is None else self._splitter.next_ns
 
     def cut_next_frame(self, then: Callable[[], None]) -> None:
-        """Let only the first half of the next frame go out, and do `then` what ends the board; at once without host."""
+        """Write only the first half of the next frame, then call `then`, which ends the board; at once without host."""
         self._after_cut = then
 
     def send(self, now_ns: int, elapsed_s: float) -> None:
@@ -69,29 +69,29 @@ class Output:
         self.lose()
 
     def lose(self) -> None:
-        """Forget what nobody will ever read: the host is gone."""
+        """Discard everything that waits: the host is gone."""
         self.asked = False
         self.clear()
         self._board.discard_output()
         self._end_board()
 
     def clear(self) -> None:
-        """Forget what has left the board's queue and not the link."""
+        """Discard what has left the board's queue and not the link."""
         self._lot, self._unsent = None, b""
         self._line.clear()
 
     def _next_lot(self, now_ns: int, elapsed_s: float) -> Lot | None:
         """Return the lot that is written next; None if none is due."""
         if self.held:
-            return self._line.take(now_ns)
+            return self._line.pop(now_ns)
         if self._faultless and self._after_cut is None:
             outgoing = self._board.next_output()
             return None if outgoing is None else Lot(outgoing.data, 0 if outgoing.sequence is None else 1)
         self._fill_line(now_ns, elapsed_s)
-        return self._line.take(now_ns)
+        return self._line.pop(now_ns)
 
     def _fill_line(self, now_ns: int, elapsed_s: float) -> None:
-        """Take from the board until something is due."""
+        """Move packets from the board to the line until something is due."""
         while not self._line.has_due(now_ns) and (outgoing := self._board.next_output()) is not None:
             sequence = outgoing.sequence if self._board.single_tone else None
             if self._after_cut is not None and outgoing.is_frame:

@@ -10,7 +10,7 @@ from firmware_protocol.layouts import Field
 from firmware_protocol.messages import Description
 from simulators.arrays import Floats
 
-REFERENCE_ERROR = 1.5e-6  # the board's reference oscillator is that much fast, where no scenario says otherwise
+REFERENCE_ERROR = 1.5e-6  # the board's reference oscillator is that much fast, unless a scenario sets it
 
 
 class Contact(NamedTuple):
@@ -74,7 +74,7 @@ def record_type(fields: Sequence[Field]) -> np.dtype[np.void]:
 
 
 def corner_levels_db(positions_m: Floats, transducers_m: Floats, random: np.random.Generator) -> Floats:
-    """Return the level (n, corners) below full scale at which the corners hear tones from positions (n, 2).
+    """Return the level (n, corners) below full scale at which the corners receive tones from positions (n, 2).
 
     What reaches a corner spreads over the plate, leaks away and interferes with its own echoes, which scatter the level
     by 4 dB: -50 dB (1 + r/1 mm)^(-1/2) exp(-30 r/m).

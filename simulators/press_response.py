@@ -1,4 +1,4 @@
-"""What a pressed site feels of its force: hysteresis and creep."""
+"""Response of a site to its force: hysteresis and creep."""
 
 import numpy as np
 

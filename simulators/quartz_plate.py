@@ -33,14 +33,14 @@ _RECORD = record_type(SINGLE_TONE_FIELDS)
 
 
 class QuartzPlate:
-    """Sites under a scenario's touches, as four corners hear them.
+    """Sites under a scenario's touches, as received at four corners.
 
     A touch goes to the sites as distance^-exponent. A pressed site sounds at f0 (1 + y)/(1 - K F), F and y with the
     imperfections of the scenario's physics. Its level is that of `corner_levels_db`; below a force of
     `full_contact_newton` its amplitude is lower, in proportion to force. The way to a corner delays a tone by a
     constant time, which shifts no frequency.
 
-    Each corner counts the strongest tone it hears; another has to be 1 dB stronger to take over. While nothing is
+    Each corner counts the strongest tone; another has to be 1 dB stronger to take over. While nothing is
     touched that is the pilot tone. The other tones displace the edges of the captured one by their beats. Where they
     are stronger than it, all together, an edge can be lost or found: such a record has the flag of another captured
     tone. Its sums are those of weaker beats.

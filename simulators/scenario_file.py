@@ -1,4 +1,4 @@
-"""The scenario file: its tables and keys, the shipped ones, and what is said of those that are wrong."""
+"""The scenario file: its tables and keys, the shipped ones, and the messages for invalid ones."""
 
 import tomllib
 from collections.abc import Iterator
@@ -28,7 +28,7 @@ _POINTS = "give a number, or points [[t_s, kelvin], ...] with times that rise"
 
 
 def _line(given: Any) -> Any:
-    """Take a number as a line that keeps its height."""
+    """Return a number as a line of constant height."""
     if isinstance(given, int | float):
         return [(0.0, given)]
     if not isinstance(given, list | tuple):
@@ -149,7 +149,7 @@ def read_scenario(name_or_path: str, plate: Plate) -> ScenarioFile:
 
 
 def _findings(content: dict[str, Any], file: ScenarioFile, plate: Plate) -> Iterator[str]:
-    """Check what no single key can tell."""
+    """Check the keys against each other."""
     kind, keys = ("a skin", _SKIN_KEYS) if FORCE_SIGNAL in plate.signals else ("force sites", _FORCE_KEYS)
     if useless := sorted(_given_keys(content) & keys):
         remedy = "leave it out, or take another plate"

@@ -1,4 +1,4 @@
-"""How warm sites are, and how far that shifts them."""
+"""Temperature of sites, and the frequency shift that it causes."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,4 @@
-"""A plate under a soft skin: a partial-slip contact strains it, tones follow, a channelised counter hears them all."""
+"""A plate under a soft skin: a partial-slip contact strains it, tones shift, a channelised counter measures them."""
 
 import math
 
@@ -31,7 +31,7 @@ _GATE_S = (4e-3, 100e-3)
 class SkinPlate:
     """Tones f0/(1 - s x) of sites that sense p_n, eps_xz and eps_yz under a paraboloid's touches.
 
-    The sensitivity s of each tone is off by 1 % rms from what the plate file says. Noise is white. The best
+    The sensitivity s of each tone is off by 1 % rms from that of the plate file. Noise is white. The best
     combination of the corners has a signal-to-noise ratio of 30 dB in the triple [3 p_n/(2 E), eps_xz, eps_yz], all
     three equally noisy, at the plate's own frame rate; each corner has its share by its level.
     """

@@ -8,7 +8,7 @@ from simulators.arrays import Bools, Floats, Integers
 
 
 class Strides(NamedTuple):
-    """The undisturbed stamps of n gates, each (n, channels); all 0 where nothing was heard."""
+    """The undisturbed stamps of n gates, each (n, channels); all 0 where there was no tone."""
 
     gate_start_ticks: Integers  # (n, 1), not wrapped
     first_edge: Integers  # of the first stamp, not wrapped
@@ -29,7 +29,7 @@ class StampErrors(NamedTuple):
 
 
 class StampSums(NamedTuple):
-    """Fields of a single-tone record, each (n, channels), all 0 where nothing was heard."""
+    """Fields of a single-tone record, each (n, channels), all 0 where there was no tone."""
 
     first_edge: Integers  # not wrapped yet
     first_ticks: Integers  # not wrapped yet
@@ -73,7 +73,7 @@ class StrideCounter:
         gate_ticks
             Length of each gate.
         period_ticks
-            Ticks in a stride, (n, channels); infinite where nothing is heard.
+            Ticks in a stride, (n, channels); infinite where there is no tone.
         broken
             Whether a gate's tone is another than the last gate's, so that its phase is too, (n, channels).
         """

@@ -14,7 +14,7 @@ _WAITING_LIMIT_BYTES = 4 * 1024 * 1024  # for a reader that pauses: some ten sec
 
 
 class TruthOutput:
-    """Takes lines and writes them at once; never waits for the reader of a named pipe.
+    """Truth file or named pipe; `write` never waits for a reader.
 
     Lines that nobody was there to read, and those that came while a reader was too far behind, are lost and counted in
     `lines_lost`. A reader may come at any time, leave and come back.

@@ -46,7 +46,7 @@ _SETUP_BYTES = 8  # in a control transfer's buffer, before the data
 
 _MESSAGE_BYTES_MAX = 1 + 65536
 _REST_BYTES = 16384  # of the device's own memory: frames that wait for the host go together
-_REAP_WAIT_MS = 4  # the fake node polls as ready all the time: told at once that nothing is there, the host would spin
+_REAP_WAIT_MS = 4  # the fake node polls as ready all the time: answered at once, the host would spin
 
 
 def device_descriptors() -> bytes:
@@ -113,7 +113,7 @@ class Host:
         """Hand a finished transfer back, now or when one comes."""
         if self._done:
             self._reap(client)
-        elif self._reaped:  # libusb asks until nothing is left before it tells of any
+        elif self._reaped:  # libusb asks until nothing is left before it reports any
             self._reaped = False
             client.complete(-1, errno.EAGAIN)
         else:
@@ -159,7 +159,7 @@ class Device:
         return self._claimed_by is not None and bool(self._claimed_by.sending)
 
     def from_board(self, data: bytes) -> None:
-        if not self._begins:  # until the board has begun anew, all it says is old
+        if not self._begins:  # until the board has begun anew, all its data is old
             self._rest += data
 
     def to_board(self) -> None:
@@ -225,7 +225,7 @@ class Device:
         return any(host.beginning is not None for host in self._hosts.values())
 
     def _forget_vanished(self) -> None:
-        """Forget hosts that have closed the node, or ended: umockdev says so only when it is asked."""
+        """Remove hosts that have closed the node, or ended: umockdev reports that only on request."""
         for client, host in list(self._hosts.items()):
             if not client.get_connected():
                 del self._hosts[client]
@@ -292,7 +292,7 @@ class Device:
 
 
 class Bus:
-    """The bus that the device is plugged into and pulled from, as the board says."""
+    """The bus that the device is plugged into and pulled from, as the board requests."""
 
     def __init__(self, board: socket.socket, control: socket.socket, serial_number: str) -> None:
         self._board = board
@@ -301,7 +301,7 @@ class Bus:
         for index, text in enumerate(("resonatord", "emulated counter board", serial_number), start=1):
             self._strings[index] = text.encode("utf-16-le")
         self._testbed = UMockdev.Testbed.new()
-        self._nodes: list[Any] = []  # whoever still holds an earlier one is told that nothing is there
+        self._nodes: list[Any] = []  # requests to an earlier one are answered: no device
         self._address = 1
         self._listening = self._waiting_for_room = False
         self._loop = GLib.MainLoop()
@@ -322,7 +322,7 @@ class Bus:
         handler = UMockdev.IoctlBase()
         handler.connect("handle-ioctl", self._on_ioctl, self._device)
         self._nodes.append(handler)
-        self._testbed.attach_ioctl(f"/dev/{node}", handler)  # first: hosts are told of the device when it is added
+        self._testbed.attach_ioctl(f"/dev/{node}", handler)  # first: hosts are notified when the device is added
         self._testbed.add_from_string(
             f"P: {self._path}\nN: {node}={descriptors}\n"
             f"E: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\nE: DEVNAME=/dev/{node}\n"
@@ -357,7 +357,7 @@ class Bus:
         return True
 
     def _watch(self) -> None:
-        """Hear the board only while the device takes its bytes: what comes beyond waits in the socket."""
+        """Read from the board only while the device accepts bytes: the rest waits in the socket."""
         if not self._listening and self._device.takes_data:
             self._listening = True
             GLib.io_add_watch(self._board.fileno(), GLib.PRIORITY_DEFAULT, GLib.IO_IN, self._on_board)

@@ -1,4 +1,4 @@
-"""A USB link of an emulated board: a device that programs see which are started with umockdev's library preloaded."""
+"""A USB link of an emulated board: a device for programs that are started with umockdev's library preloaded."""
 
 import os
 import socket
@@ -31,9 +31,9 @@ class UsbLink:
     Parameters
     ----------
     serial_number
-        As the device's string descriptor tells it.
+        Of the device's string descriptor.
     on_begin
-        Called within `read` when a host begins anew: the board goes idle and forgets its output. What was written
+        Called within `read` when a host begins anew: the board goes idle and discards its output. What was written
         before it returns reaches no host.
 
     Raises
@@ -50,7 +50,7 @@ class UsbLink:
         self._board, board_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._control, control_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._board.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process; a pipe would fill and block it
+        self._stderr = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the process; a pipe would fill and block it
         with board_end, control_end:
             fds = (board_end.fileno(), control_end.fileno())
             # Preloaded as well: udev events are sent by way of the emulated /sys.
@@ -62,7 +62,7 @@ class UsbLink:
                     pass_fds=fds,
                     env=environment,
                     stdin=subprocess.DEVNULL,
-                    stderr=self._said,
+                    stderr=self._stderr,
                     start_new_session=True,  # Ctrl-C is for the emulator, which ends it
                 )
             except OSError as error:
@@ -146,12 +146,12 @@ class UsbLink:
             return message[1:].decode()
         self._process.kill()
         self._process.wait()
-        self._said.seek(0)
-        said = self._said.read()
+        self._stderr.seek(0)
+        text = self._stderr.read()
         self._close_files()
-        reason = said.decode(errors="replace").strip().rpartition("\n")[2] or f"no word from it for {_START_S:g} s"
+        reason = text.decode(errors="replace").strip().rpartition("\n")[2] or f"it did not start within {_START_S:g} s"
         raise UserError(f"no USB device can be emulated: {reason}; {_INSTALL}")
 
     def _close_files(self) -> None:
-        for file in (self._board, self._control, self._said):
+        for file in (self._board, self._control, self._stderr):
             file.close()

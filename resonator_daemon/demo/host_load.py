@@ -32,12 +32,12 @@ class HostLoad:
         seconds = max(self._ended_s - self._started_s, 1e-9)
         cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
         others = max(self._busy_s / seconds - own, 0.0)
-        words = f"of {cores} processor cores, this demo used {own:.2f} and other processes {others:.2f}"
+        words = f"processor cores used: {own:.2f} of {cores} by this demo, {others:.2f} by other processes"
         foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
         if foreign:
             process = max(foreign, key=lambda process: foreign[process])
             if (used := foreign[process] / seconds) >= others / 4 and used >= 0.05:
-                words += f", above all {_name(process)} (process {process.pid}) with {used:.2f}"
+                words += f", of which {used:.2f} by {_name(process)} (process {process.pid})"
         return words
 
 

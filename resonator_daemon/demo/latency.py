@@ -50,14 +50,14 @@ class LatencyOptions:
 
 
 def bench_latency(options: LatencyOptions) -> ExitCode:
-    """Measure and tell; FAILED when a message is missing.
+    """Measure and print a report; FAILED when a message is missing.
 
     Raises
     ------
     UserError
         A part does not start, or ends by itself.
     InterruptedCommandError
-        Somebody ended it before the time was over; what was measured by then is told.
+        Interrupted before the time was over; what was measured by then is reported.
     """
     bench = _Bench(options)
     report = asyncio.run(bench.run())
@@ -85,7 +85,7 @@ class _Subscriber:
         self.first_came = asyncio.Event()
         self.counting = False
 
-    def take(self, message: Incoming) -> None:
+    def receive(self, message: Incoming) -> None:
         now_ns = time.time_ns()
         if message.topic != self._topic:
             if self.counting:
@@ -216,7 +216,7 @@ async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[Non
     closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
 
     def make_connection(version: MQTTProtocolVersion) -> BrokerConnection:
-        return BrokerConnection(broker, version, on_message=subscriber.take)
+        return BrokerConnection(broker, version, on_message=subscriber.receive)
 
     async def serve(client: BrokerConnection, _at_once: bool) -> None:
         for topic in subscriber.topics:
@@ -239,7 +239,7 @@ def _complain_of_dead(children: list[Child]) -> None:
 
 
 async def _stop(children: list[Child]) -> None:
-    for child in reversed(children):  # the board last: its daemon is not to say that it went away
+    for child in reversed(children):  # the board last: its daemon must not report that it went away
         await child.stop()
     children.clear()
 

@@ -63,7 +63,7 @@ def read_gates(truth: Iterable[str]) -> Gates:
 
 
 def measure(arrivals: Sequence[Arrival], gates: Gates, gates_apart: int) -> Latency:
-    """Join messages with the gates that they tell of.
+    """Match messages with the gates that they describe.
 
     Parameters
     ----------
@@ -77,14 +77,14 @@ def measure(arrivals: Sequence[Arrival], gates: Gates, gates_apart: int) -> Late
     Raises
     ------
     ValueError
-        Nothing arrived, or a message tells of a gate that the truth does not have.
+        Nothing arrived, or a message describes a gate that the truth does not have.
     """
     if not arrivals:
         raise ValueError("no arrivals: there is nothing to measure")
     seq, ticks = np.array([_seq_and_ticks(arrival.head) for arrival in arrivals], np.int64).T
     last_gate = np.minimum(np.searchsorted(gates.board_ticks, ticks), len(gates.board_ticks) - 1)
     if unknown := np.count_nonzero(gates.board_ticks[last_gate] != ticks):
-        raise ValueError(f"{unknown} of {len(arrivals)} messages tell of gates that the truth does not have")
+        raise ValueError(f"{unknown} of {len(arrivals)} messages describe gates that the truth does not have")
     came_ns = np.array([arrival.t_ns for arrival in arrivals], np.int64)
     windows = (last_gate[-1] - last_gate[0]) // gates_apart + 1
     made = int(seq[-1] - seq[0]) + 1

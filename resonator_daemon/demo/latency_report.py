@@ -19,7 +19,7 @@ _EIGHTHS: Final = " ▏▎▍▌▋▊▉"
 
 @dataclass(frozen=True, slots=True)
 class LatencyReport:
-    """One run, ready to be told.
+    """Result of one run, as JSON, text and picture.
 
     Attributes
     ----------
@@ -29,8 +29,7 @@ class LatencyReport:
     cpu_percent_by_part
         100 is one processor.
     load_average
-        Of the whole machine over the last minute, the parts of the measurement included: about 1 where it is idle
-        but for them.
+        Of the whole computer over the last minute, with the parts of the measurement: about 1 if nothing else runs.
     """
 
     plate: str

@@ -10,6 +10,7 @@ from resonator_daemon.view.words import losses_in_words
 
 _LATE_MS: Final = FOUND_WITHIN_NS * 1e-6
 _SKIPPED: Final = "skipped_late"  # results that newer ones replaced: no frame is lost
+_DROPPED: Final = "publish_dropped"  # counts messages; all other causes count frames
 
 
 def plate_result(score: PlateScore, until_ns: int, *, has_skin: bool) -> dict[str, Any]:
@@ -46,15 +47,20 @@ def percentiles(latency_ms: list[float]) -> dict[str, float] | None:
 
 def failures(plate: Mapping[str, Any]) -> list[str]:
     """Return a clause for each failure of a plate's run: touches that were missed, frames that were lost."""
-    clauses = [f"{count} lost: {cause}" for cause, count in plate["lost"].items() if count and cause != _SKIPPED]
+    clauses = [
+        f"{count} {'messages' if cause == _DROPPED else 'frames'} lost ({cause})"
+        for cause, count in plate["lost"].items()
+        if count and cause != _SKIPPED
+    ]
     if not plate["frames"]:
-        clauses.append("no frame arrived")
+        clauses.append("no frame was received")
     if plate["decoded_frames"] == 0:
         clauses.append("no frame was decoded")
     if missed := plate["contacts_true"] - plate["contacts_found"]:
         at_site = "" if plate["sites_right"] is None else " at the right site"
         clauses.append(
-            f"{missed} of {plate['contacts_true']} touches missed: no onset{at_site} with a time within {_LATE_MS:g} ms"
+            f"{missed} of {plate['contacts_true']} touches missed: "
+            f"no onset event{at_site} within {_LATE_MS:g} ms of the touch"
         )
     return clauses
 
@@ -64,25 +70,29 @@ def delays(plate: Mapping[str, Any]) -> list[str]:
     clauses = []
     if late := plate["contacts_late"]:
         clauses.append(
-            f"{late} of {plate['contacts_true']} touches late: the onset arrived more than {_LATE_MS:g} ms "
-            f"after the touch, {plate['latest_contact_ms']:.0f} ms at most"
+            f"{late} of {plate['contacts_true']} touches reported late: the onset event was received more than "
+            f"{_LATE_MS:g} ms after the touch (at most {plate['latest_contact_ms']:.0f} ms)"
         )
     if missed := plate["messages_missed"]:
-        clauses.append(f"{missed} messages missing between others: skipped under load, not decoded, or lost on the way")
+        clauses.append(
+            f"{missed} messages not received (gaps in seq): skipped under load, not decoded, or lost on the way"
+        )
     if plate["latency_ms"] and plate["latency_ms"]["p99"] > _LATE_MS:
-        clauses.append(f"messages late: {plate['latency_ms']['p99']:.0f} ms (99 %)")
+        clauses.append(f"messages late: latency {plate['latency_ms']['p99']:.0f} ms (99th percentile)")
     return clauses
 
 
 def in_words(result: Mapping[str, Any]) -> str:
     """Return the result as lines of text."""
-    lines = [f"{result['seconds']:.0f} s, broker {result['broker']}, {result['cores']:.2f} processor cores in all"]
+    lines = [f"measured for {result['seconds']:.0f} s, broker {result['broker']}, cores used: {result['cores']:.2f}"]
     lines += [f"  {percent:5.1f} %  {part}" for part, percent in result["cpu_percent_by_part"].items()]
     for name, plate in result["plates"].items():
         losses = plate["lost"] | {"parts": plate["parts_lost"], "not_decoded": plate["frames_not_decoded"] or 0}
         lines.append(f"{name}: {plate['frames']} frames, {plate['frame_rate_hz']} frames/s, {losses_in_words(losses)}")
         if latency := plate["latency_ms"]:
-            lines.append(f"  touch to subscriber: {latency['p50']} ms (median), {latency['p99']} ms (99 %)")
+            lines.append(
+                f"  latency at the subscriber: {latency['p50']} ms (median), {latency['p99']} ms (99th percentile)"
+            )
         at_site = "" if plate["sites_right"] is None else " at the right site"
         found, late = plate["contacts_found"], plate["contacts_late"]
         lines.append(

@@ -133,11 +133,11 @@ class _Demo:
             if (station := self._stations.get(name)) is None:
                 continue
             if path in _SCORED_PATHS:
-                station.score.take(path, arrival.payload, arrival.arrived_ns)
+                station.score.add(path, arrival.payload, arrival.arrived_ns)
             if not self._options.headless and path in _SHOWN_PATHS:
                 shown = read_message(self._prefix, arrival)
                 if shown is not None:
-                    station.view.take(shown.path, shown.message, arrival.arrived_ns)
+                    station.view.add(shown.path, shown.message, arrival.arrived_ns)
         for station in self._stations.values():
             station.score.join()
 

@@ -150,7 +150,7 @@ class PlateScore:
         """Losses since `begin`, by cause, with parts of frames and frames that were not decoded."""
         return {cause: count - self._losses_before[cause] for cause, count in self._losses.items()}
 
-    def take(self, path: str, payload: bytes, arrived_ns: int) -> None:
+    def add(self, path: str, payload: bytes, arrived_ns: int) -> None:
         """Add a message of the topic with this path and its time of arrival (UTC)."""
         if path == DECODED.path:
             self.decoded_frames += 1

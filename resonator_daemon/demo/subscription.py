@@ -73,11 +73,11 @@ class Subscription:
         try:
             while data := self._socket.recv(_READ_BYTES):
                 arrived_ns = time.time_ns()
-                waiting = self._take(waiting + data, arrived_ns)
+                waiting = self._deliver(waiting + data, arrived_ns)
         except OSError:
             pass  # the broker has ended; the demo notices that by its process
 
-    def _take(self, data: bytes, arrived_ns: int) -> bytes:
+    def _deliver(self, data: bytes, arrived_ns: int) -> bytes:
         """Pass on the messages of all complete packets; return the rest of the bytes."""
         start = 0
         while (ends := packet_ends(data, start)) is not None:

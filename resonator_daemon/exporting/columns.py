@@ -132,7 +132,7 @@ def _kind(name: str, annotation: Any) -> Kind:
     if get_origin(annotation) is Literal or (isinstance(annotation, type) and issubclass(annotation, StrEnum)):
         return "text"
     if annotation is int and any(isinstance(part, PlainSerializer) for part in metadata):
-        return "uint64"  # that of Int64, which knows no sign
+        return "uint64"  # that of Int64, which has no sign
     kinds: dict[Any, Kind] = {int: "int64", float: "float64", bool: "bool", str: "text"}
     if annotation not in kinds:
         raise ValueError(f"{name} is {annotation}, which is no column")

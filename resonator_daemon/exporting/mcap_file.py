@@ -109,8 +109,8 @@ class McapOutput:
             if points is not None:
                 self._add(f"{path}/cloud", CLOUD_SCHEMA, _cloud(points, self._frame_id, t_ns), now_ns, t_ns)
         if isinstance(message, State):
-            said = f"{message.state}: {message.reason}" if message.reason else str(message.state)
-            self._add(_LOG, MARK_SCHEMA_DATA, _log_line(t_ns, severity(message.state), path, said), now_ns, t_ns)
+            text = f"{message.state}: {message.reason}" if message.reason else str(message.state)
+            self._add(_LOG, MARK_SCHEMA_DATA, _log_line(t_ns, severity(message.state), path, text), now_ns, t_ns)
 
     def _add(self, channel: str, schema: Mapping[str, Any], data: bytes, log_ns: int, publish_ns: int) -> None:
         if channel not in self._channels:

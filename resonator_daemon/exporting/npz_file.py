@@ -110,7 +110,7 @@ class _Numbers:
 
 
 class _WithGaps:
-    """A column of whole numbers or truth values that may be missing, and the one that says where they are known."""
+    """A column of whole numbers or truth values that may be missing, and the one that marks where they are known."""
 
     def __init__(self, name: str, dtype: str, place: Path) -> None:
         self._values = _Numbers(name, dtype, (), place)

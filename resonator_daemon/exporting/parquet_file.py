@@ -87,13 +87,13 @@ class _ParquetFile:
 
 
 def _field(column: Column) -> Any:
-    told = {"description": column.description, "unit": column.unit}
+    metadata = {"description": column.description, "unit": column.unit}
     if column.shape:
-        told["shape"] = json.dumps(column.shape)
+        metadata["shape"] = json.dumps(column.shape)
         kind = pa.list_(pa.float32(), math.prod(column.shape))
     else:
         kind = _TYPES[column.kind]
-    return pa.field(column.name, kind, column.nullable, {key: text for key, text in told.items() if text})
+    return pa.field(column.name, kind, column.nullable, {key: text for key, text in metadata.items() if text})
 
 
 def _array(values: Sequence[Value], kind: Any) -> Any:

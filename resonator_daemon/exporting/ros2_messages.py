@@ -28,7 +28,7 @@ except ImportError as error:
 
 CONTACT, CONTACTS, EVENT = (f"resonator_msgs/msg/{name}" for name in ("Contact", "Contacts", "ContactEvent"))
 
-# Keys of a contact that are numbers, in the order of the message, and what is told of them there.
+# Keys of a contact that are numbers, in the order of the message, and their description there.
 _NUMBERS: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton", "peak_newton", "duration_s")
 _OF_CONTACT: Final = "\n".join(
     (

@@ -76,7 +76,7 @@ def export(
     span = find_span(path, start, end)
     with open_playback(path, config) as playback:
         output, files = _written(path, playback, target, span, shown=show_progress)
-        told = {
+        summary = {
             "file": str(path),
             "format": target.form,
             "files": dict(files),
@@ -86,7 +86,7 @@ def export(
             "damage": playback.damage,
             "took_seconds": round(time.monotonic() - begun_s, 3),
         }
-        return told, _what_is_wrong(playback, output, target, span)
+        return summary, _what_is_wrong(playback, output, target, span)
 
 
 def _written(
@@ -115,7 +115,7 @@ def _part(playback: Playback, span: Span) -> Iterator[Moment]:
 
 @contextmanager
 def _said(output: Path) -> Iterator[None]:
-    """Have it said in one line where the disk takes nothing more."""
+    """Report a full disk in one line."""
     try:
         yield
     except OSError as error:

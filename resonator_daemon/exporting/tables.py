@@ -49,7 +49,7 @@ class Table:
         Those of each part that the message has many of.
     items
         Takes these parts out of a message. One that has none gives one row, where the parts' columns are missing; so
-        that the rows of a topic tell of all its messages. None where each message is one row.
+        that the rows of a topic show all its messages. None where each message is one row.
     """
 
     def __init__(
@@ -66,14 +66,14 @@ class Table:
 
     def rows(self, message: Message) -> Iterator[Row]:
         """Give the rows of a message, values in the order of the columns."""
-        told = [get(message) for get in self._get]
+        values = [get(message) for get in self._get]
         if self._items is None:
-            yield told
+            yield values
             return
         for item in self._items(message):
-            yield [*told, *(get(item) for get in self._get_of_item)]
+            yield [*values, *(get(item) for get in self._get_of_item)]
         if not self._items(message):
-            yield [*told, *(None for _ in self._get_of_item)]
+            yield [*values, *(None for _ in self._get_of_item)]
 
 
 def make_table(topic: Topic[Any], plate: Plate, first: Message) -> Table:
@@ -83,13 +83,13 @@ def make_table(topic: Topic[Any], plate: Plate, first: Message) -> Table:
 
 def _forces(plate: Plate, first: Message) -> Table:
     channels = range(len(cast("Forces", first).compensation.common_mode))
-    told = [
+    values = [
         *sources(Forces, skip=("sites", "beats", "compensation")),
         *(_beats(channel) for channel in channels),
         *(_common_mode(channel) for channel in channels),
         *(_inside(source) for source in sources(Compensation, prefix="compensation_", skip=("common_mode",))),
     ]
-    return Table([*told, *(source for site in plate.site_ids for source in _of_site(int(site)))])
+    return Table([*values, *(source for site in plate.site_ids for source in _of_site(int(site)))])
 
 
 def _of_site(site: int) -> Iterator[Source]:

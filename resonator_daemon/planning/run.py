@@ -29,7 +29,7 @@ from resonator_daemon.sensors.plate_sites import force_sites
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 from resonator_daemon.view.code_plan import BITS_A_BYTE, CodePlan, Trials
 
-COMMON_STD: Final = 2e-7  # of what is left of the common mode, learnt from a pilot
+COMMON_STD: Final = 2e-7  # of what is left of the common mode, estimated from a pilot
 PLATES: Final = 50  # drawn; one where the codes are those of a plate
 TWO_TOUCH_SHARE: Final = 20  # of simulated touches, one in this many is two at a time
 COMMON_SHIFTS: Final = (1e-5, 2e-5, 4e-5)  # at which the nearest band is tried

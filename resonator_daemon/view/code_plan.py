@@ -225,21 +225,21 @@ class CodePlan:
         overlap = f"overlap on {trials.plates_overlapping} of {trials.plates} plates drawn"
         if trials.plates == 1:
             overlap = "overlap" if trials.plates_overlapping else "do not overlap"
-        said = [
+        sentences = [
             f"Codes {overlap}.",
             f"By the nearest band alone, with all tones off together, wrong: {nearest}.",
         ]
         if self.too_near:
             pairs = ", ".join(f"{one} and {other}" for one, other in self.too_near[:5])
             more = f" and {len(self.too_near) - 5} more pairs" if len(self.too_near) > 5 else ""
-            said.append(
+            sentences.append(
                 f"Coupling: the codes of sites {pairs}{more} are too near each other on the ladder; a wider band or "
                 "sites further apart would do."
             )
-        return said
+        return sentences
 
     def write_picture(self, path: Path) -> None:
-        """Write plate and ladder to an SVG, PNG or PDF file; an UserError says what it lacks."""
+        """Write plate and ladder to an SVG, PNG or PDF file; a UserError names what is missing."""
         try:
             from resonator_daemon.view.code_figure import write_code_figure
         except ModuleNotFoundError as error:

@@ -128,7 +128,7 @@ def _border(outline_m: tuple[Point, ...], rows: int, columns: int) -> NDArray[np
 
 
 def inside_outline(outline_m: tuple[Point, ...], x: NDArray[np.floating], y: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Tell which places, x and y broadcast, lie within a polygon."""
+    """Return whether each place, x and y broadcast, lies within a polygon."""
     inside = np.zeros(np.broadcast_shapes(x.shape, y.shape), np.bool_)
     for (xa, ya), (xb, yb) in zip(outline_m, (*outline_m[1:], outline_m[0]), strict=True):
         if ya != yb:  # even-odd rule: a ray to the right crosses the edge

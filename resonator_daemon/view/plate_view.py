@@ -1,4 +1,4 @@
-"""What one plate last published, as one subscriber received it, and what is true where somebody knows."""
+"""The last messages of one plate, as one subscriber received them, and the emulator's truth."""
 
 import math
 from collections import Counter, deque
@@ -27,7 +27,7 @@ class TrueContact:
 
 @dataclass(frozen=True)
 class Truth:
-    """What an emulator knows of its plate, to be shown beside what was measured."""
+    """Truth of an emulated plate, shown beside the measurement."""
 
     contacts: tuple[TrueContact, ...]
     traction_z_pascal: NDArray[np.float64] | None  # (ny, nx), y upwards, or at the sites (n,); positive where pressed
@@ -47,11 +47,11 @@ class _Run:
     arrivals: dict[str, deque[tuple[int, int]]] = field(default_factory=dict)  # within the last second: when, and seq
     missed: Counter[str] = field(default_factory=Counter)
 
-    def take(self, path: str, message: Header, arrived_utc_ns: int) -> None:
+    def add(self, path: str, message: Header, arrived_utc_ns: int) -> None:
         if path in self.last:
             self.missed[path] += max(0, message.seq - self.last[path][0].seq - 1)
         self.newest_t_ns = max(self.newest_t_ns, message.t_ns)
-        self.lost = max(self.lost, message.lost, key=_total)  # they only grow; a last will tells old ones
+        self.lost = max(self.lost, message.lost, key=_total)  # they only grow; a last will has old ones
         self.arrived_utc_ns = arrived_utc_ns
         self.last[path] = (message, arrived_utc_ns)
         self.first_arrived_utc_ns.setdefault(path, arrived_utc_ns)
@@ -79,16 +79,16 @@ class PlateView:
 
     @property
     def missed(self) -> Mapping[str, int]:
-        """Messages that did not arrive, by path: gaps in `seq` since the first; of a decimated copy nothing tells."""
+        """Messages that did not arrive, by path: gaps in `seq` since the first; unknown for decimated copies."""
         return Counter({path: count for path, count in self._run.missed.items() if path not in self._decimated})
 
     @property
     def lost(self) -> Lost | None:
-        """Losses that the daemon last told of; None before its first message."""
+        """Losses that the daemon last reported; None before its first message."""
         return self._run.lost if self._run.last else None
 
-    def take(self, path: str, message: Message, arrived_utc_ns: int) -> None:
-        """Take a message on the topic with this path below the plate."""
+    def add(self, path: str, message: Message, arrived_utc_ns: int) -> None:
+        """Add a message on the topic with this path below the plate."""
         if not isinstance(message, Header):
             raise ValueError(f"{path}: got {type(message).__name__}, must be a message with a header")
         run = self._runs.setdefault(message.daemon_boot_id, _Run())
@@ -97,7 +97,7 @@ class PlateView:
             self._runs = {message.daemon_boot_id: run}
         elif message.t_ns >= self._run.newest_t_ns:
             self._run = run
-        run.take(path, message, arrived_utc_ns)
+        run.add(path, message, arrived_utc_ns)
 
     def last(self, topic: Topic[MessageT]) -> MessageT | None:
         """Return the last message on a topic, however old; None before the first."""
@@ -105,7 +105,7 @@ class PlateView:
         return message if isinstance(message, topic.payload) else None
 
     def current(self, topic: Topic[MessageT], now_utc_ns: int) -> MessageT | None:
-        """Return the last message on a topic while it still speaks of the present: for a second or three periods."""
+        """Return the last message on a topic while it is recent: for a second or three periods."""
         info = self.last(INFO)
         period_s = _HEALTH_PERIOD_S if topic.path == HEALTH.path else info.step_s if info else 0.0
         _, arrived_utc_ns = self._run.last.get(topic.path, (None, 0))

@@ -113,7 +113,7 @@ class SensorPlan:
         }
 
     def sentence(self) -> str:
-        """Say in a sentence or two what is resolved, and what is not and why."""
+        """Return sentences on what is resolved, and what is not and why."""
         words: dict[Load, str] = {
             "normal": "normal load {}, whatever the shear",
             "shear": "shear {}, whatever the normal load",
@@ -134,16 +134,18 @@ class SensorPlan:
         return f"{'' if coarsest == math.inf else f'from {_mm(coarsest)} mm '}down to {_mm(finest)} mm"
 
     def _limits(self) -> list[str]:
-        sensors, said = self._sensors, []
+        sensors, sentences = self._sensors, []
         if sensors.loss != "none":
-            said.append(f"It cannot tell all three components of a load apart: {self._why()}.")
+            sentences.append(f"It cannot separate all three components of a load: {self._why()}.")
         if sensors.blind_directions_rad:
             directions = " and ".join(map(_degrees, sensors.blind_directions_rad))
-            said.append(f"It misses a part of loads that vary only along {directions}, where the rank drops.")
+            sentences.append(f"It misses a part of loads that vary only along {directions}, where the rank drops.")
         hidden = [load for load in _BOTH if not self._resolves(load)]
-        if hidden and not said:
-            said.append(f"Noise and pitch hide {' and '.join(hidden)} of every width: go shallower, closer or quieter.")
-        return said
+        if hidden and not sentences:
+            sentences.append(
+                f"Noise and pitch hide {' and '.join(hidden)} of every width: go shallower, closer or quieter."
+            )
+        return sentences
 
     def _why(self) -> str:
         if self._sensors.loss == "too_few":
@@ -151,7 +153,7 @@ class SensorPlan:
             return f"{few} rank {self._sensors.best_rank}"
         if self._sensors.loss == "incompressible":
             return (
-                "the skin is incompressible (Poisson's ratio 1/2), so that strains tell nothing of the mean stress at "
+                "the skin is incompressible (Poisson's ratio 1/2), so that strains do not depend on the mean stress at "
                 f"any frequency and give rank {self._sensors.best_rank}; add p_n"
             )
         if set(self._names) <= {"xx", "yy", "xy"}:
@@ -224,7 +226,7 @@ class SensorPlan:
         return np.concatenate([rows, rows.sum(axis=0)[None]])
 
     def write_picture(self, path: Path) -> None:
-        """Write the pictures to an SVG, PNG or PDF file; an UserError says what it lacks."""
+        """Write the pictures to an SVG, PNG or PDF file; a UserError names what is missing."""
         try:
             from resonator_daemon.view.density_figure import write_density_figure
         except ModuleNotFoundError as error:

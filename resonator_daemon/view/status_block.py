@@ -1,4 +1,4 @@
-"""How a daemon is, as a block of text: words, rates and ages."""
+"""State of a daemon as a block of text: conditions, rates and ages."""
 
 import json
 import math
@@ -126,8 +126,8 @@ def _lost(health: Health) -> Text:
 
 def _clock(health: Health) -> str:
     known = math.isfinite(health.clock_drift_ppm)
-    drift = f"board {health.clock_drift_ppm:+.1f} ppm" if known else "rate of the board not known yet"
-    return f"{drift}, {_count(health.clock_outliers)} outliers, learnt anew {_count(health.clock_restarts)} times"
+    drift = f"board {health.clock_drift_ppm:+.1f} ppm" if known else "rate of the board unknown"
+    return f"{drift}, {_count(health.clock_outliers)} outliers, restarted {_count(health.clock_restarts)} times"
 
 
 def _broker(status: Status) -> Text:
@@ -161,7 +161,7 @@ def _recording(status: Status) -> Text:
     if missing := recording.events_missing + recording.messages_missing:
         text.append(f"; {_count(missing)} pieces missing", "yellow")
     if recording.failure is not None:
-        text.append(f"; takes nothing more: {printable(recording.failure)}", "red")
+        text.append(f"; stopped: {printable(recording.failure)}", "red")
     return text
 
 
@@ -184,8 +184,8 @@ def _config(status: Status) -> Iterator[Text]:
 
 
 def _by_cause(counts: Mapping[str, int], nothing: str) -> Text:
-    said = ", ".join(f"{_count(count)} {printable(cause)}" for cause, count in counts.items() if count)
-    return Text(said, "yellow") if said else Text(nothing)
+    text = ", ".join(f"{_count(count)} {printable(cause)}" for cause, count in counts.items() if count)
+    return Text(text, "yellow") if text else Text(nothing)
 
 
 def _count(count: int) -> str:

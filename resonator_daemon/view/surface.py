@@ -48,7 +48,7 @@ class SurfacePanel:
         self._full_pascal = round_scale(max(highest + [_max_known(traction) for traction in self._maps.values()]))
 
     def maps(self, rows: int, columns_max: int) -> list[list[Line]]:
-        """Return the measured map and the true one, with a last line that says which it is."""
+        """Return the measured map and the true one, with a last line that names each."""
         columns_each = (columns_max - _GAP * (len(self._maps) - 1)) // max(len(self._maps), 1)
         blocks = []
         for name, traction in self._maps.items():

@@ -30,7 +30,7 @@ from resonator_daemon.view.words import duration, losses_in_words, quantity
 _GAP: Final = 2
 _TEXT_COLUMNS_MIN: Final = 30
 _BODY_ROWS_MIN: Final = 4
-_SILENT_S: Final = 3.0  # a daemon that runs tells of its health once a second
+_SILENT_S: Final = 3.0  # a running daemon publishes its health once a second
 
 
 def render(views: Sequence[PlateView], truths: Mapping[str, Truth], now_utc_ns: int, *, title: str) -> RenderableType:
@@ -68,7 +68,7 @@ class _Plate:
 
     def head(self) -> RenderableType:
         info = self.view.last(INFO)
-        words = [self.view.name, *([info.plate, info.link] if info else ["plate not known yet"])]
+        words = [self.view.name, *([info.plate, info.link] if info else ["plate unknown"])]
         words = list(dict.fromkeys(words))  # a plate may be named after its kind
         return Group(Rule(Text(" · ".join(words), style="bold"), align="left", style="dim"), self.states())
 
@@ -80,7 +80,7 @@ class _Plate:
             [
                 self._state("daemon", daemon, outdated=silent and not offline),
                 self._state("link", link, outdated=silent or offline),
-                self._state("sensor", sensor, outdated=silent or offline, said=link.reason if link else ""),
+                self._state("sensor", sensor, outdated=silent or offline, reported=link.reason if link else ""),
             ]
         )
 
@@ -115,7 +115,7 @@ class _Plate:
             return SurfacePanel(self.view, self.truth, self.now_utc_ns, colours=colours)
         return TouchesPanel(self.view, self.truth, self.now_utc_ns)
 
-    def _state(self, name: str, state: State | None, *, outdated: bool, said: str = "") -> Text:
+    def _state(self, name: str, state: State | None, *, outdated: bool, reported: str = "") -> Text:
         text = Text(f"{name} ")
         if state is None:
             return text.append("unknown", "reverse")
@@ -126,7 +126,7 @@ class _Plate:
         text.append(state.state, "reverse")
         if state.since_t_ns is not None:
             text.append(f" for {duration((self.now_utc_ns - state.since_t_ns) / 1e9)}")
-        return text if said and said in state.reason else text.append(f": {state.reason}")
+        return text if reported and reported in state.reason else text.append(f": {state.reason}")
 
     def _figures(self) -> list[str]:
         health = self.view.current(HEALTH, self.now_utc_ns)

@@ -61,7 +61,7 @@ def json_line(plate: str, path: str, message: Message) -> str:
 
 
 def broker_at(url: str, prefix: str) -> Mqtt:
-    """Return the broker that the options of the command line say.
+    """Return the broker of the command line's options.
 
     Raises
     ------
@@ -101,15 +101,15 @@ async def _show_page(broker: Mqtt, full_rate: bool, console: Console) -> None:
 
 
 def _print_lines(broker: Mqtt) -> Draw:
-    said = ""
+    printed = ""
 
     def draw(views: Sequence[PlateView]) -> None:
-        nonlocal said
+        nonlocal printed
         text = "\n".join(summary_line(view, time.time_ns()) for view in views) or _waiting(broker)
-        if views or text != said:
+        if views or text != printed:
             sys.stdout.write(text + "\n")
             sys.stdout.flush()
-        said = text
+        printed = text
 
     return draw
 
@@ -130,7 +130,7 @@ async def _redraw(broker: Mqtt, full_rate: bool, draw: Draw, period_s: float) ->
 async def _listen(broker: Mqtt, full_rate: bool, views: dict[str, PlateView]) -> None:
     async with aclosing(subscribe(broker, full_rate=full_rate)) as messages:
         async for plate, path, message in messages:
-            views.setdefault(plate, PlateView(plate, full_rate=full_rate)).take(path, message, time.time_ns())
+            views.setdefault(plate, PlateView(plate, full_rate=full_rate)).add(path, message, time.time_ns())
 
 
 def _waiting(broker: Mqtt) -> str:
@@ -139,7 +139,7 @@ def _waiting(broker: Mqtt) -> str:
 
 @contextmanager
 def _last_log_line(first: str) -> Iterator[Callable[[], str]]:
-    """Keep the log off the page that it would spoil; yields what tells its last line."""
+    """Keep the log off the page that it would spoil; yields a function that returns its last line."""
     lines = [first]
 
     class LastLine(logging.Handler):

@@ -1,4 +1,4 @@
-"""How quantities are written for people: units at hand, and "-" for what is not known."""
+"""Text of quantities: values with units, and "-" for unknown ones."""
 
 import math
 from collections.abc import Mapping

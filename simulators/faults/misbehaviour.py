@@ -1,4 +1,4 @@
-"""What a lying board does against its word, in the answers that it gives and in the gates that it counts."""
+"""Deviations from the protocol, in the answers that a board sends and in the gates that it counts."""
 
 from collections.abc import Collection
 from dataclasses import replace
@@ -21,7 +21,7 @@ _OTHER_PLATE = "another-plate"
 
 
 class Misbehaviour:
-    """Turns what an honest board would say or do into what this one does."""
+    """Replaces the answers and gates of a correct board by those of this one."""
 
     def __init__(self, lies: Collection[Lie] = ()) -> None:
         self._lies = frozenset(lies)
@@ -45,7 +45,7 @@ class Misbehaviour:
         return max(1, configured // 2) if "hidden_gate" in self._lies else configured
 
     def answers(self, answers: list[bytes]) -> list[bytes]:
-        """Return what goes out instead of the honest answers."""
+        """Return what is sent instead of the correct answers."""
         return [self._answer(answer) for answer in answers] if self._lies else answers
 
     def _answer(self, answer: bytes) -> bytes:

@@ -20,7 +20,7 @@ class Action(Enum):
     FREEZE = "freeze"
     THAW = "thaw"
     SILENCE = "silence"
-    SPEAK = "speak"
+    RESUME = "resume"
     REBOOT = "reboot"
     BROWN_OUT = "brown out"
     STEP_TICKS = "step ticks"
@@ -41,7 +41,7 @@ class Step(NamedTuple):
 _SPANS = {
     "unplug": (Action.UNPLUG, Action.PLUG_IN),
     "freeze": (Action.FREEZE, Action.THAW),
-    "silence": (Action.SILENCE, Action.SPEAK),
+    "silence": (Action.SILENCE, Action.RESUME),
 }
 _MOMENTS = {
     "reboot": Action.REBOOT,
@@ -63,7 +63,7 @@ class Script:
         self._random_steps = self._random_unplug(0.0)
         self.next_s = self._due_s()  # when the next step is due; None where nothing comes any more
 
-    def take(self) -> Step:
+    def pop(self) -> Step:
         """Remove and return the next step; there must be one."""
         step = self._next
         if step is None:

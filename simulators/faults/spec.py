@@ -41,7 +41,7 @@ def parse_faults(spec: str) -> FaultPlan:
             what, field = _EVENT_KEYS[key]
             events.setdefault(what, {"what": what})[field] = value
     if "unplug_for_s" in given and "at_s" not in events["unplug"]:
-        del events["unplug"]  # it speaks of random ones alone
+        del events["unplug"]  # it sets the length of random ones
     listed = list(events.values())
     try:
         plan = FaultPlan.model_validate(given | ({"events": listed} if listed else {}))

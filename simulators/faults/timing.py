@@ -22,7 +22,7 @@ class Lot(NamedTuple):
 
 
 class Line:
-    """Holds lots until they are due; times are those of the host's clock, in ns.
+    """Queue of lots that are due later; times are those of the host's clock, in ns.
 
     A frame or an answer that comes late is passed by others. Everything else keeps its order.
     """
@@ -42,7 +42,7 @@ class Line:
         self._number = 0
 
     def put(self, lot: Lot, now_ns: int, frame_sequence: int | None = None) -> None:
-        """Take a lot; `frame_sequence` of one single-tone frame, for the account."""
+        """Add a lot; `frame_sequence` of one single-tone frame is listed where it is delayed."""
         if self.straight:
             self._due.append(lot)
             return
@@ -59,7 +59,7 @@ class Line:
     def has_due(self, now_ns: int) -> bool:
         return bool(self._due) or bool(self._held and self._held[0][0] <= now_ns)
 
-    def take(self, now_ns: int) -> Lot | None:
+    def pop(self, now_ns: int) -> Lot | None:
         """Remove and return what goes out next, None where nothing is due."""
         if self._due:
             return self._due.popleft()
@@ -88,7 +88,7 @@ class Line:
 
 
 class Splitter:
-    """Says how many bytes the next write may have: pieces of random length, and no more than a slow reader takes."""
+    """Limit on the bytes of the next write: pieces of random length, and no more than a slow reader accepts."""
 
     def __init__(self, plan: FaultPlan, seed: int) -> None:
         self._random = np.random.default_rng((seed, 3))

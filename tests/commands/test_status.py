@@ -206,7 +206,7 @@ async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[st
         "; 2 boots of the board; ",
         " ago 1.5 s without frames, 1 500 lost: unplugged",
         "mqtt://robot:1883, not connected",
-        "takes nothing more: no room",
+        "stopped: no room",
         "the last good one, read ",
         "/etc/hand.toml has problems:",
         "hand.toml:4: nmae: unknown key",

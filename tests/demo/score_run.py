@@ -95,11 +95,11 @@ class Run:
             self.truth(touch(newton, **touched))
 
     def take(self, topic: Topic[Any], message: Message, arrived_ns: int = FAR_NS) -> None:
-        self.score.take(topic.path, encode(message), arrived_ns)
+        self.score.add(topic.path, encode(message), arrived_ns)
 
     def health(self, frames: int, **lost: int) -> None:
         counted = {"frames": frames, "lost": Lost(**lost).model_dump(), "parts_lost": 0, "frames_not_decoded": 0}
-        self.score.take("health", json.dumps(counted).encode(), FAR_NS)  # of the rest nothing is read
+        self.score.add("health", json.dumps(counted).encode(), FAR_NS)  # of the rest nothing is read
 
     def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
         """Take an event of that time, which arrives at once unless another time is given."""

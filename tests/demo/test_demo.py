@@ -69,7 +69,7 @@ def test_both_plates_against_the_truth() -> None:
         for plate in (quartz, skin)
     )
     assert run.returncode == (0 if complete else 1)
-    assert ("processor cores" in run.stderr) == bool(re.search(r"\b(late|missing)\b", run.stderr))
+    assert ("processor cores" in run.stderr) == bool(re.search(r"\b(late|not received)\b", run.stderr))
 
 
 def test_without_mosquitto_amqtt_is_the_broker() -> None:

@@ -41,10 +41,10 @@ def test_a_run_without_loss_is_no_failure() -> None:
 @pytest.mark.parametrize(
     ("changes", "clause"),
     [
-        ({"contacts_found": 7}, "2 of 9 touches missed: no onset at the right site with a time within 50 ms"),
-        ({"contacts_found": 7, "sites_right": None}, "2 of 9 touches missed: no onset with a time within 50 ms"),
-        ({"lost": LOST | {"link_gap": 3}}, "3 lost: link_gap"),
-        ({"frames": 0}, "no frame arrived"),
+        ({"contacts_found": 7}, "2 of 9 touches missed: no onset event at the right site within 50 ms of the touch"),
+        ({"contacts_found": 7, "sites_right": None}, "2 of 9 touches missed: no onset event within 50 ms of the touch"),
+        ({"lost": LOST | {"link_gap": 3}}, "3 frames lost (link_gap)"),
+        ({"frames": 0}, "no frame was received"),
         ({"decoded_frames": 0}, "no frame was decoded"),
     ],
 )
@@ -62,9 +62,9 @@ def test_what_came_late_is_none() -> None:
     )
     assert failures(late) == []
     assert delays(late) == [
-        "2 of 9 touches late: the onset arrived more than 50 ms after the touch, 130 ms at most",
-        "5 messages missing between others: skipped under load, not decoded, or lost on the way",
-        "messages late: 80 ms (99 %)",
+        "2 of 9 touches reported late: the onset event was received more than 50 ms after the touch (at most 130 ms)",
+        "5 messages not received (gaps in seq): skipped under load, not decoded, or lost on the way",
+        "messages late: latency 80 ms (99th percentile)",
     ]
 
 

@@ -11,7 +11,7 @@ def all_steps(plan: FaultPlan) -> list[Step]:
     script = Script(plan, 1)
     steps = []
     while script.next_s is not None:
-        steps.append(script.take())
+        steps.append(script.pop())
         assert script.next_s is None or script.next_s >= steps[-1].at_s
     return steps
 
@@ -30,7 +30,7 @@ def test_every_event_has_its_steps_in_the_order_of_time() -> None:
         Step(1.0, Action.UNPLUG),
         Step(2.0, Action.FREEZE),
         Step(2.2, Action.SILENCE),
-        Step(pytest.approx(2.3), Action.SPEAK),
+        Step(pytest.approx(2.3), Action.RESUME),
         Step(2.5, Action.THAW),
         Step(4.0, Action.PLUG_IN),
         Step(4.0, Action.REBOOT),
@@ -52,13 +52,13 @@ def test_a_script_of_nothing_has_no_step() -> None:
     script = Script(FaultPlan(), 1)
     assert script.next_s is None
     with pytest.raises(LookupError):
-        script.take()
+        script.pop()
 
 
 def test_random_unplugs_follow_each_other_and_mix_with_the_script() -> None:
     plan = FaultPlan(unplug_rate_hz=2.0, unplug_for_s=0.1, events=(FaultEvent(at_s=50.0, what="reboot"),))
     script = Script(plan, 3)
-    steps = [script.take() for _ in range(2001)]
+    steps = [script.pop() for _ in range(2001)]
     assert [step.at_s for step in steps] == sorted(step.at_s for step in steps)
     (reboot,) = [step for step in steps if step.action is Action.REBOOT]
     assert reboot.at_s == 50.0
@@ -70,4 +70,4 @@ def test_random_unplugs_follow_each_other_and_mix_with_the_script() -> None:
     assert gaps.mean() == pytest.approx(0.5, rel=0.1)
     assert gaps.std() == pytest.approx(0.5, rel=0.15)
     again = Script(plan, 3)
-    assert [again.take() for _ in range(100)] == steps[:100]
+    assert [again.pop() for _ in range(100)] == steps[:100]

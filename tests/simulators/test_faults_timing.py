@@ -15,7 +15,7 @@ def line(seed: int = 1, **faults: float) -> Line:
 
 
 def lots_due(held: Line, now_ns: int) -> list[bytes]:
-    return [lot.data for lot in iter(lambda: held.take(now_ns), None)]
+    return [lot.data for lot in iter(lambda: held.pop(now_ns), None)]
 
 
 def test_without_faults_everything_is_due_at_once_in_its_order() -> None:
@@ -63,7 +63,7 @@ def test_a_clump_keeps_its_accounts() -> None:
         harm = FaultCounts(bits_flipped=number) if number else None
         clumped.put(Lot(b"ab", frames=number % 2, harm=harm), MS)
     assert clumped.frames == 2
-    lot = clumped.take(16 * MS)
+    lot = clumped.pop(16 * MS)
     assert lot is not None
     assert lot.frames == 2
     assert lot.harm is not None
@@ -81,7 +81,7 @@ def test_a_late_one_is_passed_by_others_and_counted(kind: str) -> None:
                 number = 2 * now_ms + is_frame
                 harm = FaultCounts(packets_hit=1)
                 late.put(Lot(str(number).encode(), is_frame, harm), now_ms * MS, now_ms if is_frame else None)
-        while (lot := late.take(now_ms * MS)) is not None:
+        while (lot := late.pop(now_ms * MS)) is not None:
             arrived.append((now_ms, int(lot.data)))
             counts.add(lot.harm or FaultCounts())
     numbers = [number for _, number in arrived]

@@ -26,28 +26,28 @@ def test_nothing_is_known_before_the_first_message(view: PlateView) -> None:
 def test_last_message_of_each_topic_is_kept(view: PlateView) -> None:
     first, second, at_link = forces(site_force(7, 1.0)), forces(site_force(7, 2.0)), state("online")
     for path, message in (("forces", first), ("forces", second), ("state/link", at_link)):
-        view.take(path, message, NOW_NS)
+        view.add(path, message, NOW_NS)
     assert view.last(FORCES) is second
     assert view.last(STATE_LINK) is at_link
     assert view.last(STATE_DAEMON) is None
 
 
 def test_a_measurement_is_current_for_a_second(view: PlateView) -> None:
-    view.take("forces", forces(), NOW_NS)
+    view.add("forces", forces(), NOW_NS)
     assert view.current(FORCES, NOW_NS + 9 * S // 10) is not None
     assert view.current(FORCES, NOW_NS + 11 * S // 10) is None
     assert view.last(FORCES) is not None
 
 
 def test_a_measurement_of_a_slow_plate_is_current_for_three_steps(view: PlateView) -> None:
-    view.take("info", info({}).model_copy(update={"step_s": 0.8}), NOW_NS)
-    view.take("forces", forces(), NOW_NS)
+    view.add("info", info({}).model_copy(update={"step_s": 0.8}), NOW_NS)
+    view.add("forces", forces(), NOW_NS)
     assert view.current(FORCES, NOW_NS + 23 * S // 10) is not None
     assert view.current(FORCES, NOW_NS + 25 * S // 10) is None
 
 
 def test_health_which_comes_once_a_second_is_current_for_three(view: PlateView) -> None:
-    view.take("health", health(), NOW_NS)
+    view.add("health", health(), NOW_NS)
     assert view.current(HEALTH, NOW_NS + 29 * S // 10) is not None
     assert view.current(HEALTH, NOW_NS + 31 * S // 10) is None
 
@@ -55,7 +55,7 @@ def test_health_which_comes_once_a_second_is_current_for_three(view: PlateView) 
 def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -> None:
     for number in range(250):  # 200/s for 0.5 s, then 100/s for 1.5 s
         at_ns = NOW_NS + (number * S // 200 if number < 100 else S // 2 + (number - 100) * S // 100)
-        view.take("forces", forces(seq=number), at_ns)
+        view.add("forces", forces(seq=number), at_ns)
         if number == 99:
             assert math.isnan(view.rate_hz(FORCES, at_ns))
     assert view.rate_hz(FORCES, NOW_NS + 2 * S) == pytest.approx(100, abs=1)
@@ -67,15 +67,15 @@ def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -
 def test_rate_forgets_what_arrived_before_the_clock_was_set_back(view: PlateView) -> None:
     for hours in (0, -1):
         for number in range(1, 101):
-            view.take("forces", forces(), NOW_NS + hours * 3600 * S + number * S // 50)
+            view.add("forces", forces(), NOW_NS + hours * 3600 * S + number * S // 50)
     assert view.rate_hz(FORCES, NOW_NS + 3 * S) == 0.0
     assert len(view._run.arrivals["forces"]) == 50
 
 
 def test_gaps_are_counted_by_topic(view: PlateView) -> None:
     for seq in (5, 6, 9, 9, 10, 14):
-        view.take("forces", forces(seq=seq), NOW_NS)
-    view.take("health", health(), NOW_NS)
+        view.add("forces", forces(seq=seq), NOW_NS)
+    view.add("health", health(), NOW_NS)
     assert view.missed["forces"] == 2 + 3
     assert view.missed["health"] == 0
 
@@ -83,9 +83,9 @@ def test_gaps_are_counted_by_topic(view: PlateView) -> None:
 def test_of_decimated_copies_the_rate_is_that_of_the_stream_and_nothing_is_missed() -> None:
     view = PlateView("left", full_rate=False)
     for number in range(40):  # every tenth of 200/s
-        view.take("forces", forces(seq=10 * number), NOW_NS + number * S // 20)
-    view.take("health", health(), NOW_NS)
-    view.take("health", health().model_copy(update={"seq": 4}), NOW_NS)
+        view.add("forces", forces(seq=10 * number), NOW_NS + number * S // 20)
+    view.add("health", health(), NOW_NS)
+    view.add("health", health().model_copy(update={"seq": 4}), NOW_NS)
     assert view.rate_hz(FORCES, NOW_NS + 2 * S) == pytest.approx(200)
     assert view.rate_hz(FORCES, NOW_NS + 295 * S // 100) == 0.0
     assert view.missed == {"health": 2}
@@ -93,21 +93,21 @@ def test_of_decimated_copies_the_rate_is_that_of_the_stream_and_nothing_is_misse
 
 def test_a_retained_message_that_comes_again_is_no_gap(view: PlateView) -> None:
     for seq in (3, 0, 3):
-        view.take("state/link", state("online", seq=seq), NOW_NS)
+        view.add("state/link", state("online", seq=seq), NOW_NS)
     assert view.missed["state/link"] == 2
 
 
 def test_losses_never_go_back_to_those_of_a_last_will(view: PlateView) -> None:
-    view.take("forces", forces(lost=Lost(link_gap=4)), NOW_NS)
-    view.take("state/daemon", state("offline", lost=Lost(link_gap=1)), NOW_NS)
+    view.add("forces", forces(lost=Lost(link_gap=4)), NOW_NS)
+    view.add("state/daemon", state("offline", lost=Lost(link_gap=1)), NOW_NS)
     assert view.lost == Lost(link_gap=4)
 
 
 def test_a_new_run_starts_with_nothing(view: PlateView) -> None:
-    view.take("info", info({7: (0.0, 0.0)}), NOW_NS)
-    view.take("forces", forces(seq=1, lost=Lost(damaged=3)), NOW_NS)
-    view.take("forces", forces(seq=5), NOW_NS)
-    view.take("forces", forces(seq=90, daemon_boot_id="new", t_ns=NOW_NS - 3600 * S), NOW_NS)
+    view.add("info", info({7: (0.0, 0.0)}), NOW_NS)
+    view.add("forces", forces(seq=1, lost=Lost(damaged=3)), NOW_NS)
+    view.add("forces", forces(seq=5), NOW_NS)
+    view.add("forces", forces(seq=90, daemon_boot_id="new", t_ns=NOW_NS - 3600 * S), NOW_NS)
     assert view.last(INFO) is None
     assert view.lost == Lost()
     assert view.missed["forces"] == 0
@@ -116,9 +116,9 @@ def test_a_new_run_starts_with_nothing(view: PlateView) -> None:
 
 def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: PlateView) -> None:
     now = {"daemon_boot_id": "new", "t_ns": NOW_NS + S}
-    view.take("state/daemon", state("online", **now), NOW_NS)
-    view.take("info", info({7: (0.0, 0.0)}), NOW_NS)
-    view.take("state/link", state("waiting", **now), NOW_NS)
+    view.add("state/daemon", state("online", **now), NOW_NS)
+    view.add("info", info({7: (0.0, 0.0)}), NOW_NS)
+    view.add("state/link", state("waiting", **now), NOW_NS)
     assert view.last(INFO) is None
     at_link = view.last(STATE_LINK)
     assert at_link is not None
@@ -127,20 +127,20 @@ def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: P
 
 
 def test_retained_messages_of_an_earlier_run_give_way_to_newer_ones(view: PlateView) -> None:
-    view.take("info", info({7: (0.0, 0.0)}), NOW_NS)
-    view.take("state/daemon", state("online", daemon_boot_id="new", t_ns=NOW_NS + S), NOW_NS)
+    view.add("info", info({7: (0.0, 0.0)}), NOW_NS)
+    view.add("state/daemon", state("online", daemon_boot_id="new", t_ns=NOW_NS + S), NOW_NS)
     assert view.last(INFO) is None
     assert view.last(STATE_DAEMON) is not None
 
 
 def test_retained_messages_of_a_run_whose_clock_is_behind_are_found_once_it_measures(view: PlateView) -> None:
     behind = {"daemon_boot_id": "new", "t_ns": NOW_NS - 3600 * S}
-    view.take("state/link", state("lost"), NOW_NS)
-    view.take("state/link", state("online", **behind), NOW_NS)
+    view.add("state/link", state("lost"), NOW_NS)
+    view.add("state/link", state("online", **behind), NOW_NS)
     at_link = view.last(STATE_LINK)
     assert at_link is not None
     assert at_link.state == "lost"
-    view.take("forces", forces(**behind), NOW_NS)
+    view.add("forces", forces(**behind), NOW_NS)
     at_link = view.last(STATE_LINK)
     assert at_link is not None
     assert at_link.state == "online"
@@ -148,4 +148,4 @@ def test_retained_messages_of_a_run_whose_clock_is_behind_are_found_once_it_meas
 
 def test_a_part_of_a_message_is_refused(view: PlateView) -> None:
     with pytest.raises(ValueError, match="forces: got SiteInfo"):
-        view.take("forces", SiteInfo(site=1, position_m=(0.0, 0.0)), NOW_NS)
+        view.add("forces", SiteInfo(site=1, position_m=(0.0, 0.0)), NOW_NS)

@@ -33,7 +33,7 @@ def quartz16(*messages: tuple[str, Message]) -> PlateView:
     view = PlateView("thumb")
     online = [(f"state/{name}", state("online")) for name in ("daemon", "link", "sensor")]
     for path, message in [*online, ("info", info(SITES)), ("health", health()), *messages]:
-        view.take(path, message, NOW_NS)
+        view.add(path, message, NOW_NS)
     return view
 
 
@@ -167,7 +167,7 @@ def test_states_behind_an_offline_daemon_are_unknown() -> None:
 def test_rates_and_costs() -> None:
     view = quartz16()
     for number in range(201):
-        view.take("forces", forces(seq=number), NOW_NS + number * S // 200)
+        view.add("forces", forces(seq=number), NOW_NS + number * S // 200)
     text = words(page(view, at_ns=NOW_NS + S))
     for figure in ("frames 1000.0/s", "forces 200/s", "processor 21 %", "memory 92 MB", "clock drift +1.50 ppm"):
         assert figure in text
@@ -324,9 +324,9 @@ def test_colours_can_be_switched_off() -> None:
 
 def test_brackets_in_names_are_no_markup() -> None:
     view = PlateView("[red]left")
-    view.take("state/daemon", state("starting", "[bold] reason"), NOW_NS)
+    view.add("state/daemon", state("starting", "[bold] reason"), NOW_NS)
     text = page(view)
-    assert "[red]left · plate not known yet" in text
+    assert "[red]left · plate unknown" in text
     assert ": [bold] reason" in text
 
 
