@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Decoded:
     traction_pascal: Floats  # (..., 3, ny, nx) or (..., 3, m)
     traction_std_pascal: Floats  # of the same shape
     displacement_m: Floats | None  # of the same shape, where asked for
-    border_contact: bool | NDArray[np.bool_]  # (...): the load reaches the border, expect errors there
+    border_contact: bool | Bools  # (...): the load reaches the border, expect errors there
     log_evidence: float | Floats  # (...): log density of the signals under the decoder's model
     chi2: float | Floats  # (...): about 1 where signals scatter as the model and the declared noise say
     status: str | NDArray[np.str_]  # (...)

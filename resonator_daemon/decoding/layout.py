@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats, Indices
 
 _TOLERANCE = 1e-6  # of the pitch or spacing
 _CELL_STEPS = 4  # of half a spacing: how finely cells are measured
@@ -37,8 +36,8 @@ def gap_m(positions_m: Floats) -> float:
     return float(np.median(np.linalg.norm(positions_m[sides[:, 0]] - positions_m[sides[:, 1]], axis=1)))
 
 
-def neighbours(positions_m: Floats, farthest_m: float) -> NDArray[np.intp]:
-    """Pairs of sites that share a side of Delaunay's triangles, no longer than a distance, (k, 2)."""
+def neighbours(positions_m: Floats, farthest_m: float) -> Indices:
+    """Return the pairs of sites that share a side of Delaunay's triangles, no longer than a distance, (k, 2)."""
     try:
         triangles = Delaunay(positions_m).simplices
     except QhullError:  # all on a line, or fewer than three
@@ -71,8 +70,8 @@ def as_grid(positions_m: Floats) -> Grid | None:
     return grid if smallest > 0.0 and off.max() <= _TOLERANCE * count * smallest else None
 
 
-def at_border(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
-    """Which places lie outside the sites or among the outermost of them: (m,)."""
+def at_border(sites_m: Floats, places_m: Floats) -> Bools:
+    """Return which places lie outside the sites or among the outermost of them: (m,)."""
     try:
         hull = ConvexHull(sites_m)
     except QhullError:  # all on a line, or fewer than three
@@ -82,7 +81,7 @@ def at_border(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
 
 
 def cell_areas_m2(positions_m: Floats) -> Floats:
-    """Area that each site stands for: what is nearest to it, within the sites' hull or half a spacing of it, (n,)."""
+    """Return the area nearest to each site, within the sites' hull or half a spacing of it, (n,)."""
     half_m = 0.5 * spacing_m(positions_m)
     step_m = half_m / _CELL_STEPS
     low, high = positions_m.min(axis=0) - half_m, positions_m.max(axis=0) + half_m
@@ -97,7 +96,7 @@ def cell_areas_m2(positions_m: Floats) -> Floats:
     return np.asarray(np.maximum(counts, 1) * steps.prod(), np.float64)  # a cell may lie between the raster's points
 
 
-def _outside(sites_m: Floats, places_m: Floats) -> NDArray[np.bool_]:
+def _outside(sites_m: Floats, places_m: Floats) -> Bools:
     try:
         hull = ConvexHull(sites_m)
     except QhullError:  # all on a line, or fewer than three

@@ -19,7 +19,7 @@ def check_gain(gain_std: float) -> None:
 
 
 def positions(name: str, positions_m: ArrayLike) -> Floats:
-    """Places (n, 2), at least one."""
+    """Return the places (n, 2), at least one."""
     places = np.asarray(positions_m, np.float64)
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise ValueError(f"{name} has shape {places.shape}, must be (n, 2), n at least 1")

@@ -20,7 +20,7 @@ class _Track:
 
 
 class PatchTracker:
-    """Gives each patch an id that it keeps while it moves by less than its radius, or 1 mm, from frame to frame.
+    """Tracker of patches, whose ids they keep while they move by less than their radius, or 1 mm, a frame.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ class PatchTracker:
         return frozenset(self._tracks)
 
     def clear(self) -> None:
-        """Follow none of the patches before any longer."""
+        """Discard all tracks."""
         self._tracks = {}
 
     def update(self, patches: Sequence[Patch]) -> dict[int, Patch]:
-        """Patches of a frame by id, ids counting up from 1; matched so that their moves are least in total."""
+        """Return the patches of a frame by id, from 1; they are matched so that their moves are least in total."""
         ids = list(self._tracks)
         centroids_m = [patch.centroid_m.tolist() for patch in patches]
         moves_m = [[math.dist(self._tracks[i].centroid_m, centroid_m) for centroid_m in centroids_m] for i in ids]

@@ -5,17 +5,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats, Indices, Labels
 from resonator_daemon.decoding.layout import as_grid, at_border, neighbours, spacing_m
-
-Places = NDArray[np.intp]
-Labels = NDArray[np.int32]
 
 _THRESHOLD = 0.15  # of the map's peak pressure: what belongs to a patch
 _PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...
@@ -58,7 +55,7 @@ class Patch:
     moment_newton_m: Floats  # (3,)
     moment_std_newton_m: Floats
     at_border: bool  # it reaches the border of the places, so that part of its load may lie beyond
-    places: Places  # above the threshold
+    places: Indices  # above the threshold
 
     @property
     def radius_m(self) -> float:
@@ -67,12 +64,12 @@ class Patch:
 
 
 class PatchFinder:
-    """Finds the patches of maps over the same places.
+    """Finder of the patches on maps over the same places.
 
     Parameters
     ----------
     positions_m
-        Places of the map, (m, 2).
+        Indices of the map, (m, 2).
     cell_area_m2
         Area that each stands for: of all, or (m,).
     depth_m
@@ -124,8 +121,8 @@ class PatchFinder:
         patches = [self.patch(region, load) for region, load in zip(regions, loads, strict=True)]
         return sorted(patches, key=lambda patch: -float(patch.force_newton[2]))
 
-    def regions(self, pressure_pascal: Floats, std_pascal: Floats) -> list[Places]:
-        """Places of each patch, from a map of pressure and its standard deviation, (m,) each. NaN has none."""
+    def regions(self, pressure_pascal: Floats, std_pascal: Floats) -> list[Indices]:
+        """Return the places of each patch on a map of pressure and its standard deviation, (m,) each; NaN has none."""
         peak = float(pressure_pascal.max())
         if not peak > 0.0:
             return []
@@ -139,7 +136,7 @@ class PatchFinder:
         regions = [places[labels == label] for label in sorted(set(labels[high].tolist()))]
         return [region for region in regions if region.size >= _LEAST_PLACES]
 
-    def sums(self, regions: Sequence[Places], traction_pascal: Floats, std_pascal: Floats) -> list[NetLoad]:
+    def sums(self, regions: Sequence[Indices], traction_pascal: Floats, std_pascal: Floats) -> list[NetLoad]:
         """Sum a map and its standard deviation, (3, m) each, over each region and 1 depth around it.
 
         A place near several regions counts for the nearest one.
@@ -154,7 +151,7 @@ class PatchFinder:
             self._sum(np.flatnonzero(owners == index), traction_pascal, std_pascal) for index in range(len(regions))
         ]
 
-    def patch(self, region: Places, load: NetLoad) -> Patch:
+    def patch(self, region: Indices, load: NetLoad) -> Patch:
         """Patch of a region that bears a load."""
         return Patch(
             area_m2=float(self._area_m2.take(region).sum()),
@@ -163,7 +160,7 @@ class PatchFinder:
             **vars(load),
         )
 
-    def _labels(self, above: NDArray[np.bool_]) -> Labels:
+    def _labels(self, above: Bools) -> Labels:
         """Return the number of the patch of each place above the threshold, (m,)."""
         if self._shape is not None:
             return np.asarray(ndimage.label(above.reshape(self._shape), _EIGHT)[0].ravel(), np.int32)
@@ -171,7 +168,7 @@ class PatchFinder:
         graph = coo_array((np.ones(len(touching)), touching.T), shape=(above.size, above.size))
         return np.asarray(connected_components(graph, directed=False)[1], np.int32)
 
-    def _sum(self, around: Places, traction: Floats, std: Floats) -> NetLoad:
+    def _sum(self, around: Indices, traction: Floats, std: Floats) -> NetLoad:
         x, y = self._places_m[around].T
         share = traction[:, around] * self._area_m2[around]
         share_std = std[:, around] * self._area_m2[around]
@@ -192,8 +189,8 @@ class PatchFinder:
         )
 
 
-def _are_eight_neighbours(pairs: NDArray[np.intp], shape: tuple[int, int]) -> bool:
-    """Whether pairs of places, in any order and number, are those of a grid's sides and diagonals."""
+def _are_eight_neighbours(pairs: Indices, shape: tuple[int, int]) -> bool:
+    """Return whether pairs of places, in any order and number, are those of a grid's sides and diagonals."""
     place = np.arange(shape[0] * shape[1]).reshape(shape)
     expected = [
         np.column_stack([first.ravel(), second.ravel()])

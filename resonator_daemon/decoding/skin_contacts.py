@@ -51,7 +51,7 @@ class _Track:
 
 
 class SkinContacts:
-    """Follows the contacts of one skin.
+    """Tracker of the contacts of one skin.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ class SkinContacts:
     def update(
         self, signals: Floats, patches: Sequence[Patch]
     ) -> tuple[tuple[SkinContact, ...], tuple[SkinEvent, ...]]:
-        """Contacts and events of a frame (3, n) and the patches that were found in it."""
+        """Return the contacts and events of a frame (3, n) and the patches that were found in it."""
         found = self.tracker.update(patches)
         for missing in self._tracks.keys() - found.keys():
             self._tracks[missing].frames = 0
@@ -108,7 +108,7 @@ class SkinContacts:
         return tuple(contacts.values()), tuple(events)
 
     def alone(self, signals: Floats, patches: Sequence[Patch]) -> tuple[SkinContact, ...]:
-        """Contacts of a frame (3, n) that stands for itself, numbered from 1; those that are followed stay as they are.
+        """Return the contacts of a single frame (3, n), numbered from 1; those that are tracked are not changed.
 
         What slip has taught of friction is left out, too: frames may be those of many skins.
         """
@@ -120,7 +120,7 @@ class SkinContacts:
         )
 
     def _is_real(self, contact: int, patch: Patch) -> bool:
-        """Whether a patch is a contact: significant in some frames in a row, and from then on while it is tracked."""
+        """Return whether a patch is a contact: significant in some frames in a row, then while it is tracked."""
         if contact not in self._tracks:
             self._tracks[contact] = _Track(SkinContact(contact, patch, None, np.nan, 0.0))
         track = self._tracks[contact]

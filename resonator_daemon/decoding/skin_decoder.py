@@ -4,9 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
@@ -29,7 +28,7 @@ class SurfaceReading:
 
 
 class SkinDecoder:
-    """Decodes the frames of one skin in the order of time.
+    """Sequential decoder of the frames of one skin.
 
     Parameters
     ----------
@@ -39,7 +38,7 @@ class SkinDecoder:
     noise_std
         Standard deviation of the noise of the dimensionless signals, (3, n), as `rounded_noise` makes it.
     progress
-        Told what is being set up.
+        Called with each step of the set-up.
 
     Attributes
     ----------
@@ -63,7 +62,7 @@ class SkinDecoder:
         self.shape = self._estimator.shape
 
     def fits(self, noise_std: Floats) -> bool:
-        """Whether the decoder still serves signals of such noise, (3, n); a channel that is not heard cannot tell."""
+        """Return whether the decoder still serves signals of such noise, (3, n); silent channels are ignored."""
         ratios, known = noise_std / self._noise_std, _known(noise_std)
         # A median is below a bound where at least half of the values are: no median has to be computed.
         half = 0.5 * np.count_nonzero(known, axis=1)
@@ -72,7 +71,7 @@ class SkinDecoder:
         return bool(((below >= half) & (above >= half)).all())
 
     def reset(self) -> tuple[SkinEvent, ...]:
-        """Forget the frames before; returns how their contacts end."""
+        """Discard the frames before; return the ends of their contacts."""
         if self._estimator.physics is not None:
             self._estimator.physics.reset()
         return self.contacts.reset()
@@ -82,7 +81,7 @@ class SkinDecoder:
         self.contacts.tracker.last_id = last_contact_id
 
     def succeed(self, other: "SkinDecoder") -> tuple[SkinEvent, ...]:
-        """Take the place of another: returns how its contacts end, and numbers those to come on from there."""
+        """Replace another decoder: return the ends of its contacts, and continue its numbers."""
         self.number_from(other.contacts.tracker.last_id)
         return other.reset()
 
@@ -95,7 +94,7 @@ class SkinDecoder:
 
         What is far noisier than usual, or of unknown noise, counts as lost.
         """
-        self._frame = self._heard(signals, noise_std)
+        self._frame = self._sound(signals, noise_std)
         return self._estimator.read(self._frame)
 
     def read_contacts(self, decoded: Decoded) -> SurfaceReading:
@@ -111,13 +110,13 @@ class SkinDecoder:
 
         With `DecodingOptions.background`, contact physics would have no matrices for it.
         """
-        frame = self._heard(signals, noise_std)
+        frame = self._sound(signals, noise_std)
         if self._estimator.physics is not None:
             self._estimator.physics.reset(rows_kept=True)
         decoded = self._estimator.read(frame)
         return SurfaceReading(self.name, decoded, self.contacts.alone(frame, self._estimator.patches(decoded)))
 
-    def _heard(self, signals: Floats, noise_std: Floats) -> Floats:
+    def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
 
     @property
@@ -132,7 +131,7 @@ class SkinDecoder:
 
 
 def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:
-    """Noise to build a decoder for, out of that of a frame, (3, n); None while a channel is not heard.
+    """Noise to build a decoder for, out of that of a frame, (3, n); None while a channel has no signal.
 
     On a grid it is the channel's median, because equal noise lets the grid's symmetry work; elsewhere each signal's
     own, the median where that is not known.
@@ -146,5 +145,5 @@ def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:
     return np.asarray(np.exp2(np.round(np.log2(chosen) / _NOISE_STEP) * _NOISE_STEP), np.float64)
 
 
-def _known(noise_std: Floats) -> NDArray[np.bool_]:
+def _known(noise_std: Floats) -> Bools:
     return np.isfinite(noise_std) & (noise_std > 0.0)

@@ -1,10 +1,12 @@
 """What callers hand in, as arrays of numbers."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from resonator_daemon.arrays import Floats
 
 
-def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def real_array(name: str, values: ArrayLike) -> Floats:
     """Return a new array of doubles; a ValueError names what is complex or no number, and shapes that are ragged."""
     try:
         array = np.array(values)
@@ -15,7 +17,7 @@ def real_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
     return array.astype(np.float64)
 
 
-def finite_array(name: str, values: ArrayLike) -> NDArray[np.float64]:
+def finite_array(name: str, values: ArrayLike) -> Floats:
     """`real_array` whose values are all finite, or a ValueError that counts those that are not."""
     array = real_array(name, values)
     if not np.isfinite(array).all():

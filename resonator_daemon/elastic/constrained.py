@@ -66,7 +66,7 @@ class Bounds(Protocol):
         """Project (components, ny, nx) onto the set."""
 
     def face(self, tractions: Floats, push: Floats | None) -> Face:
-        """Directions open to allowed `tractions` under `push`; those of tractions off their bounds where it is None."""
+        """Return the directions open to allowed `tractions` under `push`; None: those of tractions off bounds."""
 
     def yielding(self, tractions: Floats) -> Floats:
         """Differentiate the sum of `nearest` by a common offset: (components, components), positive definite."""

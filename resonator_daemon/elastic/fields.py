@@ -121,7 +121,7 @@ class SurfaceFields:
                 response *= _load_per_sample(grid.omega_x, pitch_m, input)
 
     def __call__(self, loads: ArrayLike) -> Floats:
-        """Fields of loads (..., 3, ny, nx) x, y, z in Pa or m: shape (..., *depths, rows, ny, nx).
+        """Return the fields of loads (..., 3, ny, nx) x, y, z in Pa or m: shape (..., *depths, rows, ny, nx).
 
         Rows are those of `HalfSpace.transfer_matrix`, one for "p_n". A load's result does not depend on those beside
         it.
@@ -197,7 +197,7 @@ def _open_plane_kernel(
 
 
 def _waves(count: int, pitch_m: float, input: Input) -> tuple[Floats, Floats]:
-    """Nodes (n,) in rad/m of a quadrature along one axis; cosines and sines at them, weighted, shape (2, count, n).
+    """Return nodes (n,) in rad/m of a quadrature along one axis, and weighted cosines and sines there, (2, count, n).
 
     Near omega = 0 a transfer matrix depends on the direction, and on the scale of the depth it decays. Panels of
     Gauss-Legendre nodes that shrink towards 0 each see a smooth function. A wave across the grid takes a node for each

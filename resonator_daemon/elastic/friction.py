@@ -174,7 +174,7 @@ class FrictionalContact:
     def _at_limit(
         self, limit: Floats, target: Floats, load: Floats, start: Floats, window: Window, tolerance: float
     ) -> tuple[Floats, Floats]:
-        """Tractions within a window, and shift (3, 1, 1) where loads are given, at a given limit of friction."""
+        """Return tractions within a window, and shift (3, 1, 1) where loads are given, at a given limit of friction."""
         part = (slice(None), *window)
         shape = limit[window].shape
         found = minimise(

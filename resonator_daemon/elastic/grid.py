@@ -5,8 +5,8 @@ from itertools import product
 from numbers import Integral
 
 import numpy as np
-from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic.half_space import HalfSpace, Input, Output, ZeroRule
 
 
@@ -31,17 +31,17 @@ class SpectralGrid:
             raise ValueError(f"pitch_m is {self.pitch_m}, must be finite and above 0")
 
     @property
-    def omega_x(self) -> NDArray[np.float64]:
+    def omega_x(self) -> Floats:
         """Angular frequencies in rad/m, shape (nx // 2 + 1,)."""
         return np.asarray(2.0 * np.pi * np.fft.rfftfreq(self.shape[1], self.pitch_m), np.float64)
 
     @property
-    def omega_y(self) -> NDArray[np.float64]:
+    def omega_y(self) -> Floats:
         """Angular frequencies in rad/m, shape (ny, 1)."""
         return np.asarray(2.0 * np.pi * np.fft.fftfreq(self.shape[0], self.pitch_m)[:, None], np.float64)
 
     @property
-    def multiplicity(self) -> NDArray[np.float64]:
+    def multiplicity(self) -> Floats:
         """How many bins of the whole transform each column of the half stands for, 1 or 2; shape (nx // 2 + 1,)."""
         nx = self.shape[1]
         count = np.full(nx // 2 + 1, 2.0)
@@ -52,8 +52,8 @@ class SpectralGrid:
 
     def transfer_matrix(
         self, half_space: HalfSpace, output: Output, input: Input, depth_m: float, *, zero: ZeroRule = "isolated"
-    ) -> NDArray[np.complex128]:
-        """Matrix of `HalfSpace.transfer_matrix` at each frequency, shape (ny, nx // 2 + 1, rows, 3).
+    ) -> Complexes:
+        """Return the matrix of `HalfSpace.transfer_matrix` at each frequency, shape (ny, nx // 2 + 1, rows, 3).
 
         T(-omega) = conj T(omega) must hold on the grid. A Nyquist frequency (even ny or nx) stands for both its signs:
         its entry is the mean of the two, which removes what is odd in it. Apply before any inversion.
@@ -70,7 +70,7 @@ class SpectralGrid:
         return np.asarray(np.mean(signs, axis=0), np.complex128)
 
 
-def _both_signs(omega: NDArray[np.float64], count: int) -> list[NDArray[np.float64]]:
+def _both_signs(omega: Floats, count: int) -> list[Floats]:
     """List the frequencies, and again with the other sign of the Nyquist frequency where there is one."""
     if count % 2:
         return [omega]

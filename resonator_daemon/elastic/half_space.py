@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from resonator_daemon.arrays import Complexes, Floats
 from resonator_daemon.elastic import transfer_matrices
 from resonator_daemon.elastic.checks import finite_array
 
@@ -86,8 +87,8 @@ class HalfSpace:
         zero: ZeroRule = "isolated",
         period_m: float | None = None,
         convention: Convention = _OWN,
-    ) -> NDArray[np.complex128]:
-        """Matrix T with output(omega, depth) = T input(omega), Karason, Srinivasan and Annaswamy, eqs (4), (14)-(23).
+    ) -> Complexes:
+        """Return T with output(omega, depth) = T input(omega), Karason, Srinivasan and Annaswamy, eqs (4), (14)-(23).
 
         Parameters
         ----------
@@ -169,8 +170,8 @@ class HalfSpace:
         return matrix
 
     def _at_zero(
-        self, output: Output, input: Input, depth_m: NDArray[np.float64], zero: ZeroRule, period_m: float | None
-    ) -> NDArray[np.complex128]:
+        self, output: Output, input: Input, depth_m: Floats, zero: ZeroRule, period_m: float | None
+    ) -> Complexes:
         """Value at omega = 0 for depths of shape (n,): (n, rows, 3)."""
         mu, nu = self.shear_modulus_pascal, self.poisson_ratio
         if input == "displacement":
@@ -199,9 +200,7 @@ class HalfSpace:
         }
         return np.broadcast_to(limits[output], (depth_m.size, *limits[output].shape)).astype(np.complex128)
 
-    def _mean_displacement(
-        self, depth_m: NDArray[np.float64], zero: ZeroRule, period_m: float | None
-    ) -> NDArray[np.complex128]:
+    def _mean_displacement(self, depth_m: Floats, zero: ZeroRule, period_m: float | None) -> Complexes:
         mu, nu = self.shear_modulus_pascal, self.poisson_ratio
         if zero == "periodic":
             along = -depth_m / mu
@@ -217,8 +216,8 @@ class HalfSpace:
         return (np.stack([along, along, across], axis=-1)[..., None] * np.eye(3)).astype(np.complex128)
 
 
-def _normal_and_shear(xx: float, zz: float, shear: float) -> NDArray[np.float64]:
-    """Matrix (6, 3) of a uniform traction: xx, yy, zz of its normal part, xz and yz of its tangential part."""
+def _normal_and_shear(xx: float, zz: float, shear: float) -> Floats:
+    """Return the matrix (6, 3) of a uniform traction: xx, yy, zz of its normal part, xz and yz of its shear."""
     matrix = np.zeros((6, 3))
     matrix[:3, 2] = xx, xx, zz
     matrix[4, 0] = matrix[5, 1] = shear

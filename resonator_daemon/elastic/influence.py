@@ -4,15 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace
-
-Lags = NDArray[np.intp]
 
 X, Y, Z = 0, 1, 2
 
@@ -60,7 +58,7 @@ class SurfaceCompliance:
         return self.convolution((X, Y, Z), (X, Y, Z), self.shape)(traction)
 
     def convolution(self, rows: tuple[int, ...], columns: tuple[int, ...], shape: tuple[int, int]) -> "Convolution":
-        """Displacements `rows` by tractions `columns` (0, 1, 2 for x, y, z) among the pixels of a window of `shape`."""
+        """Return displacements `rows` by tractions `columns` (0, 1, 2 for x, y, z) in a window of `shape`."""
         ny, nx = shape
         lags_y = _lags(ny, self.shape[0] if self.periodic else 2 * ny - 1)
         lags_x = _lags(nx, self.shape[1] if self.periodic else 2 * nx - 1)
@@ -69,7 +67,7 @@ class SurfaceCompliance:
         return Convolution(np.array(kernel), shape)
 
     def coefficients(self, shape: tuple[int, int]) -> Floats:
-        """Displacements by unit tractions at each lag among the pixels of a window, in metres per pascal.
+        """Return the displacements by unit tractions at each lag among the pixels of a window, in metres per pascal.
 
         Shape (3, 3, 2 ny - 1, 2 nx - 1): components of the displacement, of the traction, lags 1 - n .. n - 1.
         """
@@ -84,7 +82,7 @@ class SurfaceCompliance:
         at_zero = np.zeros(1, np.intp)
         return float(self._coefficients(Z, Z, _Squares((1, 1), self.pitch_m), at_zero, at_zero)[0, 0])
 
-    def _coefficients(self, row: int, column: int, squares: "_Squares", lags_y: Lags, lags_x: Lags) -> Floats:
+    def _coefficients(self, row: int, column: int, squares: "_Squares", lags_y: Indices, lags_x: Indices) -> Floats:
         """Displacement in metres per pascal at each lag (y, x) from the loaded pixel."""
         if self.periodic:
             ny, nx = self.shape
@@ -98,7 +96,7 @@ class SurfaceCompliance:
         return values
 
     def _quadrant(self, row: int, column: int, squares: "_Squares") -> Floats:
-        """Coefficients at lags 0 .. n - 1, shape (ny, nx)."""
+        """Return the coefficients at lags 0 .. n - 1, shape (ny, nx)."""
         mu, nu = self.half_space.shear_modulus_pascal, self.half_space.poisson_ratio
         if row == column == Z:
             return (1.0 - nu) / (2.0 * np.pi * mu) * (squares.xx + squares.yy)
@@ -166,7 +164,7 @@ class Convolution:
     """Convolution of images (columns, ny, nx) with real kernels to images (rows, ny, nx), by Fourier transform."""
 
     def __init__(self, kernel: Floats, shape: tuple[int, int]) -> None:
-        """Take `kernel` (rows, columns, ky, kx), lags in the order of the discrete transform."""
+        """Transform a `kernel` (rows, columns, ky, kx) whose lags are in the order of the discrete transform."""
         self._shape = shape
         self._lengths = kernel.shape[-2:]
         self._spectrum = fft.rfft2(kernel)
@@ -198,8 +196,8 @@ class RoughStiffness:
         return np.asarray(stiff[..., :ny, :nx], np.float64)
 
 
-def _lags(count: int, length_min: int) -> Lags:
-    """Lags of a window of `count` pixels, in the order of a transform of at least `length_min`."""
+def _lags(count: int, length_min: int) -> Indices:
+    """Return the indices of a window of `count` pixels, in the order of a transform of at least `length_min`."""
     length = fft.next_fast_len(length_min, real=True) if length_min >= 2 * count - 1 else length_min
     lags = np.arange(length)
     lags[count:] -= length

@@ -5,10 +5,10 @@ from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.arrays import Bools, Complexes, Floats
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.grid import SpectralGrid
 from resonator_daemon.elastic.half_space import HalfSpace, Output, ZeroRule
@@ -69,7 +69,7 @@ class MixedBoundary:
             )
 
     def transfer_matrix(self, output: Output, depth_m: float) -> Complexes:
-        """Matrix from the known quantities, in their order, to `output`, shape (ny, nx // 2 + 1, rows, 3).
+        """Return the matrix from the known quantities, in their order, to `output`, shape (ny, nx // 2 + 1, rows, 3).
 
         Outputs and errors are those of `HalfSpace.transfer_matrix`; "traction" too is an output, at depth 0.
         """
@@ -121,7 +121,7 @@ class MixedBoundary:
             matrix[0, 0][:, displacements] = 0.0
         return np.asarray(matrix, np.complex128)
 
-    def _name(self, unfit: NDArray[np.bool_]) -> str:
+    def _name(self, unfit: Bools) -> str:
         """Put frequencies into words: the lines that they fill, how many they are, and the first of those above 0."""
         ny, nx = self.grid.shape
         count = int((unfit * self.grid.multiplicity).sum())

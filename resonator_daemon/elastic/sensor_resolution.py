@@ -15,9 +15,9 @@ from functools import cached_property
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Complexes, Floats, Integers
 from resonator_daemon.elastic.checks import finite_array
 from resonator_daemon.elastic.sensor_sets import SensorSet
 
@@ -116,8 +116,8 @@ class SensorArray:
         """Frequency in rad/m above which signals, about (1 + t^2) exp(-2 t) of t = omega depth, drown in noise."""
         return 0.5 * float(np.log(1.0 / (_DROWNED * min(self.noise_density, 1.0)))) / self.sensors.depth_m
 
-    def _folds(self) -> NDArray[np.int64]:
-        """Which multiples (n, 2) of the sampling frequency fold signals onto a frequency, itself first."""
+    def _folds(self) -> Integers:
+        """Return which multiples (n, 2) of the sampling frequency fold signals onto a frequency, itself first."""
         reach = int(0.5 + self._omega_seen * self.pitch_m / (2.0 * np.pi))
         steps = np.arange(-reach, reach + 1)
         folds = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
@@ -181,7 +181,7 @@ class SensorArray:
         return np.union1d(_DIRECTIONS, [d for d in self.sensors.blind_directions_rad if d <= np.pi / 2.0])
 
     def _resolves(self, array: "SensorArray", load: Load, feature_m: float) -> bool:
-        """Whether an array, which differs from this one in depth or pitch, resolves a feature in all directions."""
+        """Return whether an array, of another depth or pitch than this one, resolves a feature in all directions."""
         omega, directions = np.pi / feature_m, self._directions
         return bool(
             (array.load_to_error(load, omega * np.cos(directions), omega * np.sin(directions)) >= _RESOLVED).all()
@@ -217,7 +217,7 @@ class SensorArray:
         return np.array([low, high])
 
 
-def _weakest(wanted: NDArray[np.complex128], unknown: NDArray[np.complex128]) -> Floats:
+def _weakest(wanted: Complexes, unknown: Complexes) -> Floats:
     """Return the least power, shape (n,), that is left of signals (n, rows, k) of unit loads beside unknown others.
 
     Least over the combinations of the wanted loads; what is left is what no combination of the unknown ones can cause.

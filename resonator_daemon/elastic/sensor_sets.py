@@ -6,10 +6,10 @@ from functools import cache, cached_property
 from typing import Final, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import roots_laguerre
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Complexes, Floats, Integers
 from resonator_daemon.elastic.half_space import HalfSpace, Output
 
 Loss = Literal["none", "too_few", "incompressible", "dependent"]
@@ -87,8 +87,8 @@ class SensorSet:
         if not low <= self.depth_m <= high:
             raise ValueError(f"depth_m is {self.depth_m:g}, must be from {low:g} to {high:g}")
 
-    def matrix(self, omega_x: ArrayLike, omega_y: ArrayLike) -> NDArray[np.complex128]:
-        """Signals per traction over 2 mu, rows as `components`, columns x, y, z.
+    def matrix(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Complexes:
+        """Return the signals per traction over 2 mu, rows as `components`, columns x, y, z.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class SensorSet:
         }
         return np.stack([blocks[output][..., row, :] for output, row in rows], axis=-2)
 
-    def determinant(self, omega_x: ArrayLike, omega_y: ArrayLike) -> NDArray[np.complex128]:
+    def determinant(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Complexes:
         """Return the determinant of `matrix`, for sets of three components alone.
 
         It falls as exp(-3 omega depth). A ValueError refuses other sets.
@@ -136,7 +136,7 @@ class SensorSet:
         values[..., : found.shape[-1]] = found
         return values
 
-    def rank(self, omega_x: ArrayLike, omega_y: ArrayLike) -> NDArray[np.int64]:
+    def rank(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Integers:
         """How many of the load's three components are told apart: singular values above 1e-12 exp(-omega depth)."""
         known = self.singular_values(omega_x, omega_y) > _ZERO * self._fading(omega_x, omega_y)
         return np.asarray(known.sum(axis=-1), np.int64)
@@ -265,7 +265,7 @@ class SensorSet:
 
 @cache
 def _radial_quadrature(fading: float, count: int) -> tuple[Floats, Floats]:
-    """Nodes and weights for the integral over t of t g(t), g a smooth function times exp(-fading t)."""
+    """Return the nodes and weights for the integral over t of t g(t), g a smooth function times exp(-fading t)."""
     nodes, weights = roots_laguerre(count)
     t = nodes / fading
     return t, weights * np.exp(nodes) * t / fading

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from resonator_daemon.arrays import Complexes, Floats
+
 Entry = NDArray[np.inexact[Any]] | complex
 
 
@@ -19,15 +21,15 @@ Entry = NDArray[np.inexact[Any]] | complex
 class Symbols:
     """What the entries are written in; arrays of one shape."""
 
-    w: NDArray[np.float64]  # modulus of omega, rad/m, above 0
-    c: NDArray[np.float64]  # omega_x / w
-    s: NDArray[np.float64]  # omega_y / w
-    t: NDArray[np.float64]  # w times depth
+    w: Floats  # modulus of omega, rad/m, above 0
+    c: Floats  # omega_x / w
+    s: Floats  # omega_y / w
+    t: Floats  # w times depth
     mu: float  # shear modulus, Pa
     nu: float
 
     @property
-    def e(self) -> NDArray[np.float64]:
+    def e(self) -> Floats:
         return np.exp(-self.t)
 
     @property
@@ -35,14 +37,14 @@ class Symbols:
         return 3.0 - 4.0 * self.nu
 
 
-def _matrix(factor: NDArray[np.float64] | float, rows: Sequence[Sequence[Entry]]) -> NDArray[np.complex128]:
+def _matrix(factor: Floats | float, rows: Sequence[Sequence[Entry]]) -> Complexes:
     """Scaled matrix of shape (..., rows, 3) from entries that broadcast."""
     entries = np.broadcast_arrays(factor, *(entry for row in rows for entry in row))
     stacked = np.stack(entries[1:], axis=-1) * entries[0][..., None]
     return np.asarray(stacked.reshape(*stacked.shape[:-1], len(rows), 3), np.complex128)
 
 
-def displacement_of_traction(y: Symbols) -> NDArray[np.complex128]:
+def displacement_of_traction(y: Symbols) -> Complexes:
     """(14); at depth 0 this is (18)."""
     c, s, t, nu = y.c, y.s, y.t, y.nu
     q = 2 * nu + t
@@ -56,7 +58,7 @@ def displacement_of_traction(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def strain_of_traction(y: Symbols) -> NDArray[np.complex128]:
+def strain_of_traction(y: Symbols) -> Complexes:
     """(15)."""
     c, s, t, nu = y.c, y.s, y.t, y.nu
     q = 2 * nu + t
@@ -74,7 +76,7 @@ def strain_of_traction(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def stress_of_traction(y: Symbols) -> NDArray[np.complex128]:
+def stress_of_traction(y: Symbols) -> Complexes:
     """(16), corrected in [xx, f_y]."""
     c, s, t, nu = y.c, y.s, y.t, y.nu
     q = 2 * nu + t
@@ -93,12 +95,12 @@ def stress_of_traction(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def p_n_of_traction(y: Symbols) -> NDArray[np.complex128]:
+def p_n_of_traction(y: Symbols) -> Complexes:
     """(17)."""
     return _matrix(2 * (1 + y.nu) / 3 * y.e, [[1j * y.c, 1j * y.s, -1]])
 
 
-def sensor_of_traction(y: Symbols) -> NDArray[np.complex128]:
+def sensor_of_traction(y: Symbols) -> Complexes:
     """(4), corrected in the sign of its first row, which printed is a pressure; agrees with (15) and (17)."""
     c, s, t = y.c, y.s, y.t
     return _matrix(
@@ -111,7 +113,7 @@ def sensor_of_traction(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def traction_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def traction_of_displacement(y: Symbols) -> Complexes:
     """(19), corrected in the signs of [f_x, u_z] and [f_y, u_z]: the matrix is Hermitian."""
     c, s, nu, k = y.c, y.s, y.nu, y.k
     return _matrix(
@@ -124,7 +126,7 @@ def traction_of_displacement(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def displacement_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def displacement_of_displacement(y: Symbols) -> Complexes:
     """(20)."""
     c, s, t, k = y.c, y.s, y.t, y.k
     return _matrix(
@@ -137,7 +139,7 @@ def displacement_of_displacement(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def strain_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def strain_of_displacement(y: Symbols) -> Complexes:
     """(21), corrected in the brackets of [xx, u_x], [yy, u_y] and of rows xy (j, too), xz, yz.
 
     (2) is the same matrix, corrected in [xz, u_z] (brackets) and [yz, u_z] (brackets, omega_y for omega_x).
@@ -155,7 +157,7 @@ def strain_of_displacement(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def stress_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def stress_of_displacement(y: Symbols) -> Complexes:
     """(22), corrected in the brackets of [xx, u_x], [yy, u_y] and of rows xy (j, too), xz, yz."""
     c, s, t, nu, k = y.c, y.s, y.t, y.nu, y.k
     cc, ss = c * c, s * s
@@ -170,18 +172,18 @@ def stress_of_displacement(y: Symbols) -> NDArray[np.complex128]:
     )
 
 
-def p_n_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def p_n_of_displacement(y: Symbols) -> Complexes:
     """(23), corrected in the sign of [u_z]."""
     return _matrix(4 * y.mu * (1 + y.nu) / (3 * y.k) * y.w * y.e, [[1j * y.c, 1j * y.s, -1]])
 
 
-def sensor_of_displacement(y: Symbols) -> NDArray[np.complex128]:
+def sensor_of_displacement(y: Symbols) -> Complexes:
     """3 / (2 E) times (23), then the rows xz and yz of (21)."""
     return _matrix(y.e * y.w / y.k, [[1j * y.c, 1j * y.s, -1], *_shear_strain_of_displacement(y)[1:]])
 
 
 def _shear_strain_of_displacement(y: Symbols) -> list[list[Entry]]:
-    """Rows xy, xz, yz of (21) without the factor; (22) has the same ones, times 2 mu."""
+    """Return the rows xy, xz, yz of (21) without the factor; (22) has the same ones, times 2 mu."""
     c, s, t, nu, k = y.c, y.s, y.t, y.nu, y.k
     cc, ss = c * c, s * s
     return [
@@ -191,7 +193,7 @@ def _shear_strain_of_displacement(y: Symbols) -> list[list[Entry]]:
     ]
 
 
-MATRICES: dict[tuple[str, str], Callable[[Symbols], NDArray[np.complex128]]] = {
+MATRICES: dict[tuple[str, str], Callable[[Symbols], Complexes]] = {
     ("displacement", "traction"): displacement_of_traction,
     ("strain", "traction"): strain_of_traction,
     ("stress", "traction"): stress_of_traction,

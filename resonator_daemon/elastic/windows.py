@@ -1,12 +1,13 @@
 """Rectangular windows of a grid of pixels."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from resonator_daemon.arrays import Bools
 
 Window = tuple[slice, slice]
 
 
-def window_around(hit: NDArray[np.bool_], margin: int = 0) -> Window:
+def window_around(hit: Bools, margin: int = 0) -> Window:
     """Smallest window (y, x) that holds all pixels hit and a margin within the grid; all of it where none is hit."""
 
     def span(axis: int) -> slice:

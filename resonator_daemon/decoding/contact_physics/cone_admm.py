@@ -7,16 +7,15 @@ Over-relaxed ADMM (Boyd et al., Foundations and Trends in Machine Learning 3, 20
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.arrays import Bools, Singles
 
 _RELAXATION = np.float32(1.6)
 _TINY = np.float32(1e-30)
 
 
 def project_on_cone(traction: Singles, friction_coefficient: float) -> Singles:
-    """Nearest tractions (3, n) in the friction cone."""
+    """Return the nearest tractions (3, n) in the friction cone."""
     mu = np.float32(friction_coefficient)
     normal = traction[2]
     shear = np.sqrt(traction[0] ** 2 + traction[1] ** 2)
@@ -34,7 +33,7 @@ def iterate(
     right_side: Singles,
     rho: float,
     friction_coefficient: float,
-    inside: NDArray[np.bool_],
+    inside: Bools,
     traction: Singles,
     multiplier: Singles,
     iterations: int,

@@ -60,7 +60,7 @@ class _Found:
 
 
 class ContactDecoder:
-    """Tractions of compact contacts that push and obey Coulomb's law, about half the error of the linear map.
+    """Decoder of compact contacts that push and obey Coulomb's law; about half the error of the linear map.
 
     Frames are taken in the order of time: each begins where the one before ended; `reset` forgets.
 
@@ -121,7 +121,7 @@ class ContactDecoder:
         self._friction_estimate = estimate
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
-        """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class ContactDecoder:
         return UNKNOWN_FRICTION if told is None or bounds != "all" else min(told, UNKNOWN_FRICTION)
 
     def _adopt(self) -> None:
-        """Take over what the other thread has found."""
+        """Adopt what the other thread has found."""
         if not self._found:
             return
         found = self._found.pop()
@@ -253,7 +253,7 @@ class ContactDecoder:
             self._last = found.solved
 
     def _solve(self, frame: Frame) -> Solved | None:
-        """Traction of a frame; None while there are no matrices for it, or when all bounds are given up."""
+        """Return the traction of a frame; None while there are no matrices for it, or when all bounds are given up."""
         located = self._hypothesis.located
         fit = "unfit" if located is None else self._search.fit(located, frame)
         if self._background:
@@ -300,7 +300,7 @@ class ContactDecoder:
         )
 
     def _shown(self, solved: Solved, estimate: Estimate, displacement: bool) -> Decoded:
-        """As the linear decoder would return it, of the traction found."""
+        """Return the traction found in the form of the linear decoder."""
         located, view, shape = solved.located, solved.located.view, estimate.shape
         noise_std = solved.frame.noise_std / located.problem.model.noise_std
         is_known = self._friction(self._hypothesis.bounds) < UNKNOWN_FRICTION

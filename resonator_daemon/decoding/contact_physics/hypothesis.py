@@ -5,13 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.arrays import Bools, Singles
 from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
 
-Mask = NDArray[np.bool_]
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none
 
 UNKNOWN_FRICTION = 3.0  # a coefficient that no dry contact reaches
@@ -25,7 +23,7 @@ class Hypothesis:
     """Where a contact may be and which bounds it obeys."""
 
     located: Located | None
-    missed: Mask  # pixels (ny, nx) around load that the linear map does not show
+    missed: Bools  # pixels (ny, nx) around load that the linear map does not show
     bounds: Bounds = "all"
     reason: str = ""  # why it is not what the linear map and the friction coefficient say
 
@@ -37,7 +35,7 @@ class Solved:
     frame: Frame
     located: Located
     right_side: Singles  # (3 n,)
-    inside: Mask  # pixels that may carry load, (n,)
+    inside: Bools  # pixels that may carry load, (n,)
     traction: Singles  # (3, n)
     multiplier: Singles
     chi2: float
@@ -48,7 +46,7 @@ class Solved:
         return self.chi2 <= self.frame.chi2_limit + self.located.model_chi2(self.frame)
 
     def on(self, located: Located) -> tuple[Singles, Singles]:
-        """Traction and multiplier on the pixels of another problem."""
+        """Return the traction and multiplier on the pixels of another problem."""
         if located is self.located:
             return self.traction, self.multiplier
         whole = np.zeros((2, 3, located.solved.size), np.float32)
@@ -59,7 +57,7 @@ class Solved:
 def solve(
     frame: Frame, located: Located, friction: float, before: Solved | None, iterations: int, most: int = 0
 ) -> Solved:
-    """Traction in the friction cone, from where the frame before ended or from the linear map.
+    """Return the traction in the friction cone, from where the frame before ended or from the linear map.
 
     Iterations go on one by one, up to `most`, until the traction explains the signals.
     """
@@ -87,7 +85,9 @@ def examine(
     friction_of: Callable[[Bounds], float],
     before: Solved | None,
 ) -> tuple[Hypothesis, Solved | None]:
-    """Hypothesis that explains a frame: iterate, grow the support, give bounds up. No solution: give up all of them.
+    """Return the hypothesis that explains a frame and its solution; None if all bounds are given up.
+
+    In turn: more iterations, a larger support, fewer bounds.
 
     Parameters
     ----------

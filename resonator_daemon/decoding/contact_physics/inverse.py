@@ -4,10 +4,9 @@ LAPACK calls of scipy keep other threads waiting: none works on more than a bloc
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import blas, lapack
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.arrays import Indices, Singles
 
 _BLOCK = 264  # rows of a step of the factorization
 _SMALL = 64  # rows of a matrix that is not worth halving
@@ -41,7 +40,7 @@ def symmetric_product(matrix: Singles, right_sides: Singles) -> Singles:
     return product
 
 
-def without_rows(inverse_matrix: Singles, kept: NDArray[np.intp], removed: NDArray[np.intp]) -> Singles:
+def without_rows(inverse_matrix: Singles, kept: Indices, removed: Indices) -> Singles:
     """Return the inverse of the matrix without some of its rows and columns, from that of the whole one."""
     rows = inverse_matrix.take(kept, axis=0)
     remaining: Singles = rows.take(kept, axis=1)

@@ -8,15 +8,12 @@ from collections import Counter
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Indices, Labels, Singles
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.patches import NetLoad
 
-Mask = NDArray[np.bool_]
-Pixels = NDArray[np.intp]
 Blobs = frozenset[int]  # by number
 
 _DIVIDED_AGAIN = 0.03  # share of the pixels that change sides before a blob is divided again
@@ -27,7 +24,7 @@ _PIXEL_ERROR = np.array([3e-4, 3e-4, 2e-4, 2e-4, 2e-4, 3e-4])  # of the force: t
 
 
 class LoadSums:
-    """How the right sides of a problem add up to the loads of contacts; as good for any frame as the problem.
+    """Sums of the right sides of a problem that are the loads of contacts; valid for any frame of the problem.
 
     A contact bears the load of all blobs of pixels that it touches. A blob that several contacts touch is divided
     between them by distance; a division holds while few pixels change sides.
@@ -44,7 +41,7 @@ class LoadSums:
         Of a pixel.
     """
 
-    def __init__(self, problem: SupportProblem, blobs: NDArray[np.int32], centres_m: Floats, area_m2: float) -> None:
+    def __init__(self, problem: SupportProblem, blobs: Labels, centres_m: Floats, area_m2: float) -> None:
         self._blobs = blobs
         self._pixels = problem.pixels
         self._blob_of = blobs[problem.pixels]
@@ -63,7 +60,7 @@ class LoadSums:
         self._divided: dict[tuple[int, Blobs, Blobs], _ContactSum] = {}
 
     def loads(
-        self, places: Sequence[Pixels], right_side: Singles, noise_std: float, about_m: tuple[float, float]
+        self, places: Sequence[Indices], right_side: Singles, noise_std: float, about_m: tuple[float, float]
     ) -> list[NetLoad | None]:
         """Return the loads of contacts in a frame; None for one that touches no blob.
 
@@ -105,7 +102,7 @@ class LoadSums:
             self._divided[key] = self._contact_sum(chosen, sums, _answers(self._problem, sums))
         return self._divided[key]
 
-    def _contact_sum(self, chosen: Mask, sums: Floats, answers: Floats) -> "_ContactSum":
+    def _contact_sum(self, chosen: Bools, sums: Floats, answers: Floats) -> "_ContactSum":
         return _ContactSum(
             self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
             answers,
@@ -114,7 +111,7 @@ class LoadSums:
             self._area_m2,
         )
 
-    def _parts_of(self, places: Sequence[Pixels]) -> list[int]:
+    def _parts_of(self, places: Sequence[Indices]) -> list[int]:
         """Divide the problem's pixels between contacts; return the part that belongs to each."""
         members_m = self._centres_m[np.concatenate(places)]
         contact = np.repeat(np.arange(len(places)), [pixels.size for pixels in places])
@@ -143,7 +140,7 @@ class _ContactSum:
         self._about_m: tuple[float, float] | None = None
 
     def load(self, right_side: Singles, noise_std: float, about_m: tuple[float, float]) -> NetLoad:
-        """Load in a frame; `noise_std` over that of the problem."""
+        """Return the load in a frame; `noise_std` over that of the problem."""
         if about_m != self._about_m:
             self._refer_to(about_m)
         values = self._about @ right_side
@@ -187,7 +184,7 @@ def _answers(problem: SupportProblem, sums: Floats) -> Floats:
     return answers
 
 
-def _functionals(arms_m: Floats, chosen: Mask) -> Floats:
+def _functionals(arms_m: Floats, chosen: Bools) -> Floats:
     """Sum forces x, y, z and moments x, y, z of unit areas of traction, (6, 3, n)."""
     x, y = arms_m.T
     sums = np.zeros((6, 3, x.size))

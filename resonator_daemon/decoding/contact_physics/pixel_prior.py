@@ -1,13 +1,10 @@
 """Prior precision of the load on pixels, given that all other pixels carry none."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.arrays import Indices, Singles
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
-
-Pixels = NDArray[np.intp]
 
 _REACH = 30.0  # correlation lengths of a period: the correlation has faded to exp(-15) halfway
 
@@ -35,7 +32,7 @@ class PixelPrior:
         )
         self._width = lattice.shape[1]
 
-    def precision(self, rows: Pixels, columns: Pixels) -> Singles:
+    def precision(self, rows: Indices, columns: Indices) -> Singles:
         """Precision between pixels of flat indices (r,) and (c,), of shape (r, c)."""
         (y, x), (other_y, other_x) = np.divmod(rows, self._width), np.divmod(columns, self._width)
         offsets = np.abs(y[:, None] - other_y) * self._width + np.abs(x[:, None] - other_x)

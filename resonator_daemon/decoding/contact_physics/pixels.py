@@ -62,7 +62,7 @@ class PixelLattice:
 
     @classmethod
     def over(cls, positions_m: Floats, depth_m: float) -> "PixelLattice":
-        """Pixels over sites (n, 2) and 3.2 depths beyond; centred on the sites where those form a grid fine enough."""
+        """Return the pixels over sites (n, 2) and 3.2 depths beyond; centred on those of a grid that is fine enough."""
         pitch_m = _PITCH_DEPTHS * depth_m
         grid = as_grid(positions_m)
         if (

@@ -5,10 +5,9 @@ the rows are the signals. Where signals are lost the noise of the basis' rows is
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Singles
 
 _LEFT_OUT = 8e-4  # share of the power of all pixels' signals
 _SAMPLES = 24  # pixels along each axis that are enough to choose the basis
@@ -55,7 +54,7 @@ class SignalRows:
                 self.kernel[component, pixels, begin:end] = rotated.reshape(px, -1).take(places, axis=1)
 
     def project(self, whitened: Singles) -> Singles:
-        """From whitened signals (3 n,), lost ones 0, to rows."""
+        """Return the rows of whitened signals (3 n,), lost ones 0."""
         if self._bases is None:
             return whitened
         y, x = self._bases
@@ -63,7 +62,7 @@ class SignalRows:
         rows: Singles = columns.dot(y).take(self._places)
         return rows
 
-    def whitener(self, known: NDArray[np.bool_]) -> "LostRows":
+    def whitener(self, known: Bools) -> "LostRows":
         """Make the noise of the rows white again where some signals (3 n,) are lost."""
         if self._bases is None:
             return LostRows(np.diag(known.astype(np.float64)))
@@ -76,7 +75,7 @@ class SignalRows:
 
 
 class LostRows:
-    """Transforms rows of which some noise is lost: covariance W of their noise, W = L L'.
+    """Transform of rows of which some noise is lost: covariance W of their noise, W = L L'.
 
     With whitened signals U' D s, D dropping the lost ones, W = U' D U; the model is U' D s = W U' K f + noise.
     """
@@ -88,18 +87,18 @@ class LostRows:
         self._inverse = solve_triangular(lower, np.eye(len(lower)), lower=True).astype(np.float32)
 
     def kernel(self, kernel: Singles) -> Singles:
-        """Rows of the kernel, (k, rows)."""
+        """Return the rows of the kernel, (k, rows)."""
         return kernel @ self._transposed.T
 
     def signals(self, rows: Singles) -> Singles:
         return self._inverse @ rows
 
     def back(self, rows: Singles) -> Singles:
-        """Rows such that the kernel of the whole set times them is `kernel` times `rows`."""
+        """Return the rows such that the kernel of the whole set times them is `kernel` times `rows`."""
         return self._transposed.T @ rows
 
 
 def _leading(fields: Singles) -> Singles:
-    """Eigenvectors of the power of fields (k, n) along their axis, the leading ones first, (n, n)."""
+    """Return the eigenvectors of the power of fields (k, n) along their axis, the leading ones first, (n, n)."""
     power = (fields.T @ fields).astype(np.float64)
     return np.ascontiguousarray(np.linalg.eigh(power)[1][:, ::-1], np.float32)

@@ -65,7 +65,7 @@ def _repeated(
     lattice: PixelLattice,
     shape: tuple[int, int],
 ) -> Singles:
-    """As `site_kernel`, for sites that lie to each other as the pixels do."""
+    """Return what `site_kernel` does, for sites that lie to each other as the pixels do."""
     table = _OffsetTable(half_space, depth_m, lattice, first).at_steps()
     table /= noise_std.astype(np.float32)[:, None, None, None]
     channel, component, down, right = table.strides
@@ -133,7 +133,7 @@ class _OffsetTable:
 
 
 def _interpolation(place: float) -> tuple[int, Singles]:
-    """First of the entries around a place, and what each counts by Lagrange's polynomials."""
+    """Return the first of the entries around a place, and what each counts by Lagrange's polynomials."""
     nodes = np.arange(_TAPS) + int(place) - (_TAPS // 2 - 1)
     others = nodes[:, None] != nodes
     ratios = np.where(others, (place - nodes) / np.where(others, nodes[:, None] - nodes, 1), 1.0)
@@ -141,7 +141,7 @@ def _interpolation(place: float) -> tuple[int, Singles]:
 
 
 def _green(half_space: HalfSpace, depth_m: float, reach_m: float) -> Kernel:
-    """Signals under a unit point force: the covariance of signals with a white traction of unit power."""
+    """Return the signals under a unit point force: the covariance of signals with a white traction of unit power."""
     length_m = _WHITE_DEPTHS * depth_m
     white = StationaryPrior(half_space, Prior(length_m, 1.0), 1.0 / (np.sqrt(4.0 * np.pi) * length_m))
     return white.kernel("sensor", depth_m, "traction", 0.0, reach_m)

@@ -1,11 +1,9 @@
 """Where a contact is: from the linear map of the pressure to the pixels that may carry load."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
-Floats = NDArray[np.float64] | NDArray[np.float32]
-Mask = NDArray[np.bool_]
+from resonator_daemon.arrays import Bools, Floats, Labels, Singles
 
 _THRESHOLD = 0.15  # of the largest pressure: what belongs to a contact
 BLOB_PEAK = 0.25  # of the largest pressure: what a blob must reach to count as one
@@ -14,13 +12,13 @@ _BLOB_PIXELS = 2
 _EIGHT = np.ones((3, 3), np.bool_)
 
 
-def raw_support(pressure: Floats) -> Mask:
-    """Pixels above the threshold, (ny, nx), and their neighbours: quick, with every blob of noise."""
+def raw_support(pressure: Floats | Singles) -> Bools:
+    """Return the pixels above the threshold, (ny, nx), and their neighbours: quick, with every blob of noise."""
     return dilated(pressure > _THRESHOLD * pressure.max())
 
 
-def load_support(pressure: Floats) -> Mask:
-    """Pixels (ny, nx) that carry load: above the threshold, in blobs that are no noise, and their neighbours."""
+def load_support(pressure: Floats | Singles) -> Bools:
+    """Return the pixels (ny, nx) that carry load: above the threshold, in significant blobs, and their neighbours."""
     above = pressure > _THRESHOLD * pressure.max()
     labels, count = ndimage.label(above, _EIGHT)
     peaks = np.zeros(count + 1, pressure.dtype)
@@ -30,7 +28,7 @@ def load_support(pressure: Floats) -> Mask:
     return dilated(kept[labels])
 
 
-def dilated(mask: Mask, times: int = 1) -> Mask:
+def dilated(mask: Bools, times: int = 1) -> Bools:
     """With its eight neighbours, `times` over."""
     for _ in range(times):
         wide = mask.copy()
@@ -42,7 +40,7 @@ def dilated(mask: Mask, times: int = 1) -> Mask:
     return mask
 
 
-def swept(mask: Mask, steps: NDArray[np.float64]) -> Mask:
+def swept(mask: Bools, steps: Floats) -> Bools:
     """With what it passes on its way by `steps` pixels (y, x)."""
     passed = mask.copy()
     count = int(np.rint(np.abs(steps).max()))
@@ -52,7 +50,7 @@ def swept(mask: Mask, steps: NDArray[np.float64]) -> Mask:
     return passed
 
 
-def blobs(mask: Mask) -> NDArray[np.int32]:
+def blobs(mask: Bools) -> Labels:
     """Return the number of the blob of each pixel (ny, nx), from 1, and 0 outside the mask."""
     return np.asarray(ndimage.label(mask, _EIGHT)[0], np.int32)
 

@@ -9,9 +9,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Singles
+from resonator_daemon.arrays import Bools, Indices, Singles
 from resonator_daemon.decoding.contact_physics.inverse import (
     cholesky_factor,
     inverse_factor,
@@ -22,9 +21,6 @@ from resonator_daemon.decoding.contact_physics.inverse import (
 )
 from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
-
-Mask = NDArray[np.bool_]
-Pixels = NDArray[np.intp]
 
 _CHANGED = 0.4  # share of the pixels that may be new: with more, matrices from nothing are as quick
 _MOST_UPDATES = 30  # of an inverse, whose rounding errors add up
@@ -42,7 +38,7 @@ class Model:
     noise_std: float  # of each row
     shift: float  # of the diagonal of the matrix that is inverted
 
-    def rows(self, pixels: Pixels) -> Singles:
+    def rows(self, pixels: Indices) -> Singles:
         """Return K of some pixels, under 1 Pa, (3 n, rows)."""
         rows = self.kernel[:, pixels].reshape(3 * pixels.size, self.kernel.shape[2])
         return rows if self.lost is None else self.lost.kernel(rows)
@@ -59,19 +55,19 @@ class Model:
         return part
 
     def is_that_of(self, other: "Model") -> bool:
-        """Whether inverses for the one serve the other; skin and lattice are taken to be the same."""
+        """Return whether inverses for the one serve the other; skin and lattice are taken to be the same."""
         return (self.lost, self.std_pascal, self.noise_std) == (other.lost, other.std_pascal, other.noise_std)
 
 
 class _Change(NamedTuple):
     """From n pixels to others: those that stay come first, those that are new last."""
 
-    kept: Pixels  # as indices into the old ones, (k,)
-    removed: Pixels  # as indices into the old ones
-    added: Pixels  # flat indices into the lattice, (d,)
+    kept: Indices  # as indices into the old ones, (k,)
+    removed: Indices  # as indices into the old ones
+    added: Indices  # flat indices into the lattice, (d,)
 
     @classmethod
-    def between(cls, pixels: Pixels, support: Mask) -> "_Change":
+    def between(cls, pixels: Indices, support: Bools) -> "_Change":
         stays = support[pixels]
         fresh = support.copy()
         fresh[pixels] = False
@@ -83,13 +79,13 @@ class SupportRows:
     """What prior and noise of a frame leave as it is; rows run over the three components, pixel by pixel in each."""
 
     lost: LostRows | None
-    pixels: Pixels  # flat indices into the lattice, in any order, (n,)
+    pixels: Indices  # flat indices into the lattice, in any order, (n,)
     rows: Singles  # K, signals under 1 Pa on each pixel, (3 n, rows)
     gram: Singles  # K K', (3 n, 3 n)
     precision: Singles  # C^-1 of f_z, (n, n)
 
     @classmethod
-    def of(cls, model: Model, support: Mask, before: "SupportRows | None") -> "SupportRows":
+    def of(cls, model: Model, support: Bools, before: "SupportRows | None") -> "SupportRows":
         """Make them for a support (pixels,), out of those of another one where that overlaps it enough."""
         if before is not None and before.lost is model.lost:
             change = _Change.between(before.pixels, support)
@@ -147,7 +143,7 @@ class SupportMatrices:
             self._update(before)
 
     def _update(self, before: "SupportMatrices") -> None:
-        """Take over an inverse, if most of its pixels are the same."""
+        """Adopt an inverse, if most of its pixels are the same."""
         rows = self.of_rows
         support = np.zeros(self.model.kernel.shape[1], np.bool_)
         support[rows.pixels] = True
@@ -205,12 +201,12 @@ class SupportMatrices:
         return np.asarray(np.einsum("ij,ij->j", self._factor, self._factor), np.float32)
 
 
-def _of_components(pixels: Pixels, count: int) -> Pixels:
+def _of_components(pixels: Indices, count: int) -> Indices:
     """Return the indices of the three components of some of `count` pixels, component by component."""
     return (np.arange(3)[:, None] * count + pixels).ravel()
 
 
-def _square(matrix: Singles, chosen: Pixels) -> Singles:
+def _square(matrix: Singles, chosen: Indices) -> Singles:
     return matrix.take(chosen, axis=0).take(chosen, axis=1)
 
 

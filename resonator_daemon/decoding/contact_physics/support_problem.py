@@ -6,15 +6,11 @@ shear.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.contact_physics.cone_admm import iterate
 from resonator_daemon.decoding.contact_physics.inverse import symmetric_product
 from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices, SupportRows
-
-Mask = NDArray[np.bool_]
-Pixels = NDArray[np.intp]
 
 _SOLVED = 1e-3  # relative residual at which the support-linear solution is good enough
 _MOST_STEPS = 60
@@ -28,7 +24,7 @@ class SupportProblem:
     ----------
     model
     support
-        Pixels that may carry load, (pixels,).
+        Indices that may carry load, (pixels,).
     before
         Problem of which the inverse is taken over as far as it is the same.
     newest_rows
@@ -38,7 +34,7 @@ class SupportProblem:
     def __init__(
         self,
         model: Model,
-        support: Mask,
+        support: Bools,
         before: "SupportProblem | None" = None,
         newest_rows: SupportRows | None = None,
     ) -> None:
@@ -47,7 +43,7 @@ class SupportProblem:
         rows = SupportRows.of(model, support, newest_rows if matrices is None else matrices.of_rows)
         self.matrices: SupportMatrices = SupportMatrices(model, rows, matrices)
         self.rows = rows
-        self.pixels: Pixels = rows.pixels
+        self.pixels: Indices = rows.pixels
         ratio = model.tangential_ratio
         self._ratios = np.array([[ratio], [ratio], [1.0]], np.float32)
         self._unit = np.float32(model.std_pascal)
@@ -66,12 +62,12 @@ class SupportProblem:
         self,
         right_side: Singles,
         friction_coefficient: float,
-        inside: Mask,
+        inside: Bools,
         traction: Singles,
         multiplier: Singles,
         iterations: int,
     ) -> tuple[Singles, Singles]:
-        """Traction in the friction cone and its multiplier, in Pa, (3, n), from those to begin with."""
+        """Return the traction in the friction cone and its multiplier, in Pa, (3, n), from those to begin with."""
         unit = self._unit
         traction, multiplier = iterate(
             self.matrices.shifted_solution,
@@ -85,26 +81,26 @@ class SupportProblem:
         )
         return traction * unit, multiplier * unit
 
-    def linear(self, right_side: Singles, inside: Mask, start: Singles) -> Singles:
-        """Traction in Pa without bounds, on the pixels inside, (3, n), from a `start`."""
+    def linear(self, right_side: Singles, inside: Bools, start: Singles) -> Singles:
+        """Return the traction in Pa without bounds, on the pixels inside, (3, n), from a `start`."""
         keep = np.tile(inside, 3).astype(np.float32)
         found = self._solve(right_side[None] * keep, keep, start.reshape(1, -1) / self._unit * keep, _SOLVED)
         return np.asarray(found.reshape(3, -1) * self._unit, np.float32)
 
     def solutions(self, right_sides: Floats) -> Floats:
-        """Tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n)."""
+        """Return the tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n)."""
         given = right_sides.T.astype(np.float32)
         return self.model.std_pascal * self.matrices.solution(given).T.astype(np.float64)
 
     def chi2(self, rows: Singles, right_side: Singles, traction: Singles) -> float:
-        """Mean square of what a traction (3, n), in Pa, leaves of whitened rows, of which b is the right side."""
+        """Return the mean square residual of whitened rows, of right side b, with a traction (3, n) in Pa."""
         loads = traction.ravel()
         explained = 2.0 * float(loads @ right_side) * float(self._noise_variance / self._unit)
         explained -= float(loads @ symmetric_product(self.rows.gram, loads))
         return (float(rows @ rows) - explained) / rows.size
 
     def predicted(self, traction: Singles) -> Singles:
-        """Rows of signals under a traction (3, n), in Pa."""
+        """Return the rows of signals under a traction (3, n), in Pa."""
         return np.asarray(traction.ravel() @ self.rows.rows, np.float32)
 
     def std(self) -> Singles:

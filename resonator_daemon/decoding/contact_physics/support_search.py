@@ -6,9 +6,9 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
 from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
@@ -30,8 +30,6 @@ from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
-
-Mask = NDArray[np.bool_]
 
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
@@ -84,11 +82,11 @@ class Frame:
     """One frame's signals and its linear map, on the pixels 0 where that does not reach."""
 
     rows: Singles  # of the whitened signals
-    known: Mask | None  # (3 n,), None where all are
+    known: Bools | None  # (3 n,), None where all are
     surface: Surface
     to_pixels: Interpolation  # from the surface's places
     pressure: Singles  # on the pixels, (ny, nx)
-    support: Mask  # where its pressure says that load may be, quick and rough, (ny, nx)
+    support: Bools  # where its pressure says that load may be, quick and rough, (ny, nx)
     centre: Floats  # of that pressure, in pixels (y, x)
     noise_floor: float  # noise variance that is reckoned with, over the declared one
     excess: float  # of the linear map's residual over that, at least 1
@@ -111,9 +109,9 @@ class Frame:
 class Located:
     """A support and the inverse problem on it and some pixels around."""
 
-    found: Mask  # all masks (ny, nx)
-    lasting: Mask  # part of it that the linear map cannot show
-    solved: Mask  # pixels of the problem
+    found: Bools  # all masks (ny, nx)
+    lasting: Bools  # part of it that the linear map cannot show
+    solved: Bools  # pixels of the problem
     centre: Floats  # of the frame that it was made for
     problem: SupportProblem
     sums: LoadSums
@@ -123,21 +121,21 @@ class Located:
     model_error: float  # of the pixels, over the signals
 
     def model_chi2(self, frame: Frame) -> float:
-        """Mean square residual that the pixels' error adds."""
+        """Return the mean square residual that the pixels' error adds."""
         return (self.model_error * frame.snr) ** 2 / frame.row_share
 
-    def inside(self, frame: Frame) -> Mask:
-        """Which of the problem's pixels may carry load in a frame, (n,)."""
+    def inside(self, frame: Frame) -> Bools:
+        """Return which of the problem's pixels may carry load in a frame, (n,)."""
         return (frame.support | self.lasting).ravel()[self.problem.pixels]
 
     def moved(self, frame: Frame) -> Floats:
-        """Pixels (y, x) by which the load has moved since; 0 where it must be another one."""
+        """Return the pixels (y, x) by which the load has moved since; 0 where it must be another one."""
         steps = frame.centre - self.centre
         return steps if np.hypot(*steps) < _FARTHEST else np.zeros(2)
 
 
 class SupportSearch:
-    """Builds the problems of one skin.
+    """Builder of the inverse problems of one skin.
 
     Parameters
     ----------
@@ -197,7 +195,7 @@ class SupportSearch:
             rows.size / estimate.whitened.size,
         )
 
-    def locate(self, frame: Frame, missed: Mask, before: Located | None) -> Located:
+    def locate(self, frame: Frame, missed: Bools, before: Located | None) -> Located:
         """Find the pixels that carry load, and build the problem on them.
 
         Beyond the linear map's reach, and around pixels where load was missed, they are read off the least-squares
@@ -235,8 +233,8 @@ class SupportSearch:
         view = self.places.under(problem.pixels)
         return Located(found, lasting, solved, frame.centre, problem, sums, view, problem.std(), level, model_error)
 
-    def _free_pressure(self, frame: Frame, wide: Mask, std_pascal: float) -> Singles:
-        """Least-squares f_z of a frame on many pixels, (ny, nx)."""
+    def _free_pressure(self, frame: Frame, wide: Bools, std_pascal: float) -> Singles:
+        """Return the least-squares f_z of a frame on many pixels, (ny, nx)."""
         problem = self._problem(frame, wide, std_pascal, frame.noise_std, None)
         count = problem.pixels.size
         start = np.zeros((3, count), np.float32)
@@ -245,8 +243,8 @@ class SupportSearch:
         pressure[problem.pixels] = load[2]
         return pressure.reshape(wide.shape)
 
-    def missed_load(self, frame: Frame, problem: SupportProblem, traction: Singles) -> Mask:
-        """Pixels (ny, nx) whose pressure would best explain what a traction leaves of a frame's signals."""
+    def missed_load(self, frame: Frame, problem: SupportProblem, traction: Singles) -> Bools:
+        """Return the pixels (ny, nx) whose pressure would best explain what a traction leaves of a frame's signals."""
         left = frame.rows - problem.predicted(traction)
         if problem.model.lost is not None:
             left = problem.model.lost.back(left)
@@ -259,7 +257,7 @@ class SupportSearch:
         return dilated((score > _CLOSE * best).reshape(self._lattice.shape))
 
     def fit(self, located: Located, frame: Frame) -> Fit:
-        """Whether a problem's prior, noise and lost signals do for a frame, and its pixels for the load."""
+        """Return whether a problem's prior, noise and lost signals do for a frame, and its pixels for the load."""
         drift = self._prior_std_pascal(frame, frame.support) / frame.noise_std / located.level
         lost = None if frame.known is None else self._lost_rows(frame.known)
         if located.problem.model.lost is not lost or not 1.0 / _STALE < drift < _STALE:
@@ -272,11 +270,11 @@ class SupportSearch:
                 return "unfit" if heavy else "due"
         return "good" if 1.0 / _DRIFT < drift < _DRIFT else "due"
 
-    def _prior_std_pascal(self, frame: Frame, support: Mask) -> float:
+    def _prior_std_pascal(self, frame: Frame, support: Bools) -> float:
         return _prior_std_pascal(frame.pressure[support & self._mapped], frame.snr)
 
     def _problem(
-        self, frame: Frame, support: Mask, std_pascal: float, noise_std: float, before: SupportProblem | None
+        self, frame: Frame, support: Bools, std_pascal: float, noise_std: float, before: SupportProblem | None
     ) -> SupportProblem:
         lost = None if frame.known is None else self._lost_rows(frame.known)
         model = Model(self._rows.kernel, self._prior, self._tangential_ratio, lost, std_pascal, noise_std, _RHO)
@@ -289,7 +287,7 @@ class SupportSearch:
         (total, x), (y, _) = self._moments[0] @ weight @ self._moments[1]
         return np.array([y, x], np.float64) / max(float(total), _TINY)
 
-    def _lost_rows(self, known: Mask) -> LostRows:
+    def _lost_rows(self, known: Bools) -> LostRows:
         key = known.tobytes()
         if self._lost is None or self._lost[0] != key:
             self._lost = key, self._rows.whitener(known)

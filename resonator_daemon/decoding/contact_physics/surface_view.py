@@ -5,15 +5,11 @@ the places, by small matrices; spectra are kept for each box.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import ComplexSingles, Floats, Indices, Singles
 from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
 from resonator_daemon.elastic import HalfSpace, SurfaceCompliance
-
-Pixels = NDArray[np.intp]
-Complexes = NDArray[np.complex64]
 
 
 class SurfacePlaces:
@@ -38,15 +34,15 @@ class SurfacePlaces:
         self.pixel_count = lattice.shape[0] * lattice.shape[1]
         self.from_window = self.to_places.of((y[:, None] * self.width + x).ravel(), self.pixel_count)
 
-    def under(self, pixels: Pixels) -> "SurfaceView":
+    def under(self, pixels: Indices) -> "SurfaceView":
         """View of fields on some pixels."""
         return SurfaceView(self, pixels)
 
 
 class SurfaceView:
-    """Shows fields on n pixels, flat indices into the lattice, at the places."""
+    """Fields on n pixels, flat indices into the lattice, shown at the places."""
 
-    def __init__(self, places: SurfacePlaces, pixels: Pixels) -> None:
+    def __init__(self, places: SurfacePlaces, pixels: Indices) -> None:
         self._places = places
         to_places = places.to_places.of(pixels, places.pixel_count)
         self._touched = np.flatnonzero(to_places.reached)
@@ -59,7 +55,7 @@ class SurfaceView:
         self._prepare_displacement(pixels)
 
     def traction(self, traction: Singles) -> Floats:
-        """Traction of the places (3, m) from that of the pixels (3, n), interpolated."""
+        """Return the traction of the places (3, m) from that of the pixels (3, n), interpolated."""
         shown = np.zeros((3, self._places.count))
         shown[:, self._touched] = self._to_touched(traction)
         return shown
@@ -76,7 +72,7 @@ class SurfaceView:
         window = columns.reshape(3 * places.window[0], -1).view(np.float32) @ self._from_x
         return places.from_window(window.reshape(3, -1)).astype(np.float64)
 
-    def _prepare_displacement(self, pixels: Pixels) -> None:
+    def _prepare_displacement(self, pixels: Indices) -> None:
         places = self._places
         y, x = np.divmod(pixels, places.width)
         top, left = int(y.min()), int(x.min())
@@ -87,7 +83,7 @@ class SurfaceView:
         first_y = places.reach[0] + places.corner[0] - top - (h - 1)
         first_x = places.reach[1] + places.corner[1] - left - (w - 1)
         lags = places.coefficients[:, first_y : first_y + ny, first_x : first_x + nx]
-        self._spectra: Complexes = fft.rfft2(lags)
+        self._spectra: ComplexSingles = fft.rfft2(lags)
         half = nx // 2 + 1
         self._to_x = _waves(np.arange(w), half, nx, -1).view(np.float32)
         self._to_y = _waves(np.arange(ny), h, ny, -1)
@@ -100,7 +96,7 @@ class SurfaceView:
         self._from_x = np.stack([back.real, -back.imag], axis=1).reshape(2 * half, -1)
 
 
-def _waves(rows: NDArray[np.intp], columns: int, period: int, sign: int) -> Complexes:
+def _waves(rows: Indices, columns: int, period: int, sign: int) -> ComplexSingles:
     """exp(sign 2 pi i r c / period) for rows r and columns c from 0."""
     return np.exp(sign * 2j * np.pi / period * (np.multiply.outer(rows, np.arange(columns)) % period)).astype(
         np.complex64

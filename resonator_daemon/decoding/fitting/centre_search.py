@@ -3,12 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
-
-Known = NDArray[np.bool_]
 
 _STEP_DEPTHS = 0.5  # a fit finds the centre from there
 _CENTRES_MAX = 4000
@@ -52,10 +49,10 @@ class CentreSearch:
             for radius in self.radii_m
         ]
         self._columns = np.array(columns, np.float32)  # (centres x radii, 3, 3 n)
-        self._known: Known = np.zeros(noise_std.size, np.bool_)
+        self._known: Bools = np.zeros(noise_std.size, np.bool_)
         self._covariance: Floats = np.empty((0, 3, 3))
 
-    def candidates(self, whitened: Floats, known: Known, count: int) -> list[Candidate]:
+    def candidates(self, whitened: Floats, known: Bools, count: int) -> list[Candidate]:
         """Return the best places for whitened signals (3 n,), lost ones 0, best first.
 
         They lie at least two depths apart, and their discs press.
@@ -77,12 +74,12 @@ class CentreSearch:
             fall[np.hypot(*(self.centres_m - self.centres_m[place]).T) < self._apart_m] = 0.0
         return found
 
-    def force_std_newton(self, known: Known) -> Floats:
+    def force_std_newton(self, known: Bools) -> Floats:
         """Error of the force of the smaller disc, if it were at a centre: (centres, 3)."""
         smaller = self._force_covariance(known)[:: len(self.radii_m)]
         return np.asarray(np.sqrt(np.diagonal(smaller, axis1=1, axis2=2)), np.float64)
 
-    def _force_covariance(self, known: Known) -> Floats:
+    def _force_covariance(self, known: Bools) -> Floats:
         """Of each place, (centres x radii, 3, 3); kept for as long as the same signals are known."""
         if not np.array_equal(known, self._known):
             columns = self._columns * known

@@ -98,7 +98,7 @@ class DiscModel:
         self._table = _table(half_space, 2.0 * diagonal_m / shallow, radius_max_m / shallow, profile)
 
     def signals(self, centre_m: Floats, radius_m: float) -> DiscSignals:
-        """Signals of unit forces on a disc, and their derivatives.
+        """Return the signals of unit forces on a disc, and their derivatives.
 
         `centre_m` (2,) within `margin_m` of the sites, `radius_m` in 0 .. `radius_max_m`: else ValueError.
         """
@@ -192,7 +192,7 @@ def _tensor(x: Floats, y: Floats, radial: Floats) -> Floats:
 
 
 def _hermite(fraction: Floats | float) -> tuple[Floats, Floats]:
-    """Weights of value and slope at the lower, then at the upper end of a unit interval, and those of the slope."""
+    """Return weights of value and slope at both ends of a unit interval, lower end first, and their slopes."""
     f = np.asarray(fraction)
     rest = 1.0 - f
     weights = np.array([rest**2 * (1.0 + 2.0 * f), rest**2 * f, f**2 * (3.0 - 2.0 * f), -(f**2) * rest])
@@ -201,7 +201,7 @@ def _hermite(fraction: Floats | float) -> tuple[Floats, Floats]:
 
 
 def _table(half_space: HalfSpace, reach: float, radius_max: float, profile: Profile) -> Floats:
-    """Integrals over knots of radius and distance in depths: (radii; value, slope; distances; value, slope; 5)."""
+    """Return integrals at knots in depths: (radii; value, slope; distances; value, slope; 5)."""
     radii = np.arange(2 + int(np.ceil(radius_max / _RADIUS_STEP))) * _RADIUS_STEP
     distances = np.arange(3 + int(np.ceil(reach / _DISTANCE_STEP))) * _DISTANCE_STEP
     t, weights = _quadrature(distances[-1] + radii[-1])
@@ -238,7 +238,7 @@ def _table(half_space: HalfSpace, reach: float, radius_max: float, profile: Prof
 
 
 def _quadrature(reach: float) -> tuple[Floats, Floats]:
-    """Nodes and weights over 0 .. 40, fine enough for phases up to `reach` times the node."""
+    """Return the nodes and weights over 0 .. 40, fine enough for phases up to `reach` times the node."""
     edges = np.linspace(0.0, _FADED, 1 + int(np.ceil(_FADED * max(reach, 1.0) / _PANEL_PHASE)))
     nodes, weights = np.polynomial.legendre.leggauss(_PANEL_NODES)
     half = (edges[1] - edges[0]) / 2.0

@@ -68,7 +68,7 @@ def bounds(model: DiscModel, force_newton: float) -> tuple[list[float], list[flo
 def disc_starts(
     model: DiscModel, starts: Sequence[ContactStart], signals: Floats, noise_std: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Parameters x, y, a, F_x, F_y, F_z of each contact (contacts, 6), and their lower and upper bounds (6,).
+    """Return parameters x, y, a, F_x, F_y, F_z of each contact (contacts, 6), and their lower and upper bounds (6,).
 
     Forces are those of discs that fit the signals (3 n,) best. ValueError for a start that is not finite or a noise not
     above 0.

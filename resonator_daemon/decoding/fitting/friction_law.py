@@ -31,7 +31,7 @@ class FrictionLaw(NamedTuple):
 
     @classmethod
     def of(cls, contact: int, friction: Friction, parameters: Floats) -> "FrictionLaw":
-        """Law of a contact, by index: the more friction its forces use, the less exact it is."""
+        """Return the law of a contact, by index: the more friction its forces use, the less exact it is."""
         rows = slice(PARAMETERS * contact + FORCE_X, PARAMETERS * (contact + 1))
         used = used_friction(parameters[rows], friction.coefficient)
         return cls(rows, friction.coefficient, max(_EXACT_STD, used * friction.std / friction.coefficient))
@@ -68,7 +68,7 @@ def sum_of_squares(breaches: Sequence[Breach]) -> float:
 
 
 def are_linear(laws: Sequence[FrictionLaw], before: Sequence[Breach], after: Sequence[Breach], moved: Floats) -> bool:
-    """Whether breaches changed with the parameters, moved by (p,), as their slopes have it."""
+    """Return whether breaches changed with the parameters, moved by (p,), as their slopes have it."""
     return all(
         abs(new.value - old.value - float(old.slopes @ moved[law.rows])) < _LINEAR
         for law, old, new in zip(laws, before, after, strict=True)
@@ -76,5 +76,5 @@ def are_linear(laws: Sequence[FrictionLaw], before: Sequence[Breach], after: Seq
 
 
 def have_changed(before: Sequence[FrictionLaw], after: Sequence[FrictionLaw]) -> bool:
-    """Whether laws of the same contacts hold to another standard deviation."""
+    """Return whether laws of the same contacts hold to another standard deviation."""
     return any(abs(new.margin_std / old.margin_std - 1.0) > _CHANGED for old, new in zip(before, after, strict=True))

@@ -3,9 +3,9 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fitting.centre_search import Candidate, CentreSearch
 from resonator_daemon.decoding.fitting.contact_fit import Fit, fit
@@ -23,8 +23,6 @@ from resonator_daemon.decoding.parameters import (
 )
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
-
-Known = NDArray[np.bool_]
 
 FEWEST_SITES = 40  # with fewer, a linear map peaks at the nearest site
 WIDEST_SPACING_DEPTHS = 3.0  # beyond it a contact between sites is felt by the nearest alone
@@ -125,7 +123,7 @@ class ParametricDecoder:
         self._draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, _UNKNOWNS))
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
-        """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
 
         Parameters
         ----------
@@ -193,8 +191,8 @@ class ParametricDecoder:
             return self._unknown(displacement, _log_density(best, noise[known]), best.chi2, "ambiguous", doubt), None
         return self._describe(best, displacement, known, noise)
 
-    def _fits(self, signals: Floats, known: Known, noise: Floats) -> list[Fit]:
-        """Contacts from the best places of the search, least chi-square first."""
+    def _fits(self, signals: Floats, known: Bools, noise: Floats) -> list[Fit]:
+        """Return the contacts from the best places of the search, least chi-square first."""
         whitened = np.where(known, signals / self._noise, 0.0)
         places = self._search.candidates(whitened, known, _CANDIDATES)
         fits = [self._refine(_begin(place), signals, noise) for place in places]
@@ -207,7 +205,7 @@ class ParametricDecoder:
         return fit(self._signals, begin, lower, upper, signals, noise)
 
     def _signals(self, contact: Floats) -> tuple[Floats, Floats]:
-        """Signals (3 n,) of a contact, and their slopes (6, 3 n)."""
+        """Return the signals (3 n,) of a contact, and their slopes (6, 3 n)."""
         radius_m = float(np.sqrt(contact[_SQUARE]))
         disc = self._model.signals(contact[:2], radius_m)
         force, columns = contact[3:], disc.value.reshape(3, -1)
@@ -216,7 +214,7 @@ class ParametricDecoder:
         return force @ columns, np.vstack([*moved, columns])
 
     def _doubt(self, best: Fit, others: list[Fit]) -> str:
-        """Why the place is not known; empty where it is."""
+        """Return why the place is not known; empty where it is."""
         x, y = 1e3 * best.parameters[:2]
         covariance = self._covariance(best)[:2, :2]
         std_m = float(np.sqrt(np.linalg.eigvalsh(covariance).max())) if np.isfinite(covariance).all() else np.inf
@@ -236,7 +234,7 @@ class ParametricDecoder:
         precision[_SQUARE, _SQUARE] += 12.0 / self._model.radius_max_m**4
         return replace(found, precision=precision).covariance
 
-    def _describe(self, found: Fit, displacement: bool, known: Known, noise: Floats) -> tuple[Decoded, Patch]:
+    def _describe(self, found: Fit, displacement: bool, known: Bools, noise: Floats) -> tuple[Decoded, Patch]:
         contact, covariance = _with_shear_or_without(found.parameters, self._covariance(found))
         contact[:3] = np.clip(contact[:3], self._lower, self._upper)
         x, y = contact[:2]
@@ -289,7 +287,7 @@ class ParametricDecoder:
         per_newton = hertz_displacement(self.half_space, offset, float(np.sqrt(contact[_SQUARE])))
         return np.asarray(np.einsum("f,fcm->cm", contact[3:], per_newton), np.float64)
 
-    def _untouched(self, nothing: Fit, known: Known, noise: Floats, displacement: bool) -> Decoded:
+    def _untouched(self, nothing: Fit, known: Bools, noise: Floats, displacement: bool) -> Decoded:
         zero = np.zeros((3, len(self.query_positions_m)))
         smallest_m = float(self._search.radii_m[0])
         force_std = self._search.force_std_newton(known)[self._nearest].T
@@ -329,7 +327,7 @@ def _with_shear_or_without(contact: Floats, covariance: Floats) -> tuple[Floats,
 
 
 def _given_shear(contact: Floats, covariance: Floats, prior: Floats) -> tuple[Floats, Floats, float]:
-    """Contact, covariance and log evidence for shear drawn from a Gaussian around 0: the linear update."""
+    """Return the contact, covariance and log evidence for shear drawn from a Gaussian around 0: the linear update."""
     shear, spread = contact[_SHEAR], covariance[_SHEAR, _SHEAR] + prior
     gain = np.linalg.solve(spread, covariance[_SHEAR]).T
     evidence = -0.5 * float(shear @ np.linalg.solve(spread, shear) + np.log(np.linalg.det(spread)))

@@ -99,7 +99,7 @@ def nothing_known(chi2: float, log_evidence: float, reason: str) -> PartialSlip:
 
 
 def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> str:
-    """Why nothing is known of a contact; empty where something is."""
+    """Return why nothing is known of a contact; empty where something is."""
     if not np.isfinite(covariance).all():
         return "the signals do not determine the contact"
     if found.doubt:

@@ -49,7 +49,7 @@ class Shape:
 
 
 class ShapeFitter:
-    """Fits a paraboloid, which may slip in part, a flat round face, which may be tilted, and a straight edge.
+    """Fit of a paraboloid, which may slip in part, a flat round face, which may be tilted, and a straight edge.
 
     A sphere counts as a paraboloid: while strains are small, signals cannot tell them apart.
 

@@ -28,7 +28,7 @@ class FlatFace:
         self._step_m = _TILT_STEP_DEPTHS * float(hertz.depth_m.min())
 
     def __call__(self, parameters: Floats) -> tuple[Floats, Floats]:
-        """Signals (3 n,) and slopes (8, 3 n)."""
+        """Return the signals (3 n,) and slopes (8, 3 n)."""
         centre, radius, force, moments = parameters[:2], float(parameters[2]), parameters[3:6], parameters[6:]
         face = self._flat.signals(centre, radius)
         columns = face.value.reshape(3, -1)
@@ -61,7 +61,7 @@ class StraightEdge:
         self._line = list(zip(nodes.tolist(), (weights / 2.0).tolist(), strict=True))
 
     def __call__(self, parameters: Floats) -> tuple[Floats, Floats]:
-        """Signals (3 n,) and slopes (8, 3 n)."""
+        """Return the signals (3 n,) and slopes (8, 3 n)."""
         centre, radius, force = parameters[:2], float(parameters[2]), parameters[3:6]
         along = np.array([np.cos(parameters[6]), np.sin(parameters[6])])
         half_length = parameters[7]

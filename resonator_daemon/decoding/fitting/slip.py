@@ -69,7 +69,7 @@ class _Followed:
 
 
 class SlipWatch:
-    """Fits each contact in each frame, from where it was in the frame before.
+    """Slip monitor that fits each contact in each frame, from where it was in the frame before.
 
     While nothing is known of friction, a contact that slips at its rim tells mu by its stick radius; from then on mu is
     carried from frame to frame, contact by contact, and forces add what they know.
@@ -90,7 +90,7 @@ class SlipWatch:
     def update(
         self, signals: ArrayLike, noise_std: ArrayLike, contacts: Mapping[int, ContactStart]
     ) -> tuple[dict[int, PartialSlip], tuple[SlipEvent, ...]]:
-        """Take a frame: fits and events by the ids of `contacts`.
+        """Fit a frame; return fits and events by the ids of `contacts`.
 
         A contact is told by its id; the start it comes with serves while the frame before gives no better. One that is
         absent is forgotten. An event comes once, and again only after the margin has exceeded 0.4. Arguments otherwise
@@ -121,7 +121,7 @@ class SlipWatch:
 
 
 def _learn(before: Friction | None, slip: PartialSlip) -> Friction | None:
-    """Friction after a frame; the fit has weighed what was known before."""
+    """Return the friction after a frame; the fit has weighed what was known before."""
     mu, std = slip.friction_coefficient, slip.friction_coefficient_std
     if not std < (before.std if before else _LEARNED * mu):  # also where they are not known
         return before

@@ -49,7 +49,7 @@ def fit_partial_slip(
 
 
 class SlipFitter:
-    """Fits contacts to frames in the order of time, each from where the fit of the frame before ended.
+    """Sequential fit of contacts to frames, each from where the fit of the frame before ended.
 
     As long as contacts stay the same, a frame costs one evaluation of the signals and their slopes, and none at rest.
 
@@ -79,7 +79,7 @@ class SlipFitter:
         `starts` serve where there is no frame before, or it leads nowhere. Other arguments and errors as of
         `fit_partial_slip`.
         """
-        frame = self._taken(signals, noise_std, len(starts))
+        frame = self._checked(signals, noise_std, len(starts))
         self._whitening = frame.whitening
         needed = max(KNOWN_LIMIT * frame.target.size, PARAMETERS * len(starts))
         if frame.count < needed:
@@ -96,7 +96,7 @@ class SlipFitter:
             self._forget()
         return dict(zip(starts, found, strict=True))
 
-    def _taken(self, signals: ArrayLike, noise_std: ArrayLike, contacts: int) -> Frame:
+    def _checked(self, signals: ArrayLike, noise_std: ArrayLike, contacts: int) -> Frame:
         frame, count = np.asarray(signals, np.float64), len(self._model.sites_m)
         if frame.shape != (3, count):
             raise ValueError(f"signals have shape {frame.shape}, must be (3, {count})")

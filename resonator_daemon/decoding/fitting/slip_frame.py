@@ -1,14 +1,11 @@
 """One frame in units of its noise, and the signals of contacts to first order about some parameters."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Singles
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.slip_signals import PARAMETERS, ROWS, slope_rows
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT
-
-Known = NDArray[np.bool_]
 
 
 class Whitening:
@@ -30,15 +27,15 @@ class Whitening:
         (3 n,), as of `SlipSignals.whiten`.
     """
 
-    def __init__(self, model: DiscModel, known: Known, noise_std: Floats) -> None:
+    def __init__(self, model: DiscModel, known: Bools, noise_std: Floats) -> None:
         if not (noise_std > 0.0).all():
             raise ValueError(f"noise_std reaches {noise_std.min()}, must be above 0")
         self._known, self._noise_std = known, noise_std
         self.weights: Floats = np.where(known, 1.0 / noise_std, 0.0)
         self.factors = model.slip.whiten(self.weights)
 
-    def serves(self, known: Known, noise_std: Floats) -> bool:
-        """Whether the weights are those of other signals, too."""
+    def serves(self, known: Bools, noise_std: Floats) -> bool:
+        """Return whether the weights are those of other signals, too."""
         same_noise = noise_std is self._noise_std or np.array_equal(noise_std, self._noise_std)
         return same_noise and np.array_equal(known, self._known)
 
@@ -66,7 +63,7 @@ class Frame:
     """
 
     def __init__(self, model: DiscModel, signals: Floats, noise_std: Floats, before: Whitening | None) -> None:
-        known: Known = np.abs(signals) <= SIGNAL_LIMIT  # False for NaN
+        known: Bools = np.abs(signals) <= SIGNAL_LIMIT  # False for NaN
         self.count = int(np.count_nonzero(known))
         same = before is not None and before.serves(known, noise_std)
         self.whitening = before if before is not None and same else Whitening(model, known, noise_std)

@@ -143,7 +143,7 @@ class SlipProblem:
         return Settled(parameters, found.chi_square, found.precision, found.at)
 
     def _begin(self, starts: Sequence[ContactStart]) -> tuple[Floats, Floats, Floats]:
-        """Parameters of each contact but the margin, (contacts, 6), and bounds of all (7 k,): of best Hertz forces."""
+        """Return parameters of best Hertz forces, all but the margin, (contacts, 6), and bounds of all (7 k,)."""
         poses = np.array([clipped(self._model, start) for start in starts])
         guess = np.column_stack([poses, np.tile([0.0, 0.0, 1.0, 0.0], (len(starts), 1))])
         at = Linearisation(self._model, guess.ravel(), self.frame.whitening)
@@ -166,7 +166,7 @@ class SlipProblem:
         return lower, upper
 
     def _laws(self, parameters: Floats) -> list[FrictionLaw]:
-        """Laws of friction of the contacts for which it is known."""
+        """Return the laws of friction of the contacts for which it is known."""
         return [
             FrictionLaw.of(index, known, parameters) for index, known in enumerate(self._friction) if known is not None
         ]
@@ -227,7 +227,7 @@ def _least(
 
 
 def _are_inside(parameters: Floats, lower: Floats, upper: Floats) -> bool:
-    """Whether parameters lie between bounds, none of them at one."""
+    """Return whether parameters lie between bounds, none of them at one."""
     triples = zip(lower.tolist(), parameters.tolist(), upper.tolist(), strict=True)
     return all(low < value < high for low, value, high in triples)
 

@@ -15,9 +15,8 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Floats, Indices, Singles
 
 PARAMETERS = 7  # of a contact
 X, Y, RADIUS, FORCE_X, FORCE_Y, FORCE_Z, MARGIN = range(PARAMETERS)
@@ -33,7 +32,7 @@ class _Depth(NamedTuple):
 
     depth_m: float
     sites: Singles  # (2, n), in depths
-    members: slice | NDArray[np.intp]
+    members: slice | Indices
 
 
 class SlipSignals:
@@ -88,7 +87,7 @@ class SlipSignals:
         self._table = np.stack(rows, axis=2).astype(np.float32).reshape(2 * len(value), 10 * _KNOTS)
 
     def signals(self, contact: Floats) -> tuple[Floats, Floats]:
-        """Signals (3 n,) of a contact x, y, a, F_x, F_y, F_z, m, and their slopes (7, 3 n)."""
+        """Return the signals (3 n,) of a contact x, y, a, F_x, F_y, F_z, m, and their slopes (7, 3 n)."""
         rows = np.empty((ROWS, 3 * self._count), np.float32)
         scale = self.fill(contact, self.whiten(np.ones(rows.shape[1])), rows)
         return rows[0].astype(np.float64), rows[_SLOPES] * scale[:, None]
@@ -120,7 +119,7 @@ class SlipSignals:
         return np.array([-per_m, -per_m, per_m, 1.0, 1.0, 1.0 / force_z, 1.0])
 
     def _profiles(self, radius: float, margin: float, force_z: float) -> Singles:
-        """Functions of distance at a radius in depths, (5, 4, knots).
+        """Return the functions of distance at a radius in depths, (5, 4, knots).
 
         A, 2 C, D, F_z P, F_z E, each itself, by a, by m and (1/r) d/dr.
         """
@@ -165,7 +164,7 @@ class SlipSignals:
         return profiles
 
     def _hermite(self, radius: float, knot: int) -> tuple[list[float], list[float]]:
-        """Weights of value and slope at a knot of the radius and at the next one, and their slopes by the radius."""
+        """Return weights of value and slope at a knot of the radius and at the next one, and their slopes."""
         per_step = 1.0 / self._radius_step
         f = radius * per_step - knot
         g = 1.0 - f
@@ -215,6 +214,6 @@ class SlipSignals:
 
 
 @lru_cache
-def slope_rows(contacts: int) -> NDArray[np.intp]:
-    """Rows that `SlipSignals.fill` writes for contacts one after the other, by parameter, (7 k,)."""
+def slope_rows(contacts: int) -> Indices:
+    """Return the rows that `SlipSignals.fill` writes for contacts one after the other, by parameter, (7 k,)."""
     return np.asarray(ROWS * np.arange(contacts)[:, None] + _SLOPES, np.intp).ravel()

@@ -17,9 +17,9 @@ for a sliding contact are no covariance, because they tie f_z to both directions
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
@@ -143,7 +143,7 @@ class FourierDecoder:
         self._evidence_offset = 1.5 * (grid.multiplicity * np.log(bin_power)).sum()  # repeated samples are no new ones
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
-        """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class FourierDecoder:
         decoded = [found[row] for row in range(len(frames))]
         return Decoded.stack(decoded, leading, wanted) if leading else decoded[0]
 
-    def _decode_incomplete(self, frame: Floats, known: NDArray[np.bool_], displacement: bool) -> Decoded:
+    def _decode_incomplete(self, frame: Floats, known: Bools, displacement: bool) -> Decoded:
         worst = float(known.mean(axis=(1, 2)).min())
         if worst < KNOWN_LIMIT:
             reason = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"

@@ -43,14 +43,14 @@ class ExtendedTransform:
         return self._shape[0] * self._shape[1] / (self.extended_shape[0] * self.extended_shape[1])
 
     def to_spectrum(self, fields: Floats) -> Complexes:
-        """Bins of `rfft2` of the extended fields, flat: (..., bins)."""
+        """Return the bins of `rfft2` of the extended fields, flat: (..., bins)."""
         leading, (ny, nx) = fields.shape[:-2], self._shape
         rows = (fields.reshape(-1, nx) @ self._to_bins_x).view(np.complex128)
         spectrum = self._to_bins_y @ rows.reshape(*leading, ny, self._bins_x)
         return np.asarray(spectrum.reshape(*leading, -1), np.complex128)
 
     def to_space(self, spectrum: Complexes) -> Floats:
-        """Fields (..., ny, nx) of the flat bins (..., bins), without what lies beyond the array."""
+        """Return the fields (..., ny, nx) of the flat bins (..., bins), without what lies beyond the array."""
         ny, nx = self._shape
         columns = spectrum.reshape(*spectrum.shape[:-1], self.extended_shape[0], self._bins_x)
         rows = fft.ifft(columns, axis=-2, norm="ortho")[..., :ny, :]
@@ -63,7 +63,7 @@ def extended_length(count: int) -> int:
 
 
 def extension_matrix(count: int, length: int) -> Floats:
-    """Matrix (length, count): the samples first, then the last and the first one repeated, tapered to 0 by a cosine.
+    """Return the matrix (length, count) that appends the last and the first sample, tapered to 0 by a cosine.
 
     Each taper is a quarter of the samples long, or half of what is free where that is less; the rest is 0.
     """

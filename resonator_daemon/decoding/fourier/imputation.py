@@ -1,9 +1,8 @@
 """Lost signals of a grid, replaced by what a spectral model predicts from the others."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener
 
@@ -12,7 +11,7 @@ _TOLERANCE = 0.3  # ... which end when it changes by less than this share of the
 
 
 class Imputation:
-    """Fills gaps of frames (3, ny, nx).
+    """Imputation of lost signals in frames (3, ny, nx).
 
     Parameters
     ----------
@@ -41,7 +40,7 @@ class Imputation:
         self._neighbours_y, self._neighbours_x = (_kernel(n, 0.5) for n in shape)
         self._blur_y, self._blur_x = (_kernel(n, 0.5 * max(depth_pitches, 1.0)) for n in shape)
 
-    def fill(self, frame: Floats, known: NDArray[np.bool_]) -> tuple[Floats, bool]:
+    def fill(self, frame: Floats, known: Bools) -> tuple[Floats, bool]:
         """Replace lost signals by the model's prediction from the others; False where that has not settled.
 
         A mean of the neighbours, then expectation and maximisation in turn, with Nesterov's momentum.
@@ -58,7 +57,7 @@ class Imputation:
                 return predicted, True
         return predicted, False
 
-    def density(self, known: NDArray[np.bool_]) -> Floats:
+    def density(self, known: Bools) -> Floats:
         """Share of known signals around each site, of the channel that has lost most there."""
         ones = np.ones(self._shape)
         shares = (self._blur_y @ known @ self._blur_x) / (self._blur_y @ ones @ self._blur_x)
@@ -66,6 +65,6 @@ class Imputation:
 
 
 def _kernel(count: int, width: float) -> Floats:
-    """Weights (count, count) that fall with the distance of two samples, a few times faster beyond `width`."""
+    """Return weights (count, count) that fall with the distance of two samples, a few times faster beyond `width`."""
     distance = np.subtract.outer(np.arange(count), np.arange(count))
     return np.asarray(1.0 / (1.0 + (distance / width) ** 2) ** 2, np.float64)

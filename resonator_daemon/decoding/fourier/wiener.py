@@ -6,7 +6,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.arrays import Complexes, Floats, Indices
 
 _Number = TypeVar("_Number", np.float64, np.complex128)
 
@@ -16,7 +16,7 @@ class Fit:
     """Frames in the eigenbasis, and for each the scale that explains it best."""
 
     rotated: Complexes  # (n, 3, bins)
-    scale: NDArray[np.intp]  # (n,): index in the scales
+    scale: Indices  # (n,): index in the scales
     chi2: Floats  # (n,): mean square of the innovation in units of prior and declared noise
     excess: Floats  # (n,): noise variance over the declared one, at least 1
     log_evidence: Floats  # (n,)
@@ -101,7 +101,7 @@ class SpectralWiener:
         return Fit(rotated, scale, chi2[best], excess[best], -0.5 * deviance[best])
 
     def tractions(self, fit: Fit) -> Complexes:
-        """Estimates of f, shape (n, 3, bins)."""
+        """Return the estimates of f, shape (n, 3, bins)."""
         gain = self._scales[fit.scale, None, None] * self._singular * self._shrinkage[fit.scale]
         return product(self._to_tractions, fit.rotated * gain)
 
@@ -110,7 +110,7 @@ class SpectralWiener:
         return product(self._to_signals, fit.rotated * (1.0 - self._shrinkage[fit.scale]))
 
     def mean_square(self, spectra: Complexes) -> Floats:
-        """Mean square in space of spectra (..., bins)."""
+        """Return the mean square in space of spectra (..., bins)."""
         energy = self._weight * (spectra.real**2 + spectra.imag**2)
         return np.asarray(energy.sum(axis=-1) / self._samples, np.float64)
 

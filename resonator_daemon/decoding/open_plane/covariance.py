@@ -56,7 +56,7 @@ class SiteCovariance:
 
 
 def _depth_weights(depths_m: Floats) -> tuple[Floats, Floats]:
-    """Depths to tabulate (d,) and what each contributes to each site (d, n).
+    """Return the depths to tabulate (d,) and what each contributes to each site (d, n).
 
     Signals are smooth in depth: for depths that differ by less than a factor of two, eight nodes leave less than 1e-6.
     """

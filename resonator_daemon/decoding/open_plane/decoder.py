@@ -117,7 +117,7 @@ class OpenPlaneDecoder:
         self._asks_at_sites = query_positions_m is None
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
-        """Tractions, and displacements where asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
+        """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
 
         Parameters
         ----------
@@ -160,7 +160,7 @@ class OpenPlaneDecoder:
         return np.array([self._map.anomaly_scores(frame) for frame in frames]).reshape(np.shape(signals))
 
     def _frames(self, signals: ArrayLike) -> tuple[Floats, tuple[int, ...], tuple[int, ...]]:
-        """Frames (k, 3 n), the leading axes, and the shape of a frame's surface arrays."""
+        """Return the frames (k, 3 n), the leading axes, and the shape of a frame's surface arrays."""
         frames = np.asarray(signals, np.float64)
         flat = (3, self._count)
         if self._shape and frames.shape[-3:] == (3, *self._shape):

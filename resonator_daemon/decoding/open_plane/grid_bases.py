@@ -6,9 +6,8 @@ the products of both axes' vectors those stay that carry the estimate.
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import AxisPower, frequencies
 from resonator_daemon.decoding.open_plane.parity import CLASSES, parities, unfold
@@ -84,7 +83,7 @@ class Bases:
         while not all(np.isin(partners[ranks[index, :needed]], ranks[index, :needed]).all() for index in _OWN_PARTNERS):
             needed += 1
         kept = np.sort(ranks[:, :needed], axis=1)
-        self.exchanged: list[NDArray[np.intp]] | None = None
+        self.exchanged: list[Indices] | None = None
         if not along_y:
             kept[CLASSES.index((1, 0))] = np.sort(partners[kept[CLASSES.index((0, 1))]])
             self.exchanged = [
@@ -98,8 +97,8 @@ class Bases:
         self._ends = [np.searchsorted(of_class, np.arange(4) * kx * ky).tolist() for of_class in kept]
         self._rows, self._columns = row, column
 
-    def kept(self, index: int, channel: int) -> tuple[slice, NDArray[np.intp], NDArray[np.intp]]:
-        """Which products of a class belong to a channel, and their vectors along y and along x."""
+    def kept(self, index: int, channel: int) -> tuple[slice, Indices, Indices]:
+        """Return which products of a class belong to a channel, and their vectors along y and along x."""
         part = slice(*self._ends[index][channel : channel + 2])
         return part, self._rows[index, part], self._columns[index, part]
 

@@ -7,9 +7,8 @@ Strong signals need more of them than faint ones: there is a set for each level.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Floats, Indices, Singles
 from resonator_daemon.decoding.layout import Grid
 from resonator_daemon.decoding.open_plane.estimate_power import EstimatePower
 from resonator_daemon.decoding.open_plane.grid_bases import Bases, Reduction
@@ -109,7 +108,7 @@ class GridCovariance:
         self._along_y = None if is_square else EstimatePower(prior, grid, depth_m, noise_std, 1)
 
     def bases(self, scale: float, left_out: dict[Field, float]) -> dict[Field, Bases]:
-        """Bases that lose no more than a share of each field's estimate at a scale of the prior."""
+        """Return the bases that lose no more than a share of each field's estimate at a scale of the prior."""
         along_x = self._along_x.by_channel(scale)
         along_y = self._along_y.by_channel(scale) if self._along_y else {}
         return {
@@ -188,7 +187,7 @@ class GridModes(Modes):
         y, x = (np.minimum(np.arange(count), np.arange(count)[::-1]) for count in (ny, nx))
         return np.asarray(quarter[..., y[:, None], x], np.float64).reshape(scales.size, -1)
 
-    def rows(self, signals: NDArray[np.intp]) -> Floats:
+    def rows(self, signals: Indices) -> Floats:
         channel, y, x = np.unravel_index(signals, (3, *self._grid.shape))
         coefficients = np.zeros((signals.size, self._sensor.x.shape[1], 3, self._sensor.y.shape[1]))
         coefficients[np.arange(signals.size), :, channel] = (
@@ -199,7 +198,7 @@ class GridModes(Modes):
         return rows
 
 
-def _eigenvectors(matrix: Floats, partners: NDArray[np.intp]) -> tuple[Floats, Floats]:
+def _eigenvectors(matrix: Floats, partners: Indices) -> tuple[Floats, Floats]:
     """Solve the eigenproblem of a matrix that is the same after rows and columns trade places with their partners."""
     places = np.arange(partners.size)
     first, alone = np.flatnonzero(places < partners), np.flatnonzero(places == partners)

@@ -8,9 +8,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.open_plane.lost_signals import LostSignals
 from resonator_daemon.decoding.open_plane.modes import Modes
@@ -46,7 +45,7 @@ class Estimate:
 
     shape: tuple[int, ...]  # of surface arrays, (3, m) or m split in two
     whitened: Singles  # signals over their noise, lost ones 0, (3 n,)
-    known: NDArray[np.bool_] | None  # (3 n,); None where all are
+    known: Bools | None  # (3 n,); None where all are
     energy: float  # sum of squares of the whitened signals
     log_evidence: float
     chi2: float
@@ -94,7 +93,7 @@ class Surface:
         excess: float,
         contact_factor: float,
         least_pressure: float,
-        border: NDArray[np.intp],
+        border: Indices,
     ) -> None:
         self._modes = modes
         self._amplitudes = amplitudes
@@ -169,7 +168,7 @@ class LinearMap:
         gain_std: float,
         prior_variance: Floats,
         contact_factor: float,
-        border: NDArray[np.bool_],
+        border: Bools,
     ) -> None:
         self._mode_sets = mode_sets
         self._whiten = (1.0 / noise_std).astype(np.float32)
@@ -244,7 +243,7 @@ class LinearMap:
         scores = left / np.sqrt(self._inverse_diagonal[key] * self._floor(energy))
         return scores if known is None else np.where(known, scores, np.nan)
 
-    def _prepare(self, signals: Floats) -> tuple[Singles, NDArray[np.bool_] | None, float]:
+    def _prepare(self, signals: Floats) -> tuple[Singles, Bools | None, float]:
         """Whitened signals, lost ones 0; which are known, None where all are; their sum of squares."""
         whitened = signals.astype(np.float32) * self._whiten
         energy = float(whitened.dot(whitened))
@@ -267,7 +266,7 @@ class LinearMap:
     def _floor(self, energy: float) -> float:
         return 1.0 + self._gain_floor * energy
 
-    def _lost_signals(self, mode_set: ModeSet, known: NDArray[np.bool_]) -> LostSignals:
+    def _lost_signals(self, mode_set: ModeSet, known: Bools) -> LostSignals:
         key = mode_set.level, known.tobytes()
         if key not in self._lost:
             self._lost[key] = LostSignals(mode_set.modes, mode_set.scale_grid, np.flatnonzero(~known))

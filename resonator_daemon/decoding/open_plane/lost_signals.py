@@ -6,10 +6,9 @@ is -((K^-1)_dd)^-1 (K^-1 s)_d for s filled by zeros.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Floats, Indices, Singles
 from resonator_daemon.decoding.open_plane.modes import Modes
 from resonator_daemon.decoding.open_plane.scale_grid import Choice, ScaleGrid
 
@@ -24,7 +23,7 @@ class LostSignals:
         Indices into the flat signals (3 n,).
     """
 
-    def __init__(self, modes: Modes, scale_grid: ScaleGrid, lost: NDArray[np.intp]) -> None:
+    def __init__(self, modes: Modes, scale_grid: ScaleGrid, lost: Indices) -> None:
         self._modes = modes
         self._scale_grid = scale_grid
         self._lost = lost

@@ -3,9 +3,8 @@
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Floats, Indices, Singles
 
 # A mode is left out where its signal stays a tenth of the noise, in frames up to 50 dB over the noise.
 _FAINTEST = 1e-2
@@ -41,8 +40,8 @@ class Modes(ABC):
         """Variance of the traction that the signals explain, diagonal of q^2 F (q L + 1)^-1 F': (k,) to (k, 3 m)."""
 
     @abstractmethod
-    def rows(self, signals: NDArray[np.intp]) -> Floats:
-        """Rows of V that belong to some of the signals, (len(signals), r)."""
+    def rows(self, signals: Indices) -> Floats:
+        """Return the rows of V that belong to some of the signals, (len(signals), r)."""
 
 
 class DenseModes(Modes):
@@ -87,5 +86,5 @@ class DenseModes(Modes):
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
         return np.asarray(gain @ (self._traction.astype(np.float64) ** 2).T, np.float64)
 
-    def rows(self, signals: NDArray[np.intp]) -> Floats:
+    def rows(self, signals: Indices) -> Floats:
         return self._vectors[signals]

@@ -46,7 +46,7 @@ def unfold(count: int, odd: int) -> Floats:
 def offset_table(
     grid: Grid, prior: StationaryPrior, row: Field, row_depth_m: float, column: Field, depth_m: float
 ) -> Floats:
-    """Covariances for all offsets of two sites, (3, 3, 2 ny - 1, 2 nx - 1)."""
+    """Return the covariances for all offsets of two sites, (3, 3, 2 ny - 1, 2 nx - 1)."""
     ny, nx = grid.shape
     x = np.arange(1 - nx, nx) * grid.pitch_x_m
     y = np.arange(1 - ny, ny) * grid.pitch_y_m

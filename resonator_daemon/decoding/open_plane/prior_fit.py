@@ -4,9 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Bools, Floats, Indices
 from resonator_daemon.decoding.layout import as_grid
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.parameters import SIGNAL_LIMIT, noise_of_signals
@@ -130,8 +130,8 @@ def fit_prior(
     )
 
 
-def has_load(frames: ArrayLike, noise_std: ArrayLike) -> NDArray[np.bool_]:
-    """Which of the frames (k, 3, n) hold more than noise, by their energy over all known signals: (k,)."""
+def has_load(frames: ArrayLike, noise_std: ArrayLike) -> Bools:
+    """Return which of the frames (k, 3, n) hold more than noise, by their energy over all known signals: (k,)."""
     signals = np.asarray(frames, np.float64)
     whitened = signals / noise_of_signals(noise_std, signals.shape[2:])
     known = np.abs(signals) <= SIGNAL_LIMIT
@@ -140,13 +140,13 @@ def has_load(frames: ArrayLike, noise_std: ArrayLike) -> NDArray[np.bool_]:
     return np.asarray(energy.sum(axis=(1, 2)) > count + _LOADED_STD * np.sqrt(2.0 * count), np.bool_)
 
 
-def _prior(place: Floats | NDArray[np.intp]) -> Floats:
+def _prior(place: Floats | Indices) -> Floats:
     default = np.array([DEFAULT_PRIOR.correlation_length_m, DEFAULT_PRIOR.tangential_ratio])
     return np.asarray(default * _STEP ** np.asarray(place, np.float64), np.float64)
 
 
 def _summit(likelihood: Floats) -> tuple[Floats, Floats]:
-    """Place of the maximum from the middle and its standard deviation, in steps, (2,) each; from (3, 3, frames)."""
+    """Return the maximum from the middle and its standard deviation, in steps, (2,) each, of (3, 3, frames)."""
     total = likelihood.sum(axis=2)
     if not np.isfinite(total).all():
         return np.zeros(2), np.full(2, np.inf)

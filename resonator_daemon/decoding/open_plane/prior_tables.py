@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
-from resonator_daemon.arrays import Complexes, Floats
+from resonator_daemon.arrays import Complexes, Floats, Indices
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
@@ -97,7 +97,7 @@ class StationaryPrior:
         return density
 
     def _quadrature(self, depth_m: float, reach_m: float) -> tuple[Floats, Floats]:
-        """Nodes and weights from 0 to where everything has faded, fine enough for the Bessel functions and for p."""
+        """Return nodes and weights from 0 to where everything has faded, fine enough for Bessel functions and p."""
         highest = _FADED / depth_m
         width = min(_PANEL_PHASE / reach_m, 2.0 / self.prior.correlation_length_m)
         edges = np.linspace(0.0, highest, 1 + int(np.ceil(highest / width)))
@@ -107,7 +107,7 @@ class StationaryPrior:
         return omega, np.tile(half * weights, edges.size - 1)
 
     def _response(self, field: Field, omega_x: Floats, omega_y: Floats, depth_m: float) -> Complexes:
-        """Matrix (..., 3, 3) from the traction to a field."""
+        """Return the matrix (..., 3, 3) from the traction to a field."""
         if field == "traction":
             return np.broadcast_to(np.eye(3, dtype=np.complex128), (*omega_x.shape, 3, 3))
         return self.half_space.transfer_matrix(field, "traction", omega_x, omega_y, depth_m)
@@ -133,11 +133,11 @@ class Kernel:
     """Covariance matrix of two fields as a function of the offset between two places."""
 
     _along_x: CubicSpline  # of the distance: scalar first, turned to lie along x
-    _row_order: NDArray[np.intp]
-    _column_order: NDArray[np.intp]
+    _row_order: Indices
+    _column_order: Indices
 
     def __call__(self, offset_m: Floats) -> Floats:
-        """Matrices (..., 3, 3) for the row's place minus the column's, (..., 2)."""
+        """Return the matrices (..., 3, 3) for the row's place minus the column's, (..., 2)."""
         distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
         safe = np.where(distance > 0.0, distance, 1.0)
         c, s = np.where(distance > 0.0, offset_m[..., 0] / safe, 1.0), offset_m[..., 1] / safe

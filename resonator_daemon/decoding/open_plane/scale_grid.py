@@ -4,9 +4,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats, Singles
+from resonator_daemon.arrays import Floats, Indices, Singles
 
 _STRIDE = 5  # the likelihood of every fifth scale is computed; a parabola finds the best one between them
 
@@ -70,9 +69,7 @@ class ScaleGrid:
                 scale += round(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after))
         return self._choice(scale, mode_energy, noise_energy, floor, 0.0, samples, self._constant)
 
-    def judge(
-        self, scale: int, modes: Singles, energy: float, floor: float, lost: NDArray[np.intp], log_det: float
-    ) -> Choice:
+    def judge(self, scale: int, modes: Singles, energy: float, floor: float, lost: Indices, log_det: float) -> Choice:
         """Likelihood of one scale where lost signals were filled in by the others' prediction.
 
         `log_det` is the logarithm of the determinant of the inverse covariance's part that belongs to the lost ones.
