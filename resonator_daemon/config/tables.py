@@ -61,13 +61,13 @@ def _friction(value: object) -> object:
     return value
 
 
-Verb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
+ChangingVerb = Literal["tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify"]
 
 
 class Commands(Table):
     """Commands that subscribers may send; `ping`, `health` and `snapshot` change nothing and are always allowed."""
 
-    allow: tuple[Verb, ...] = Field(
+    allow: tuple[ChangingVerb, ...] = Field(
         default=(), description="commands that are obeyed beside those that change nothing", examples=[["tare", "mark"]]
     )
 

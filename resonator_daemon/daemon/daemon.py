@@ -446,18 +446,16 @@ class Service:
             self._status()  # so that the age of what is new is counted from now on, asked for or not
 
     def _report_health(self) -> Health:
-        sensor = self._pipeline.sensor
-        vitals = self._monitor.vitals(
+        health = self._monitor.report(
+            self._pipeline.headers.of(HEALTH, time.time_ns()),
             self.link_counters,
             self.message_account,
             self._reader.clock_rate_ppm,
-            sensor.frames_not_decoded,
-            sensor.records_unusable,
+            self._pipeline.sensor.records_unusable,
             latency=self._pipeline.output.latencies.info(),
             decoder=self._decoder.info() if self._decoder is not None else None,
             recording=recording_info(self._recording),
             commands=self._plate_publisher.command_counts,
         )
-        health = Health(**self._pipeline.headers.of(HEALTH, time.time_ns()), **vitals)
         self._publish(HEALTH, health)
         return health

@@ -4,49 +4,21 @@ import asyncio
 import math
 import resource
 import time
+from collections.abc import Mapping
 from dataclasses import asdict
-from typing import NamedTuple, TypedDict
+from typing import Any, NamedTuple
 
 import psutil
 
 from resonator_daemon.publishing.payloads import (
     BootInfo,
     DecoderProcessInfo,
+    Health,
     LatencyInfo,
     MessageAccount,
     RecordingInfo,
 )
 from resonator_daemon.session.counters import LinkCounters
-
-
-class Vitals(TypedDict):
-    """The fields of the `health` message beside its header."""
-
-    uptime_s: float
-    frames: int
-    frame_rate_hz: float
-    parts_lost: int
-    frames_not_decoded: int
-    records_unusable: dict[str, int]
-    packets_ignored: dict[str, int]
-    bytes_in: int
-    bytes_by_fate: dict[str, int]
-    connections: int
-    host_overruns: int
-    boots: tuple[BootInfo, ...]
-    clock_drift_ppm: float
-    clock_outliers: int
-    clock_restarts: int
-    cpu_percent: float
-    rss_mb: float
-    tasks: int
-    threads: int
-    file_descriptors: int
-    latency: dict[str, LatencyInfo]
-    decoder: DecoderProcessInfo | None
-    recording: RecordingInfo
-    commands: dict[str, int]
-    messages: MessageAccount
 
 
 class Held(NamedTuple):
@@ -90,36 +62,37 @@ class ProcessUsage:
 
 
 class HealthMonitor:
-    """Takes stock of this process; rates are over the time since the last call of `vitals`."""
+    """Makes the `health` messages of this process; rates are over the time since the last message."""
 
     def __init__(self) -> None:
         self._process = ProcessUsage()
         self._started = self._last = time.monotonic()
         self._last_frames = 0
 
-    def vitals(
+    def report(
         self,
+        header: Mapping[str, Any],
         link: LinkCounters,
         messages: MessageAccount,
         clock_drift_ppm: float,
-        frames_not_decoded: int,
         records_unusable: dict[str, int],
         latency: dict[str, LatencyInfo],
         recording: RecordingInfo,
         commands: dict[str, int],
         decoder: DecoderProcessInfo | None = None,
-    ) -> Vitals:
-        """Take stock; from a task of the event loop, whose tasks are counted."""
+    ) -> Health:
+        """Return a message with this header; to be called by a task of the event loop, whose tasks are counted."""
         now = time.monotonic()
         rate_hz = (link.frames - self._last_frames) / max(now - self._last, 1e-3)
         self._last, self._last_frames = now, link.frames
         held = self._process.held()
-        return Vitals(
+        return Health(
+            **header,
             uptime_s=now - self._started,
             frames=link.frames,
             frame_rate_hz=rate_hz,
             parts_lost=link.parts_lost,
-            frames_not_decoded=frames_not_decoded,
+            frames_not_decoded=sum(decoder.skipped.values()) if decoder is not None else 0,
             records_unusable=records_unusable,
             packets_ignored={
                 "stale": link.messages_stale,

@@ -2,26 +2,22 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, SerializeAsAny
 
+from resonator_daemon.config.tables import ChangingVerb
 from resonator_daemon.publishing.payloads import Float, Health, Int64, Message
+from resonator_daemon.publishing.topics import JSON, TOPICS
 
 LABEL_PATTERN: Final = "^[A-Za-z0-9_-]{1,64}$"
 
-JsonTopic = Literal[
-    "state/daemon",
-    "state/link",
-    "state/sensor",
-    "info",
-    "contacts/event",
-    "forces",
-    "contacts",
-    "decoded/summary",
-    "health",
-]
-StreamTopic = Literal["forces", "contacts", "signals", "decoded", "decoded/summary"]
+if TYPE_CHECKING:
+    JsonTopic = str
+    StreamTopic = str
+else:
+    JsonTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.content_type == JSON)]
+    StreamTopic = Literal[tuple(path for path, topic in TOPICS.items() if topic.slow_hz is not None)]
 ErrorCode = Literal[
     "unknown_verb",
     "not_permitted",
@@ -233,33 +229,39 @@ class Verb:
 
     Attributes
     ----------
-    changes
-        Whether it changes anything, and therefore needs to be allowed.
     idempotent
         Whether it may be sent again without doing more.
     """
 
-    name: str
     request: type[Request]
     answer: type[Answer]
-    changes: bool
-    idempotent: bool
     summary: str
+    idempotent: bool = True
+
+    @property
+    def name(self) -> str:
+        name: str = self.answer.model_fields["verb"].default
+        return name
+
+    @property
+    def changes(self) -> bool:
+        """Whether it changes anything, and therefore has to be permitted by the configuration."""
+        return self.name in get_args(ChangingVerb)
 
 
 VERBS: Final[dict[str, Verb]] = {
     verb.name: verb
     for verb in (
-        Verb("ping", Ping, Pong, False, True, "tells that the daemon is there"),
-        Verb("health", AskHealth, HealthAnswer, False, True, "tells how the daemon fares"),
-        Verb("snapshot", Snapshot, SnapshotAnswer, False, True, "repeats the last message of each JSON topic"),
-        Verb("tare", Tare, TareAnswer, True, True, "takes the present readings as those of the untouched plate"),
-        Verb("start_recording", StartRecording, StartRecordingAnswer, True, True, "records the link to a file"),
-        Verb("stop_recording", StopRecording, StopRecordingAnswer, True, True, "ends the recording"),
-        Verb("mark", Mark, MarkAnswer, True, False, "writes a remark into the recording"),
-        Verb("set_window", SetWindow, SetWindowAnswer, True, True, "sets window and step of the forces"),
-        Verb("set_rate", SetRate, SetRateAnswer, True, True, "lowers the rate of a stream"),
-        Verb("identify", Identify, IdentifyAnswer, True, True, "makes the board blink"),
+        Verb(Ping, Pong, "tells that the daemon is there"),
+        Verb(AskHealth, HealthAnswer, "tells how the daemon fares"),
+        Verb(Snapshot, SnapshotAnswer, "repeats the last message of each JSON topic"),
+        Verb(Tare, TareAnswer, "takes the present readings as those of the untouched plate"),
+        Verb(StartRecording, StartRecordingAnswer, "records the link to a file"),
+        Verb(StopRecording, StopRecordingAnswer, "ends the recording"),
+        Verb(Mark, MarkAnswer, "writes a remark into the recording", idempotent=False),
+        Verb(SetWindow, SetWindowAnswer, "sets window and step of the forces"),
+        Verb(SetRate, SetRateAnswer, "lowers the rate of a stream"),
+        Verb(Identify, IdentifyAnswer, "makes the board blink"),
     )
 }
 

@@ -132,11 +132,6 @@ class Sensor(ABC, Generic[Reading]):
         return {}
 
     @property
-    def frames_not_decoded(self) -> int:
-        """Number of frames that were to be decoded and never will be."""
-        return 0
-
-    @property
     def skipped_late(self) -> int:
         """Number of messages that decoding was too slow for."""
         return 0

@@ -152,10 +152,6 @@ class SkinSensor(Sensor[SkinReading]):
         return "no force sites are being measured"
 
     @property
-    def frames_not_decoded(self) -> int:
-        return self._decoding.frames_skipped if self._decoding is not None else 0
-
-    @property
     def skipped_late(self) -> int:
         return len(_SURFACE) * self._decoding.frames_late if self._decoding is not None else 0
 

@@ -13,9 +13,16 @@ from typing import Any
 import pytest
 
 from resonator_daemon.monitoring import health
-from resonator_daemon.monitoring.health import HealthMonitor, Vitals
+from resonator_daemon.monitoring.health import HealthMonitor
 from resonator_daemon.publishing.codec import encode
-from resonator_daemon.publishing.payloads import Health, LatencyInfo, Lost, MessageAccount, RecordingInfo
+from resonator_daemon.publishing.payloads import (
+    DecoderProcessInfo,
+    Health,
+    LatencyInfo,
+    Lost,
+    MessageAccount,
+    RecordingInfo,
+)
 from resonator_daemon.session.counters import LinkCounters
 
 MESSAGES = MessageAccount(
@@ -43,6 +50,10 @@ RECORDING = RecordingInfo(
     messages_missing=0,
 )
 COMMANDS = {"done": 2, "denied": 1}
+HEADER = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": None, "t_ns": 1, "t_unc_ns": 0, "lost": Lost(damaged=9)}
+DECODER = DecoderProcessInfo(
+    pid=3, restarts={}, decoded=5, skipped={"newer_frame": 10, "too_old": 7}, waiting=1, cpu_percent=1.0, rss_mb=2.0
+)
 
 
 class Process:
@@ -71,8 +82,8 @@ class Machine:
     def __init__(self) -> None:
         self.now_s = 5000.0
 
-    def vitals(self, monitor: HealthMonitor, **link: int) -> Vitals:
-        return monitor.vitals(LinkCounters(**link), MESSAGES, 1.5, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
+    def health(self, monitor: HealthMonitor, **link: int) -> Health:
+        return monitor.report(HEADER, LinkCounters(**link), MESSAGES, 1.5, {"edges": 3}, LATENCY, RECORDING, COMMANDS)  # type: ignore[arg-type]
 
 
 @pytest.fixture
@@ -88,32 +99,32 @@ async def test_the_frame_rate_is_that_since_the_last_call(machine: Machine) -> N
     rates = []
     for seconds, frames in ((2.0, 2000), (0.5, 2450), (4.0, 2450), (1.0, 3450)):
         machine.now_s += seconds
-        rates.append(machine.vitals(monitor, frames=frames)["frame_rate_hz"])
+        rates.append(machine.health(monitor, frames=frames).frame_rate_hz)
     assert rates == pytest.approx([1000.0, 900.0, 0.0, 1000.0])
 
 
 async def test_two_calls_at_one_instant_are_no_crash(machine: Machine) -> None:
     monitor = HealthMonitor()
-    assert math.isfinite(machine.vitals(monitor, frames=10)["frame_rate_hz"])
-    assert machine.vitals(monitor, frames=10)["frame_rate_hz"] == 0.0
+    assert math.isfinite(machine.health(monitor, frames=10).frame_rate_hz)
+    assert machine.health(monitor, frames=10).frame_rate_hz == 0.0
 
 
 async def test_uptime_counts_from_the_start(machine: Machine) -> None:
     monitor = HealthMonitor()
     for seconds in (1.25, 3.0):
         machine.now_s += seconds
-        vitals = machine.vitals(monitor)
-    assert vitals["uptime_s"] == pytest.approx(4.25)
+        made = machine.health(monitor)
+    assert made.uptime_s == pytest.approx(4.25)
 
 
 async def test_processor_time_counts_from_the_start(machine: Machine) -> None:
     monitor = HealthMonitor()
-    assert [machine.vitals(monitor)["cpu_percent"] for _ in range(3)] == [20.5, 21.0, 21.5]
-    assert machine.vitals(monitor)["rss_mb"] == 92.0
+    assert [machine.health(monitor).cpu_percent for _ in range(3)] == [20.5, 21.0, 21.5]
+    assert machine.health(monitor).rss_mb == 92.0
 
 
 async def test_every_byte_has_one_fate(machine: Machine) -> None:
-    vitals = machine.vitals(
+    made = machine.health(
         HealthMonitor(),
         bytes_received=11111,
         bytes_accepted=10000,
@@ -122,8 +133,8 @@ async def test_every_byte_has_one_fate(machine: Machine) -> None:
         bytes_discarded=10,
         bytes_waiting=1,
     )
-    assert vitals["bytes_in"] == 11111 == sum(vitals["bytes_by_fate"].values())
-    assert vitals["bytes_by_fate"] == {
+    assert made.bytes_in == 11111 == sum(made.bytes_by_fate.values())
+    assert made.bytes_by_fate == {
         "accepted": 10000,
         "other_version": 1000,
         "own_direction": 100,
@@ -135,13 +146,18 @@ async def test_every_byte_has_one_fate(machine: Machine) -> None:
 async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None:
     monitor = HealthMonitor()
     machine.now_s += 1.0
-    vitals = monitor.vitals(
-        LinkCounters(frames=1000, parts_lost=4), MESSAGES, math.nan, 17, {"edges": 3}, LATENCY, RECORDING, COMMANDS
+    made = monitor.report(
+        HEADER,
+        LinkCounters(frames=1000, parts_lost=4),
+        MESSAGES,
+        math.nan,
+        {"edges": 3},
+        LATENCY,
+        RECORDING,
+        COMMANDS,
+        DECODER,
     )
-    message = Health(
-        seq=0, daemon_boot_id="9f3c", board_boot_id=None, t_ns=1, t_unc_ns=0, lost=Lost(damaged=9), **vitals
-    )
-    payload = json.loads(encode(message))
+    payload = json.loads(encode(made))
     expected = {
         "uptime_s": 1.0,
         "frames": 1000,
@@ -173,20 +189,20 @@ async def test_vitals_are_the_body_of_a_health_message(machine: Machine) -> None
 
 
 async def test_the_monitor_watches_this_process() -> None:
-    assert vitals_of_now()["rss_mb"] == pytest.approx(resident_mb(), rel=0.1)
+    assert health_of_now().rss_mb == pytest.approx(resident_mb(), rel=0.1)
 
 
 async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
-    before = vitals_of_now()
+    before = health_of_now()
     release = threading.Event()
     thread = threading.Thread(target=release.wait)
     thread.start()
     task = asyncio.create_task(asyncio.Event().wait())
     descriptors = os.pipe()
-    held = vitals_of_now()
-    assert held["threads"] == before["threads"] + 1
-    assert held["tasks"] == before["tasks"] + 1
-    assert held["file_descriptors"] == before["file_descriptors"] + 2
+    held = health_of_now()
+    assert held.threads == before.threads + 1
+    assert held.tasks == before.tasks + 1
+    assert held.file_descriptors == before.file_descriptors + 2
     release.set()
     thread.join()
     wait_for_the_kernel_to_let_go(thread)
@@ -194,9 +210,12 @@ async def test_what_is_held_is_counted_and_what_is_let_go_is_not() -> None:
     await asyncio.wait([task])
     for descriptor in descriptors:
         os.close(descriptor)
-    after = vitals_of_now()
-    for key in ("threads", "tasks", "file_descriptors"):
-        assert after[key] == before[key]
+    after = health_of_now()
+    assert (after.threads, after.tasks, after.file_descriptors) == (
+        before.threads,
+        before.tasks,
+        before.file_descriptors,
+    )
 
 
 def wait_for_the_kernel_to_let_go(thread: threading.Thread) -> None:
@@ -209,5 +228,5 @@ def resident_mb() -> float:
         return int(statm.read().split()[1]) * resource.getpagesize() * 1e-6
 
 
-def vitals_of_now() -> dict[str, Any]:
-    return dict(HealthMonitor().vitals(LinkCounters(), MESSAGES, 0.0, 0, {}, {}, None, {}))
+def health_of_now() -> Health:
+    return HealthMonitor().report(HEADER, LinkCounters(), MESSAGES, 0.0, {}, {}, RECORDING, {})

@@ -9,10 +9,7 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from resonator_daemon.config import tables as config_tables
-from resonator_daemon.publishing.payloads import WITH_ARRAYS
-from resonator_daemon.publishing.topics import TOPICS
-from resonator_daemon.publishing.verbs import VERBS, ErrorCode, JsonTopic, Refusal, StreamTopic, permitted
+from resonator_daemon.publishing.verbs import VERBS, ErrorCode, Refusal, permitted
 
 PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
 SECTION = PAGE.read_text().partition("\n## Commands\n")[2].partition("\n## ")[0]
@@ -67,18 +64,9 @@ def test_each_verb_answers_with_its_name() -> None:
     assert [*Refusal.model_fields] == ["verb", "ok", "error"]
 
 
-def test_the_configuration_allows_just_those_that_change_something() -> None:
-    assert set(get_args(config_tables.Verb)) == {verb.name for verb in VERBS.values() if verb.changes}
-
-
 def test_what_changes_nothing_is_always_obeyed() -> None:
     assert permitted(()) == ("ping", "health", "snapshot")
     assert permitted(("tare", "mark")) == ("ping", "health", "snapshot", "tare", "mark")
-
-
-def test_topics_that_verbs_name_are_those_there_are() -> None:
-    assert set(get_args(JsonTopic)) == {path for path, topic in TOPICS.items() if topic.payload not in WITH_ARRAYS}
-    assert set(get_args(StreamTopic)) == {path for path, topic in TOPICS.items() if topic.slow_hz is not None}
 
 
 def table(header: str) -> list[list[str]]:
