@@ -24,7 +24,6 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         amqtt, which the broker is made of, is not installed.
     """
     try:
-        from amqtt.adapters import StreamReaderAdapter
         from amqtt.broker import Broker
     except ImportError as error:
         raise UserError("the embedded broker needs amqtt: pip install amqtt") from error
@@ -44,7 +43,7 @@ async def embedded_broker(port: int = 0) -> AsyncIterator[str]:
         connection = Connection(reader, writer, delivery)
         reading = asyncio.create_task(connection.read_on())
         try:
-            await broker.external_connected(StreamReaderAdapter(connection.reader), connection, "default")
+            await broker.external_connected(connection.reader, connection, "default")
         finally:
             reading.cancel()
             writer.close()

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from amqtt.broker import Broker
 
 WAITING_BYTES_MAX: Final = 256 * 1024  # for one subscriber: ten decoded frames, a few hundred messages of forces
+UNREAD_BYTES_MAX: Final = 256 * 1024  # of one client, which amqtt has not read yet; then the socket is not read
+TOPICS_MAX: Final = 1024  # whose subscribers are remembered
 
 _READ_BYTES: Final = 64 * 1024
 _STREAM: Final = 0x30  # PUBLISH with QoS 0, neither retained nor a duplicate
@@ -22,7 +24,8 @@ log = logging.getLogger(__name__)
 class StreamDelivery:
     """Delivery of messages of QoS 0 that are not retained to their subscribers; amqtt handles all others.
 
-    Those for a subscriber that has too many bytes waiting are dropped, and counted in `dropped`.
+    Those for a subscriber that has too many bytes waiting are dropped, and counted in `dropped`. They may overtake
+    messages of QoS 1: MQTT keeps the order within one topic and QoS alone (MQTT 3.1.1, section 4.6).
     """
 
     def __init__(self, broker: "Broker") -> None:
@@ -34,6 +37,8 @@ class StreamDelivery:
         """Write a packet to all subscribers of its topic."""
         subscribers = self._subscribers.get(topic)
         if subscribers is None:
+            if len(self._subscribers) >= TOPICS_MAX:
+                self._subscribers.clear()
             subscribers = self._subscribers[topic] = self._find(topic.decode(errors="replace"))
         for subscriber in subscribers:
             if not subscriber.write_stream(packet):
@@ -55,6 +60,38 @@ class StreamDelivery:
         return [handler.writer for handler in handlers if isinstance(handler.writer, Connection)]
 
 
+class PacketReader:
+    """Packets for amqtt, at most 256 kB ahead of it.
+
+    The methods without a comment are those of amqtt's ReaderAdapter.
+    """
+
+    def __init__(self) -> None:
+        self._reader = asyncio.StreamReader()
+        self._unread_bytes = 0
+        self._read = asyncio.Event()
+        self._ended = False
+
+    async def feed(self, data: bytes) -> None:
+        """Append packets; wait until little enough is unread."""
+        self._reader.feed_data(data)
+        self._unread_bytes += len(data)
+        while self._unread_bytes > UNREAD_BYTES_MAX and not self._ended:
+            self._read.clear()
+            await self._read.wait()
+
+    async def read(self, n: int = -1) -> bytes:
+        data = await (self._reader.read() if n == -1 else self._reader.readexactly(n))
+        self._unread_bytes -= len(data)
+        self._read.set()
+        return data
+
+    def feed_eof(self) -> None:
+        self._ended = True
+        self._read.set()
+        self._reader.feed_eof()
+
+
 class Connection:
     """One client: `read_on` sorts its packets; amqtt reads those left for it from `reader`, and writes to this object.
 
@@ -67,7 +104,7 @@ class Connection:
         self._delivery = delivery
         self._accepted = False
         self._closed = False
-        self.reader = asyncio.StreamReader()
+        self.reader = PacketReader()
 
     async def read_on(self) -> None:
         """Read until the client disconnects."""
@@ -75,7 +112,10 @@ class Connection:
         try:
             while data := await self._socket_reader.read(_READ_BYTES):
                 waiting += data
-                del waiting[: self._sort(bytes(waiting))]
+                used_bytes, packets = self._sort(bytes(waiting))
+                del waiting[:used_bytes]
+                if packets:
+                    await self.reader.feed(packets)
         except OSError:
             pass  # it disconnected without a DISCONNECT packet
         finally:
@@ -113,18 +153,18 @@ class Connection:
             self._delivery.subscriptions_changed()
             self._writer.close()
 
-    def _sort(self, data: bytes) -> int:
-        """Forward or hand over all whole packets; return the bytes used up."""
-        start = 0
+    def _sort(self, data: bytes) -> tuple[int, bytes]:
+        """Forward the whole packets of streams; return the number of bytes of whole packets, and the others of them."""
+        start, others = 0, bytearray()
         while (ends := packet_ends(data, start)) is not None:
             body, end = ends
             if data[start] == _STREAM and self._accepted:
                 topic_end = body + 2 + int.from_bytes(data[body : body + 2], "big")
                 self._delivery.forward(data[start:end], data[body + 2 : topic_end])
             else:
-                self.reader.feed_data(data[start:end])
+                others += data[start:end]
             start = end
-        return start
+        return start, bytes(others)
 
 
 def packet_ends(data: bytes, start: int) -> tuple[int, int] | None:

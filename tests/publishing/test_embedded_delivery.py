@@ -9,6 +9,7 @@ import pytest
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.embedded_broker import embedded_broker
+from resonator_daemon.publishing.embedded_delivery import UNREAD_BYTES_MAX, PacketReader
 
 CONNECT, CONNACK, PUBLISH, PUBACK, SUBSCRIBE, SUBACK, UNSUBSCRIBE = (0x10, 0x20, 0x30, 0x40, 0x82, 0x90, 0xA2)
 PINGREQ = 0xC0
@@ -143,3 +144,17 @@ async def test_a_slow_subscriber_misses_streams_and_no_event(url: str) -> None:
         slow.send(PUBACK, packet[1][7:9])
         sender.publish("stream", b"next")
         assert await slow.payload() == b"next"
+
+
+async def test_a_client_is_read_as_fast_as_amqtt_reads_its_packets() -> None:
+    reader = PacketReader()
+    feeding = asyncio.create_task(reader.feed(bytes(UNREAD_BYTES_MAX + 1)))
+    await asyncio.sleep(0)
+    assert not feeding.done()
+    assert await reader.read(1) == b"\0"
+    await feeding
+    feeding = asyncio.create_task(reader.feed(b"more"))
+    await asyncio.sleep(0)
+    assert not feeding.done()
+    reader.feed_eof()  # amqtt closes the connection
+    await feeding
