@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from emulated_board import emulated_board
 
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import SingleToneFrame

@@ -12,13 +12,14 @@ from pathlib import Path
 
 from qemu_board import QemuBoard, build, free_port
 
-from resonator_daemon.config import SerialLink, TcpLink
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import SingleToneFrame
 
 
-def run(board: QemuBoard, link: SerialLink | TcpLink, seconds: float) -> tuple[bool, str]:
+def run(board: QemuBoard, link: SerialTarget | TcpTarget, seconds: float) -> tuple[bool, str]:
     """Return whether all went well on the way, and a line that tells of the run."""
     woken = threading.Event()
     reader = BoardReader(link, load_plate("quartz16"), woken.set)
@@ -54,8 +55,8 @@ def main() -> int:
         program = build(folder)
         port, pty = free_port(), folder / "board"
         for kind, board, link in (
-            ("tcp", QemuBoard(program, tcp_port=port), TcpLink("127.0.0.1", port)),
-            ("pty", QemuBoard(program, pty=pty), SerialLink(str(pty), 4_000_000)),
+            ("tcp", QemuBoard(program, tcp_port=port), TcpTarget("127.0.0.1", port)),
+            ("pty", QemuBoard(program, pty=pty), SerialTarget(str(pty), 4_000_000)),
         ):
             well, line = run(board, link, seconds)
             print(f"{kind}: {line}", flush=True)

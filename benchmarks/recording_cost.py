@@ -20,7 +20,7 @@ from pathlib import Path
 
 from emulated_board import emulated_board
 
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin

@@ -27,8 +27,8 @@ _HOST = """
 import sys, time
 import usb.core
 from resonator_daemon.links import usb_transfers
-from resonator_daemon.links.usb import open_usb
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.usb_link import open_usb
+from resonator_daemon.links.table import parse_link
 
 reader, seconds = sys.argv[1], float(sys.argv[2])
 if reader == "pyusb":

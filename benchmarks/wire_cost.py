@@ -23,8 +23,8 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import FramePart, HostSession
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_STRUCT
 from firmware_protocol.messages import Configuration, CounterKind, Description, Identity
-from resonator_daemon.config import TcpLink, parse_link
-from resonator_daemon.links.tcp import open_tcp
+from resonator_daemon.links.carriers.tcp import TcpTarget, open_tcp
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frame_assembly import FrameAssembler
@@ -118,7 +118,7 @@ def skin_cost(seconds: int) -> tuple[float, int]:
     channel = bytes(range(256)) * (SKIN_TONES * TONE_STRUCT.size // 256)
     frames = [b"".join(board.frame_parts(n, 1_000_000 * n, [channel] * CHANNEL_COUNT)) for n in range(100)]
     listener = socket.create_server(("127.0.0.1", 0))
-    link = open_tcp(TcpLink("127.0.0.1", listener.getsockname()[1]))
+    link = open_tcp(TcpTarget("127.0.0.1", listener.getsockname()[1]))
     accepted, _ = listener.accept()
     sender = Sender(frames, SKIN_RATE_HZ, seconds, accepted.fileno())
     accepted.close()

@@ -12,7 +12,7 @@ from typing import Any
 
 from emulated_board import emulated_board
 
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.counters import LinkCounters

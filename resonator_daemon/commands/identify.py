@@ -14,7 +14,7 @@ from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UsageError, UserError
 
 if TYPE_CHECKING:
-    from resonator_daemon.config import LinkTarget
+    from resonator_daemon.links.target import LinkTarget
     from resonator_daemon.session.probe import ProbeResult
 
 
@@ -62,11 +62,10 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 def _probe(target: "LinkTarget", *, blink: bool) -> "ProbeResult":
     from resonator_daemon.links.link import LinkUnavailableError
-    from resonator_daemon.links.opening import open_link
     from resonator_daemon.session.probe import NoBoardError, probe
 
     try:
-        with closing(open_link(target)) as link:
+        with closing(target.open()) as link:
             return probe(link, blink=blink)
     except LinkUnavailableError as error:
         raise NoAnswerError(str(error)) from error

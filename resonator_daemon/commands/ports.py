@@ -14,7 +14,7 @@ from resonator_daemon.commands._output import print_error, print_json, print_not
 from resonator_daemon.errors import ExitCode
 
 if TYPE_CHECKING:
-    from resonator_daemon.links.places import Place
+    from resonator_daemon.links.target import FoundPort
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,13 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.links.link import LinkUnavailableError
-    from resonator_daemon.links.places import serial_places, usb_places
+    from resonator_daemon.links.table import CARRIERS
 
-    places = serial_places()
-    try:
-        places += usb_places()
-    except LinkUnavailableError as error:
-        print_error(f"USB boards are not listed: {error}")
+    places: list[FoundPort] = []
+    for carrier in CARRIERS.values():
+        try:
+            places += carrier.discover()
+        except LinkUnavailableError as error:
+            print_error(f"{carrier.scheme} boards are not listed: {error}")
     if arguments.json:
         print_json({"verb": "ports", "ports": [_as_json(place) for place in places]})
         return ExitCode.DONE
@@ -43,11 +44,11 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     return ExitCode.DONE
 
 
-def _as_json(place: "Place") -> dict[str, object]:
+def _as_json(place: "FoundPort") -> dict[str, object]:
     return {**asdict(place), "held_by": [{"pid": holder.pid, "name": holder.name} for holder in place.held_by]}
 
 
-def _lines(place: "Place") -> Iterator[str]:
+def _lines(place: "FoundPort") -> Iterator[str]:
     about = " ".join(filter(None, (place.usb_id, place.serial_number, place.description)))
     yield f"{place.device}  {about or 'says nothing of itself'}"
     if place.looks_like_a_board:

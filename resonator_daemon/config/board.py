@@ -21,10 +21,11 @@ from pydantic import (
 )
 from pydantic_core import InitErrorDetails
 
-from resonator_daemon.config.link_targets import LinkTarget, ReplayLink, SerialLink, parse_link
 from resonator_daemon.config.mqtt import Mqtt
 from resonator_daemon.config.tables import Commands, Decoding, Measurement, Metrics, Recording, plate_name
 from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.links.table import link_forms, parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.toml_files.reading import Table, TomlFile, check_with, finding, load_model, read_toml
 
@@ -75,8 +76,7 @@ class Config(Table):
         examples=["quartz16", "left-index-plate.toml"],
     )
     link: Annotated[LinkTarget, PlainValidator(parse_link), WithJsonSchema({"type": "string"})] = Field(
-        description="the board: serial:PATH?baud=N, tcp://HOST:PORT or usb:VID:PID?serial=S (`resonatord ports` lists "
-        "what is there); or a recording: replay:FILE",
+        description=f"the board, or a recording of one: {link_forms()}; `resonatord ports` lists what is there",
         examples=["serial:/dev/serial/by-id/usb-RD_board_0042-if00?baud=4000000", "tcp://192.168.0.42:7000"],
     )
     mqtt: Mqtt = Field(
@@ -98,8 +98,8 @@ class Config(Table):
     @classmethod
     def _frames_fit_the_link(cls, link: LinkTarget, info: ValidationInfo) -> LinkTarget:
         plate = info.data.get("plate")
-        if plate and isinstance(link, SerialLink):
-            _check_load(plate, link.baud)
+        if plate and link.bits_per_s is not None:
+            _check_load(plate, link.bits_per_s)
         return link
 
     @field_validator("decoding", mode="wrap")
@@ -132,7 +132,7 @@ class Config(Table):
                 'decoding.contact_physics = true has no effect with method = "fourier": it rests on "open-plane"; '
                 "tractions are those of the linear map"
             )
-        if self.recording.continuous and isinstance(self.link, ReplayLink):
+        if self.recording.continuous and self.link.recording_path is not None:
             notes.append("recording.continuous = true has no effect: link is a recording already")
         return (*filter(None, notes), *self.mqtt.notes, *self.metrics.notes)
 

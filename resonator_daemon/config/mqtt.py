@@ -6,7 +6,7 @@ from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final
-from urllib.parse import SplitResult, unquote, urlsplit
+from urllib.parse import unquote, urlsplit
 
 from pydantic import (
     AfterValidator,
@@ -30,21 +30,10 @@ from resonator_daemon.config.broker_files import (
     read_password,
 )
 from resonator_daemon.toml_files.reading import Table, check_with, finding
+from resonator_daemon.toml_files.urls import split_url
 
 _PORTS: Final = {"mqtt": 1883, "mqtts": 8883}
 _ADDRESS: Final = "must be mqtt://host:port, or mqtts://host:port for TLS"
-
-
-def split_url(url: str) -> SplitResult:
-    """Split a URL; ValueError, without a password in it, where host or port cannot be read."""
-    try:
-        parts = urlsplit(url)
-        if url.isprintable() and " " not in url and parts.port != 0:
-            return parts
-    except ValueError:
-        pass
-    advice = "; write signs such as # / @ in a password as %23 %2F %40" if "@" in url else ""
-    raise ValueError(f"host and port (1 to 65535) cannot be read{advice}")
 
 
 def topic_level(text: str) -> str:

@@ -16,9 +16,10 @@ from pydantic import (
     field_validator,
 )
 
-from resonator_daemon.config.mqtt import split_url, topic_level
+from resonator_daemon.config.mqtt import topic_level
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.toml_files.reading import Number, Table
+from resonator_daemon.toml_files.urls import split_url
 
 DECODER = "decoder"  # level of the topics of decoder processes, which no plate can have as a name
 

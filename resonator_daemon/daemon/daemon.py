@@ -40,6 +40,7 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Condition, Health, Message, MessageAccount, State
 from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK, STATE_SENSOR, Topic
+from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.surface_decoding import SurfaceClient
@@ -128,6 +129,7 @@ class Service:
             step_frames=self._pipeline.sensor.wake_frames,
             frame_queue_bytes=frames_waiting_bytes(config.plate),
             on_event=self._recording.put,
+            replay=replay_of(config.link, config.plate),
         )
         self._control_requests = ControlRequests(self._reader.request_control)
         self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)

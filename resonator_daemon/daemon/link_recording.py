@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from resonator_daemon.config import Config, ReplayLink, load_config
+from resonator_daemon.config import Config, load_config
 from resonator_daemon.daemon.recording_commands import origin
 from resonator_daemon.errors import (
     ConfigurationError,
@@ -101,7 +101,7 @@ def record(config_path: Path, options: RecordOptions) -> dict[str, Any]:
         The configuration cannot be used, the file cannot be made or takes no more, or no board counts.
     """
     config = load_config(config_path)
-    if isinstance(config.link, ReplayLink):
+    if config.link.recording_path is not None:
         raise ConfigurationError(f"link: {config.link} is a recording already; copy the file")
     recording = _LinkRecording(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
     with recording.open() as arrived:

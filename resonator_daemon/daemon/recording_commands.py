@@ -4,7 +4,7 @@ import asyncio
 import logging
 from typing import Final
 
-from resonator_daemon.config import Config, ReplayLink
+from resonator_daemon.config import Config
 from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.commands import CommandRefusedError
@@ -68,7 +68,7 @@ class RecordingCommands:
         self._last: RecordingSummaryInfo | None = None
 
     async def start(self, request: StartRecording) -> StartRecordingAnswer:
-        if isinstance(self._config.link, ReplayLink):
+        if self._config.link.recording_path is not None:
             raise CommandRefusedError("not_ready", f"{self._config.link} is a recording already", "copy the file")
         async with self._one_at_a_time:
             if (now := self._switch.current) is not None:
@@ -85,7 +85,7 @@ class RecordingCommands:
     async def keep_recording(self) -> None:
         """Record from now on, if the configuration says so and nothing is recorded; see `continuous` there."""
         async with self._one_at_a_time:
-            wanted = self._config.recording.continuous and not isinstance(self._config.link, ReplayLink)
+            wanted = self._config.recording.continuous and self._config.link.recording_path is None
             if wanted and self._switch.current is None:
                 await asyncio.to_thread(self._begin, None)
                 self._label, self._by_config = None, True

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from firmware_protocol.messages import ResetCause
-from resonator_daemon.config import LinkTarget, TcpLink, UsbLink
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.doctor.sitting import OPEN_S, Sitting
 from resonator_daemon.plate import Plate
@@ -34,18 +33,6 @@ _ERRORS_WARNING, ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
 _RATE_LEAST: Final = 0.8  # of the frames that the plate asks for, before the board must be dropping them
 _GARBAGE_FAULT: Final = 1e-3  # bytes discarded, of all
 _HITS_LEAST, _GARBAGE_LEAST_BYTES = 3, 1024  # fewer are chance, or packets that were cut when the port was opened
-
-
-def remedy_of_opening(link: LinkTarget) -> str:
-    """Return what to do about a link that does not open."""
-    if isinstance(link, TcpLink):
-        return (
-            f"see that what should listen at {link.host} port {link.port} is switched on and in the network "
-            f"(ping {link.host}), that address and port are right, and that no firewall is in between; docs/links.md"
-        )
-    if isinstance(link, UsbLink):
-        return "plug the board in anew, and see with `resonatord ports` whether it is there; docs/links.md"
-    return "see with `resonatord ports` which ports there are, and who holds them; docs/links.md"
 
 
 def check_inquiry(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> Iterator[Finding]:

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
@@ -27,19 +26,19 @@ _RULES: Final = ("/etc/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.
 _RULES_FILE: Final = "the rules of docs/links.md, or: resonatord install"
 
 
-def check_port(link: SerialLink, host: Host, holders: Holders) -> Iterator[Finding]:
+def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
     """Yield what there is to say of a serial port without opening it; `holders` have it open."""
-    path = host.at(link.path)
-    absent = _absent(path, link.path, host)
+    path = host.at(port)
+    absent = _absent(path, port, host)
     if absent is not None:
         yield absent
         yield from not_checked(_OF_A_PORT, "the port is not there")
         return
     device = os.path.realpath(path)
     pseudo = is_pseudo_terminal(device)
-    yield EXISTS.ok(f"{link.path} is there{f' ({device})' if device != str(path) else ''}")
-    yield _permission(path, link.path, host)
-    yield check_holder(holders, link.path, pseudo=pseudo)
+    yield EXISTS.ok(f"{port} is there{f' ({device})' if device != str(path) else ''}")
+    yield _permission(path, port, host)
+    yield check_holder(holders, port, pseudo=pseudo)
     if pseudo:
         yield from not_checked((MODEM_MANAGER, BRLTTY, LATENCY_TIMER), "a pseudo-terminal has no adapter")
         return

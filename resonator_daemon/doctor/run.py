@@ -9,16 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.config import (
-    Config,
-    LinkTarget,
-    Mqtt,
-    ReplayLink,
-    SerialLink,
-    TcpLink,
-    UsbLink,
-    load_config,
-)
+from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.clock_checks import check_clock
@@ -36,8 +27,8 @@ from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link,
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.links.link import LinkUnavailableError
-from resonator_daemon.links.opening import open_link
 from resonator_daemon.links.port_holders import Holders, port_holders
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate, shipped_plates
 from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
@@ -104,7 +95,7 @@ class _Examination:
         self._host = options.host
         self._config: Config | None = None if options.config_path is None else load_config(options.config_path)
         link = options.link or (self._config.link if self._config else None)
-        if isinstance(link, ReplayLink):
+        if link is not None and link.recording_path is not None:
             raise _NoBoardError(f"link: {link} is a recording, which has no wiring; name the link of a board")
         self._link = link
 
@@ -153,7 +144,7 @@ class _Examination:
         if answer is not None and answer.status is not None:
             return list(check_daemon(answer))
         held = any(finding.id == HOLDER.id and finding.outcome is Outcome.FAULT for finding in of_port)
-        if held or answer is not None or isinstance(link, TcpLink):
+        if held or answer is not None or link.is_remote:
             for broker in self._brokers():
                 self._say(f"what a daemon publishes at {broker.host}:{broker.port}")
                 name = self._config.name if own_link and self._config is not None else None
@@ -166,28 +157,28 @@ class _Examination:
 
     def _node(self, link: LinkTarget) -> Path | None:
         """Return the device file of a link."""
-        if isinstance(link, SerialLink):
-            return self._host.at(link.path).resolve()
-        return usb_node(link, self._host) if isinstance(link, UsbLink) else None
+        if link.serial_port is not None:
+            return self._host.at(link.serial_port).resolve()
+        return usb_node(link.usb_id, self._host) if link.usb_id is not None else None
 
     def _port(self, link: LinkTarget, holders: Holders) -> Iterator[Finding]:
         plate = self._config.plate if self._config else None
         load = None if plate is None else plate.frame_bytes * _BITS_PER_BYTE * plate.counter.frame_rate_hz
-        if isinstance(link, SerialLink):
-            yield from check_port(link, self._host, holders)
-            name = self._host.at(link.path).resolve().name
+        if link.serial_port is not None:
+            yield from check_port(link.serial_port, self._host, holders)
+            name = self._host.at(link.serial_port).resolve().name
             if (device := usb_device_of(name, self._host)) is not None:
                 yield from check_usb_device(device, self._host, load)
-        elif isinstance(link, UsbLink):
-            yield from check_usb_link(link, self._host, load)
-            if usb_node(link, self._host) is not None:
+        elif link.usb_id is not None:
+            yield from check_usb_link(link.usb_id, self._host, load)
+            if usb_node(link.usb_id, self._host) is not None:
                 yield check_holder(holders, str(link))
 
     def _talk(self, link: LinkTarget) -> Iterator[Finding]:
         try:
-            opened = open_link(link)
+            opened = link.open()
         except LinkUnavailableError as error:
-            yield link_checks.OPENS.fault(str(error), link_checks.remedy_of_opening(link))
+            yield link_checks.OPENS.fault(str(error), link.remedy)
             yield from not_checked((link_checks.ANSWERS, *_AFTER_INQUIRY), "the link cannot be opened")
             return
         try:

@@ -1,15 +1,16 @@
 """Finds the daemon that has a link already, so that nobody takes it away: by its socket, or by what it publishes."""
 
 import asyncio
-import os
 from collections.abc import Collection, Mapping
 from contextlib import aclosing
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, UsbLink, load_config, parse_link
+from resonator_daemon.config import Mqtt, load_config
 from resonator_daemon.errors import UserError
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
@@ -56,16 +57,6 @@ def _read(config: Mapping[str, Any]) -> str:
     return datetime.fromtimestamp(int(loaded_t_ns) // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
 
 
-def same_link(one: LinkTarget, other: LinkTarget) -> bool:
-    """Tell whether both lead to one board, whatever they call it."""
-    if isinstance(one, SerialLink) and isinstance(other, SerialLink):
-        return os.path.realpath(one.path) == os.path.realpath(other.path)
-    if isinstance(one, UsbLink) and isinstance(other, UsbLink):
-        alike = (one.vendor_id, one.product_id) == (other.vendor_id, other.product_id)
-        return alike and (one.serial_number == other.serial_number or None in (one.serial_number, other.serial_number))
-    return one == other
-
-
 def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) -> bool:
     config = status.get("config")
     if not isinstance(config, dict) or not isinstance(config.get("file"), str):
@@ -74,7 +65,7 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
     try:
         if config_path is not None and file.samefile(config_path):
             return True
-        return "link" not in config.get("needs_restart", ()) and same_link(load_config(file).link, link)
+        return "link" not in config.get("needs_restart", ()) and load_config(file).link.leads_to_the_same(link)
     except (OSError, ValueError, UserError):
         return False  # its file is not for this user to read, or has changed since
 
@@ -108,6 +99,6 @@ async def hear_daemon(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[
 
 def _names(text: str, link: LinkTarget) -> bool:
     try:
-        return same_link(parse_link(text), link)
+        return parse_link(text).leads_to_the_same(link)
     except ValueError:
         return False  # a later version's kind of link

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.config import UsbLink
 from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
+from resonator_daemon.links.target import UsbId
 
 DEVICE: Final = Check("usb.device", Area.WIRING, "USB device")
 AUTOSUSPEND: Final = Check("usb.autosuspend", Area.SOFTWARE, "USB autosuspend")
@@ -32,7 +32,7 @@ def usb_device_of(tty: str, host: Host) -> Path | None:
     return None
 
 
-def usb_node(link: UsbLink, host: Host) -> Path | None:
+def usb_node(link: UsbId, host: Host) -> Path | None:
     """Return the device file of the device that a USB link names; None where it is none, or not the only one."""
     found = list(_named(link, host))
     return host.at(_node(found[0], host)) if len(found) == 1 else None
@@ -43,7 +43,7 @@ def _node(device: Path, host: Host) -> str:
     return f"/dev/bus/usb/{int(bus):03d}/{int(number):03d}"
 
 
-def check_usb_link(link: UsbLink, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
+def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
     """Yield what there is to say of the device that a USB link names."""
     found = list(_named(link, host))
     wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
@@ -77,7 +77,7 @@ def check_usb_device(device: Path, host: Host, load_bit_per_s: float | None) -> 
     yield _hubs(device)
 
 
-def _named(link: UsbLink, host: Host) -> Iterator[Path]:
+def _named(link: UsbId, host: Host) -> Iterator[Path]:
     for directory in sorted(host.at(_DEVICES).glob("*")):
         device = Path(_DEVICES) / directory.name
         ids = host.text(device / "idVendor"), host.text(device / "idProduct")

@@ -1,4 +1,4 @@
-"""Waits for a port to come, and is told by Linux when it may have: a plugged device need not wait for the next try."""
+"""Waits for the file of a port, by inotify: a device is opened as soon as it is plugged in."""
 
 import logging
 import os
@@ -8,27 +8,30 @@ import time
 from types import TracebackType
 from typing import Self
 
-from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, TcpLink
 from resonator_daemon.links.inotify import DirectoryEvent, DirectoryEvents
 
 log = logging.getLogger(__name__)
 
-_USB = "/dev/bus/usb"
 _MAX_LINKS = 40  # as Linux follows
-_TRIES = 5  # to aim at directories that come and go
+_TRIES = 5  # to watch directories that come and go
 
 _Places = frozenset[tuple[str, str | None]]  # directories and the name awaited there; None: any
 
 
 class PortWatch:
-    """Watches the place where a port appears; a link that has no such place is waited for by time alone.
+    """Watches the place where a port appears.
 
     What happens between two calls of `wait` is not missed: the second returns at once.
     `wake` may be called from any thread; everything else belongs to one.
+
+    Parameters
+    ----------
+    path
+        The file of the port, or a directory in whose tree it appears; None: time alone ends a wait.
     """
 
-    def __init__(self, target: LinkTarget) -> None:
-        self._target = target
+    def __init__(self, path: str | None) -> None:
+        self._path = path
         self._places: _Places = frozenset()
         self._events: DirectoryEvents | None = None
         self._closed = False
@@ -36,14 +39,14 @@ class PortWatch:
         self._awake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._ready = select.poll()
         self._ready.register(self._awake, select.POLLIN)
-        if not isinstance(target, TcpLink | ReplayLink):
+        if path is not None:
             try:
                 self._events = DirectoryEvents()
             except OSError as error:
                 log.info("ports are looked for from time to time, not watched: no inotify (%s)", error.strerror)
             else:
                 self._ready.register(self._events, select.POLLIN)
-                self._aim(self._events)
+                self._aim(self._events, path)
 
     def __enter__(self) -> Self:
         return self
@@ -61,11 +64,11 @@ class PortWatch:
             if self._awake in ready:
                 os.eventfd_read(self._awake)
                 return False
-            if self._events is not None and self._events.fileno() in ready:
+            if self._events is not None and self._path is not None and self._events.fileno() in ready:
                 before = self._places
                 happened = self._events.read()
-                self._aim(self._events)
-                if any(self._concerns(event, before) for event in happened):
+                self._aim(self._events, self._path)
+                if any(_concerns(event, before, self._path) for event in happened):
                     return True
             if time.monotonic() >= deadline:
                 return False
@@ -85,30 +88,30 @@ class PortWatch:
         if self._events is not None:
             self._events.close()
 
-    def _aim(self, events: DirectoryEvents) -> None:
+    def _aim(self, events: DirectoryEvents, path: str) -> None:
         """Watch the places that matter now; what changed while they were being watched is looked at again."""
         for _ in range(_TRIES):
-            self._places = self._where()
+            self._places = _places(path)
             events.watch({directory for directory, _ in self._places})
-            if self._where() == self._places:
+            if _places(path) == self._places:
                 return
 
-    def _where(self) -> _Places:
-        if isinstance(self._target, SerialLink):
-            return _places_of_path(self._target.path)
-        if not os.path.isdir(_USB):
-            return _places_of_path(_USB)
-        return frozenset((directory, None) for directory, _, _ in os.walk(_USB))
 
-    def _concerns(self, event: DirectoryEvent, places: _Places) -> bool:
-        path = self._target.path if isinstance(self._target, SerialLink) else _USB
-        if (event.directory, None) in places:
-            return True
-        names = [name for directory, name in places if directory == event.directory and name is not None]
-        if not event.name or event.name in names:
-            return os.path.exists(path)
-        # The same device may come back as ttyACM1.
-        return any(_numbered(name) == _numbered(event.name) is not None for name in names)
+def _concerns(event: DirectoryEvent, places: _Places, path: str) -> bool:
+    """Return whether an event at these places may have brought the port."""
+    if (event.directory, None) in places:
+        return True
+    names = [name for directory, name in places if directory == event.directory and name is not None]
+    if not event.name or event.name in names:
+        return os.path.exists(path)
+    # The same device may come back as ttyACM1.
+    return any(_numbered(name) == _numbered(event.name) is not None for name in names)
+
+
+def _places(path: str) -> _Places:
+    if os.path.isdir(path):
+        return frozenset((directory, None) for directory, _, _ in os.walk(path))
+    return _places_of_path(path)
 
 
 def _places_of_path(path: str) -> _Places:

@@ -11,6 +11,7 @@ from typing import Any
 import usb.backend.libusb1
 import usb.core
 
+from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
 
 INTERFACE = (0xFF, 0x52, 0x01)  # class, subclass, protocol; PROTOCOL.md, section USB
@@ -55,8 +56,7 @@ class UsbBoard:
     @property
     def link(self) -> str:
         """What a configuration calls it."""
-        serial = f"?serial={self.serial_number}" if self.serial_number else ""
-        return f"usb:{self.vendor_id:04x}:{self.product_id:04x}{serial}"
+        return str(UsbTarget(self.vendor_id, self.product_id, self.serial_number or None))
 
 
 def usb_backend() -> Any:

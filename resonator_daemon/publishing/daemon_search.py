@@ -4,8 +4,9 @@ import asyncio
 from contextlib import aclosing
 from typing import Final
 
-from resonator_daemon.config import Client, parse_link
+from resonator_daemon.config import Client
 from resonator_daemon.errors import ConfigurationError, ExitCode, UserError
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.publishing.payloads import Condition, Info, State
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import INFO, STATE_DAEMON, TOPICS

@@ -6,7 +6,10 @@ import time
 from collections.abc import Callable
 
 from resonator_daemon.links.link import LinkLostError
-from resonator_daemon.recording.reader import Recording
+from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.plate import Plate
+from resonator_daemon.recording.reader import Recording, open_recording
+from resonator_daemon.session import board_reader
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
@@ -84,6 +87,19 @@ def replay(recording: Recording, machine: LinkStateMachine, pace: Callable[[Host
         again.apply(event)
     again.end()
     return again.differences
+
+
+def replay_of(link: LinkTarget, plate: Plate) -> board_reader.Replay | None:
+    """Return what replays the recording that a link names, at its own speed; None where the link is a board's."""
+    path = link.recording_path
+    if path is None:
+        return None
+
+    def run(machine: LinkStateMachine, wait: Callable[[float], object], stopped: Callable[[], bool]) -> None:
+        with open_recording(path, plate) as recording:
+            replay(recording, machine, Pace(wait, stopped))
+
+    return run
 
 
 class Replay:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, Final
 
-from resonator_daemon.config import Config, ReplayLink
+from resonator_daemon.config import Config
 from resonator_daemon.forces.readings import ForceReading, SkinReading
 from resonator_daemon.monitoring.latency import Latencies
 from resonator_daemon.publishing.codec import Encoded
@@ -56,7 +56,7 @@ class MessageOutput:
         self.skipped_late = 0
         self.latencies = Latencies(1 / config.plate.counter.frame_rate_hz)
         self._gate_s = 1 / config.plate.counter.frame_rate_hz
-        self._is_live = not isinstance(config.link, ReplayLink)  # a recording has the clock of its time
+        self._is_live = config.link.recording_path is None  # a recording has the clock of its time
 
     def publish_result(self, topic: Topic[Any], message: Message | Encoded, gate_middle: Instant) -> None:
         """Publish a message with a result; record its latency."""

@@ -6,16 +6,11 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 
-from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
-from resonator_daemon.links.opening import open_link
-from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
-from resonator_daemon.recording.event_replay import Pace, replay
-from resonator_daemon.recording.reader import open_recording
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
@@ -43,12 +38,16 @@ from resonator_daemon.session.step_pacing import StepPacing
 FRAME_QUEUE_BYTES = 64 << 20
 
 _POLL_NS = 20_000_000  # the longest that `stop` waits for a read
-_BACKOFF_FIRST_S, _BACKOFF_CAP_S = 0.05, 1.0
+_BACKOFF_FIRST_S = 0.05
 _JITTER = (0.75, 1.25)  # so that several daemons do not knock together
 _REFUSED_S = 5.0
 _PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
 _FEW_BYTES, _GATHER_S = 64, 250e-6
 _RESET_EVERY = 3  # openings in a row without a frame
+
+
+Replay = Callable[[LinkStateMachine, Callable[[float], object], Callable[[], bool]], None]
+"""Applies recorded events to a state machine; gets what waits for so many seconds, and what returns True to stop."""
 
 
 def _discard_event(_: WireEvent) -> None:
@@ -73,6 +72,11 @@ class BoardReader:
     on_event
         Is handed everything that happens on the link, as a recorder wants it; must not wait.
 
+    replay
+        Replays the recording that `target` names, from `recording.event_replay`; None where it names a board.
+    backoff_max_s
+        The longest pause between two attempts to open the link.
+
     Attributes
     ----------
     turns
@@ -88,8 +92,12 @@ class BoardReader:
         step_frames: Sequence[int] = (1,),
         frame_queue_bytes: int = FRAME_QUEUE_BYTES,
         on_event: Callable[[WireEvent], None] = _discard_event,
+        replay: Replay | None = None,
+        backoff_max_s: float = 1.0,
     ) -> None:
-        self._target = target
+        self._backoff_max_s = backoff_max_s
+        self._replay = replay
+        self._open = target.opener()
         self._plate = plate
         self._wake = wake
         self._wake_due = False
@@ -100,9 +108,8 @@ class BoardReader:
         self._stopping = False
         self._requests: deque[tuple[str, str]] = deque()
         self.turns = 0
-        self._watch = PortWatch(target)
+        self._watch = PortWatch(target.appears_at)
         self._thread = threading.Thread(target=self._run, name="board-reader", daemon=True)
-        self._port: PortIdentity | None = None
         self._blink_lock = threading.Lock()
         self._on_blink_answer: list[Callable[[str | None], None]] = []  # whoever waits for an answer
         self._blink_due = self._link_open = self._serving = False
@@ -165,7 +172,7 @@ class BoardReader:
     @property
     def replays(self) -> bool:
         """Whether a recording is read: its frames have no age."""
-        return isinstance(self._target, ReplayLink)
+        return self._replay is not None
 
     @property
     def newest_monotonic_ns(self) -> int:
@@ -198,15 +205,15 @@ class BoardReader:
 
     def _run(self) -> None:
         try:
-            if isinstance(self._target, ReplayLink):
-                self._replay(self._target)
-            else:
+            if self._replay is None:
                 self._keep_reading()
+            else:
+                self._run_replay(self._replay)
         except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
             self._queue.put(ReaderFailed(error))
 
     def _keep_reading(self) -> None:
-        backoff_s = _BACKOFF_FIRST_S
+        backoff_s = first_s = min(_BACKOFF_FIRST_S, self._backoff_max_s)
         fruitless = 0
         while not self._stopping:
             self.turns += 1
@@ -221,7 +228,7 @@ class BoardReader:
                     counted = self._serve(link)
                     fruitless = 0 if counted else fruitless + 1
                     if counted:
-                        backoff_s = _BACKOFF_FIRST_S
+                        backoff_s = first_s
                     elif fruitless % _RESET_EVERY == 0:
                         with suppress(LinkLostError):  # it is gone already, or goes with the reset
                             link.reset()
@@ -230,19 +237,9 @@ class BoardReader:
                 finally:
                     link.close()
             if not self._stopping and self._watch.wait(wait_s or backoff_s * random.uniform(*_JITTER)):
-                backoff_s = _BACKOFF_FIRST_S
+                backoff_s = first_s
             else:
-                backoff_s = min(2 * backoff_s, _BACKOFF_CAP_S)
-
-    def _open(self) -> Link:
-        """Open the link; an adapter that has come back under another name is opened there."""
-        target = self._target
-        if isinstance(target, SerialLink) and self._port and (moved_to := find_port(self._port, target.path)):
-            target = replace(target, path=moved_to)
-        link = open_link(target)
-        if isinstance(target, SerialLink):
-            self._port = port_identity(target.path)
-        return link
+                backoff_s = min(2 * backoff_s, self._backoff_max_s)
 
     def _serve(self, link: Link) -> bool:
         """Talk to the board until the link is lost; return whether it ever counted."""
@@ -334,10 +331,9 @@ class BoardReader:
             self._machine.apply(Sent(now, data))
             link.write(data)
 
-    def _replay(self, target: ReplayLink) -> None:
+    def _run_replay(self, replay: Replay) -> None:
         try:
-            with open_recording(target.path, self._plate) as recording:
-                replay(recording, self._machine, Pace(self._watch.wait, lambda: self._stopping))
+            replay(self._machine, self._watch.wait, lambda: self._stopping)
         except LinkUnavailableError as error:
             # Another file does not come by waiting.
             self._machine.apply(Refused(read_host_time(), (str(error),), other_protocol=False))

@@ -19,8 +19,7 @@ from emulated_loads import COMB_TRUE, TRUE, Touches, comb_text, nominal_text, tr
 from emulation import emulated
 
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY
-from resonator_daemon.config import SerialLink
-from resonator_daemon.links.serial import open_serial
+from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.plate import load_plate
 from simulators.emulator import EmulatorOptions
 
@@ -322,7 +321,7 @@ def test_exchanged_masses_are_refused_with_both_steps(desk: Desk, capsys: pytest
 
 def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     with desk.board():
-        link = open_serial(SerialLink(str(desk.port), 4_000_000))
+        link = open_serial(SerialTarget(str(desk.port), 4_000_000))
         code, _, told = desk.say(capsys, *LOADS)
         link.close()
     assert code == 69

@@ -43,11 +43,11 @@ def error_of(told: dict[str, Any]) -> dict[str, str]:
 @pytest.mark.parametrize(
     ("arguments", "where"),
     [
-        (("ports",), "links.places.serial_places"),
+        (("ports",), "links.carriers.serial.serial_ports"),
         (("schema",), "publishing.asyncapi.document"),
         (("status",), "monitoring.status_client.ask_all"),
         (("tare", "--config", "hand.toml"), "config.load_client"),
-        (("identify", "tcp://127.0.0.1:9"), "links.opening.open_link"),
+        (("identify", "tcp://127.0.0.1:9"), "links.carriers.tcp.TcpTarget.open"),
         (("calibrate", "skin", "--config", "hand.toml"), "calibration.skin.load_config"),
         (("config", "explain"), "config.help.explained"),
     ],

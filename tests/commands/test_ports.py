@@ -20,11 +20,11 @@ from firmware_protocol.messages import Configuration
 from firmware_protocol.packets import encode_packet
 from firmware_protocol.states import HostState
 from resonator_daemon.commands import main
-from resonator_daemon.config import SerialLink
-from resonator_daemon.links import places, usb_devices
+from resonator_daemon.links import usb_devices
+from resonator_daemon.links.carriers import serial as serial_carrier
+from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders
-from resonator_daemon.links.serial import open_serial
 from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
@@ -46,7 +46,7 @@ def present(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[ListPortInf
     found: list[ListPortInfo] = []
     monkeypatch.setattr(list_ports, "comports", lambda: list(found))
     monkeypatch.setattr(usb_devices, "present_boards", lambda: [])
-    monkeypatch.setattr(places, "BY_ID", tmp_path / "by-id")
+    monkeypatch.setattr(serial_carrier, "BY_ID", tmp_path / "by-id")
     return found
 
 
@@ -67,7 +67,7 @@ def asked(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dic
 def test_ports_are_listed_with_the_line_to_copy(
     present: list[ListPortInfo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(places, "port_holders", lambda _path: Holders((), all_seen=False))
+    monkeypatch.setattr(serial_carrier, "port_holders", lambda _path: Holders((), all_seen=False))
     (tmp_path / "by-id").mkdir()
     by_id = tmp_path / "by-id" / "usb-RD_board_0042-if00"
     by_id.symlink_to("/dev/null")
@@ -109,7 +109,7 @@ def test_what_looks_like_a_board_is_told_without_opening_it(
 def test_ports_tells_who_holds_one(present: list[ListPortInfo], board: str, capsys: pytest.CaptureFixture[str]) -> None:
     path = board.removeprefix("serial:").partition("?")[0]
     present.append(serial_port(path))
-    held = open_serial(SerialLink(path, 4_000_000))
+    held = open_serial(SerialTarget(path, 4_000_000))
     assert main(["ports"]) == 0
     assert f"held by {Path('/proc/self/comm').read_text().strip()} (pid {os.getpid()})" in capsys.readouterr().out
     _, listed = asked(capsys, "ports")
@@ -170,7 +170,7 @@ def test_a_board_says_who_it_is_and_what_it_can(board: str, capsys: pytest.Captu
 
 def test_a_board_that_counts_goes_on_counting(board: str, capsys: pytest.CaptureFixture[str]) -> None:
     session = HostSession()
-    link = open_serial(SerialLink(board.removeprefix("serial:").partition("?")[0], 4_000_000))
+    link = open_serial(SerialTarget(board.removeprefix("serial:").partition("?")[0], 4_000_000))
     try:
         while session.state is not HostState.RUNNING:
             if session.state is HostState.DESCRIBED:
@@ -273,7 +273,7 @@ def test_a_board_that_hangs_up_is_told(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_a_held_port_names_its_holder(board: str, capsys: pytest.CaptureFixture[str]) -> None:
-    held = open_serial(SerialLink(board.removeprefix("serial:").partition("?")[0], 4_000_000))
+    held = open_serial(SerialTarget(board.removeprefix("serial:").partition("?")[0], 4_000_000))
     assert main(["identify", board]) == 69
     assert f"(pid {os.getpid()})" in capsys.readouterr().err
     held.close()

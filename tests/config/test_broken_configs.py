@@ -106,7 +106,7 @@ BROKEN = [
     ("baud twice", link('"serial:/dev/a?baud=4000000&baud=9600"'), ":2: link:", "baud is given twice"),
     ("negative baud", link('"serial:/dev/a?baud=-1"'), ":2: link:", "with N from 1 to 1e9"),
     ("scheme misspelt", link('"tcpip://127.0.0.1:5000"'), ":2: link:", "did you mean tcp?"),
-    ("scheme of the broker", link('"mqtt://127.0.0.1:1883"'), ":2: link:", "allowed: serial, tcp, usb, replay"),
+    ("scheme of the broker", link('"mqtt://127.0.0.1:1883"'), ":2: link:", "allowed: replay, serial, tcp, usb"),
     ("no port", link('"tcp://127.0.0.1"'), ":2: link:", "must be tcp://host:port"),
     ("one slash", link('"tcp:/127.0.0.1:5000"'), ":2: link:", "must be tcp://host:port"),
     ("port out of range", link('"tcp://127.0.0.1:99999"'), ":2: link:", "port (1 to 65535)"),
@@ -114,7 +114,7 @@ BROKEN = [
     ("usb with slashes", link('"usb://1209:0001"'), ":2: link:", "usb:VID:PID?serial=S"),
     ("usb option misspelt", link('"usb:1209:0001?sn=0042"'), ":2: link:", "allowed: serial, reset"),
     ("replay without a file", link('"replay:"'), ":2: link:", "must be replay:FILE"),
-    ("number for a link", link("7000"), ":2: link: got 7000", "must be a string: serial:PATH?baud=N"),
+    ("number for a link", link("7000"), ":2: link: got 7000", "must be a string: replay:FILE, serial:PATH?baud=N"),
     ("table for a link", 'plate = "quartz16"\n[link]\nport = "/dev/a"\n', ":2: link: got a table", "must be a string"),
     # The broker.
     ("no scheme", TOP + '[mqtt]\nurl = "127.0.0.1:1883"\n', ":4: mqtt.url: got '127.0.0.1:1883'", "mqtt://host:port"),

@@ -7,18 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from resonator_daemon.config import (
-    Config,
-    LinkTarget,
-    ReplayLink,
-    SerialLink,
-    TcpLink,
-    UsbLink,
-    example_config,
-    load_config,
-    parse_link,
-)
+from resonator_daemon.config import Config, example_config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode
+from resonator_daemon.links.carriers.recording import RecordingTarget
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.links.carriers.usb import UsbTarget
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
 
 MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
@@ -63,7 +59,7 @@ def test_the_example_passes_and_means_what_it_says(tmp_path: Path) -> None:
     config = loaded(tmp_path, example_config())
     assert config.name == "left-index"
     assert config.plate.name == "quartz16"
-    assert config.link == SerialLink("/dev/serial/by-id/usb-RD_board_0042-if00", 4_000_000)
+    assert config.link == SerialTarget("/dev/serial/by-id/usb-RD_board_0042-if00", 4_000_000)
     assert (config.mqtt.host, config.mqtt.port, config.mqtt.prefix) == ("127.0.0.1", 1883, "resonator")
     assert (config.mqtt.username, config.mqtt.password) == (None, None)
     assert config.measurement.window_s == pytest.approx(0.01)
@@ -88,13 +84,13 @@ def test_the_example_has_every_table_header_alone_on_its_line() -> None:
 def test_what_is_left_out_has_the_values_of_the_example(tmp_path: Path) -> None:
     short, example = loaded(tmp_path, MINIMAL), loaded(tmp_path, example_config())
     assert short.name is None
-    assert short.link == TcpLink("127.0.0.1", 5000)
+    assert short.link == TcpTarget("127.0.0.1", 5000)
     assert (short.mqtt, short.measurement, short.decoding) == (example.mqtt, example.measurement, example.decoding)
 
 
 @pytest.mark.parametrize("plate", ["quartz16", "skin32", "fingertip400"])
 def test_all_shipped_plates_need_nothing_but_a_link(tmp_path: Path, plate: str) -> None:
-    assert loaded(tmp_path, f'plate = "{plate}"\nlink = "tcp://[::1]:9"').link == TcpLink("::1", 9)
+    assert loaded(tmp_path, f'plate = "{plate}"\nlink = "tcp://[::1]:9"').link == TcpTarget("::1", 9)
 
 
 def test_a_broker_with_a_user_and_without_a_port(tmp_path: Path) -> None:
@@ -220,7 +216,7 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
         ('"replay:"', "must be replay:FILE, a file that `resonatord record` has written"),
         (
             '"seriel:/dev/x?baud=4000000"',
-            "no link is called 'seriel'; allowed: serial, tcp, usb, replay; did you mean serial?",
+            "no link is called 'seriel'; allowed: replay, serial, tcp, usb; did you mean serial?",
         ),
         ('"/dev/ttyACM0"', "must say what kind of link it is and how fast, as serial:/dev/ttyACM0?baud=4000000"),
         ('"serial:/dev/x?baud=9600&baud=4000000"', "baud is given twice"),
@@ -244,7 +240,7 @@ def test_one_mistake_beside_plate_and_link(tmp_path: Path, table: str, expected:
         ('"tcp:host:5000"', "must be tcp://host:port, nothing more"),
         ('"tcp://host:70000"', "host and port (1 to 65535) cannot be read"),
         ('"tcp://ho st:7000"', "host and port (1 to 65535) cannot be read"),
-        ("5", "must be a string: serial:PATH?baud=N, tcp://host:port, usb:VID:PID?serial=S or replay:FILE"),
+        ("5", "must be a string: replay:FILE, serial:PATH?baud=N, tcp://host:port or usb:VID:PID?serial=S"),
     ],
 )
 def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> None:
@@ -257,14 +253,14 @@ def test_one_mistake_in_the_link(tmp_path: Path, link: str, expected: str) -> No
 @pytest.mark.parametrize(
     ("text", "link"),
     [
-        ("serial:/dev/ttyACM0?baud=115200", SerialLink("/dev/ttyACM0", 115200)),
-        ("tcp://plate.example:5000", TcpLink("plate.example", 5000)),
-        ("tcp://[::1]:5000", TcpLink("::1", 5000)),
-        ("usb:1209:0001", UsbLink(0x1209, 1, None, reset=False)),
-        ("usb:1209:00ff?serial=0042", UsbLink(0x1209, 0xFF, "0042", reset=False)),
-        ("usb:1209:0001?serial=A%20%26%20B&reset=yes", UsbLink(0x1209, 1, "A & B", reset=True)),
-        ("usb:1209:0001?reset=yes", UsbLink(0x1209, 1, None, reset=True)),
-        ("replay:/var/tmp/a run.mcap?", ReplayLink("/var/tmp/a run.mcap?")),
+        ("serial:/dev/ttyACM0?baud=115200", SerialTarget("/dev/ttyACM0", 115200)),
+        ("tcp://plate.example:5000", TcpTarget("plate.example", 5000)),
+        ("tcp://[::1]:5000", TcpTarget("::1", 5000)),
+        ("usb:1209:0001", UsbTarget(0x1209, 1, None, reset=False)),
+        ("usb:1209:00ff?serial=0042", UsbTarget(0x1209, 0xFF, "0042", reset=False)),
+        ("usb:1209:0001?serial=A%20%26%20B&reset=yes", UsbTarget(0x1209, 1, "A & B", reset=True)),
+        ("usb:1209:0001?reset=yes", UsbTarget(0x1209, 1, None, reset=True)),
+        ("replay:/var/tmp/a run.mcap?", RecordingTarget("/var/tmp/a run.mcap?")),
     ],
 )
 def test_a_link_reads_as_it_is_written(text: str, link: LinkTarget) -> None:
@@ -273,7 +269,7 @@ def test_a_link_reads_as_it_is_written(text: str, link: LinkTarget) -> None:
 
 
 def test_ids_are_hexadecimal_in_either_case() -> None:
-    assert parse_link("usb:ABCD:EF01?reset=no") == UsbLink(0xABCD, 0xEF01, None, reset=False)
+    assert parse_link("usb:ABCD:EF01?reset=no") == UsbTarget(0xABCD, 0xEF01, None, reset=False)
 
 
 def test_an_empty_file_lacks_plate_and_link(tmp_path: Path) -> None:
@@ -354,7 +350,7 @@ def test_a_serial_line_must_carry_the_frames(tmp_path: Path) -> None:
     for part in ("1000 frames/s", "204 bytes", "2040000 bit/s", "2000000 baud", "the highest that fits is 980 Hz"):
         assert part in message
     assert "the highest that fits is 999 Hz" in refusals(tmp_path, serial.format(2_040_000))[0]
-    assert loaded(tmp_path, serial.format(2_040_001)).link == SerialLink("/dev/x", 2_040_001)
+    assert loaded(tmp_path, serial.format(2_040_001)).link == SerialTarget("/dev/x", 2_040_001)
 
 
 def test_a_serial_line_for_the_dense_plate_needs_148_megabaud(tmp_path: Path) -> None:

@@ -5,13 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.config import Config, Mqtt, ReplayLink, load_config
+from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
 from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.plate import Coupling, load_plate, shipped_plates
 
 ORIGIN = Path("run.mcap/plate.toml")
-LINK = ReplayLink("run.mcap")
+LINK = RecordingTarget("run.mcap")
 
 
 def loaded(tmp_path: Path, text: str) -> Config:

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from command_stand_ins import configured
 
-from resonator_daemon.config import Config, ReplayLink
+from resonator_daemon.config import Config
 from resonator_daemon.config.text import load_plate_text, load_settings_text
 from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
+from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.publishing.verbs import StartRecording, StopRecording
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording.file_series import Series
@@ -138,7 +139,7 @@ async def test_a_reload_that_changes_nothing_of_it_begins_no_recording_that_was_
 
 async def test_a_replay_is_not_recorded(tmp_path: Path) -> None:
     switch = RecordingSwitch()
-    replaying = config(tmp_path, continuous=True).model_copy(update={"link": ReplayLink("run.mcap")})
+    replaying = config(tmp_path, continuous=True).model_copy(update={"link": RecordingTarget("run.mcap")})
     await RecordingCommands(replaying, "left", switch).keep_recording()
     assert switch.current is None
 

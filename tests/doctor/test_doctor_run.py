@@ -10,11 +10,11 @@ from command_line import exit_code
 from emulation import emulated
 
 from resonator_daemon.commands import main
-from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor import clock_checks, run
 from resonator_daemon.doctor.finding import FINE, Area, Check
 from resonator_daemon.doctor.report import WIDTH, Report
-from resonator_daemon.links.serial import open_serial
+from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
+from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.monitoring.status_client import Answer
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
@@ -156,7 +156,7 @@ def test_what_a_daemon_has_is_not_taken_from_it(
         raise AssertionError("the daemon's link was opened")
 
     monkeypatch.setattr(run, "find_daemon", answers)
-    monkeypatch.setattr(run, "open_link", opened)
+    monkeypatch.setattr(TcpTarget, "open", opened)
     code, report = asked(capsys, "--config", configuration(tmp_path, "tcp://127.0.0.1:9"))
     found = outcomes(report)
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
@@ -172,7 +172,7 @@ def test_a_port_that_this_process_holds_without_a_daemon_is_said_to_be_held(
 ) -> None:
     port = tmp_path / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        held = open_serial(SerialLink(str(port), 4_000_000))
+        held = open_serial(SerialTarget(str(port), 4_000_000))
         code, report = asked(capsys, f"serial:{port}?baud=4000000")
         held.close()
     assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")

@@ -6,10 +6,9 @@ import pytest
 from emulation import emulated
 
 from firmware_protocol.messages import Description, Identity, ResetCause
-from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.link_checks import check_inquiry
-from resonator_daemon.links.opening import open_link
+from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.session.probe import ProbeResult, TickRate, probe
 from simulators.emulator import EmulatorOptions
@@ -26,7 +25,7 @@ def quartz16() -> Plate:
 def answers(tmp_path_factory: pytest.TempPathFactory) -> ProbeResult:
     port = tmp_path_factory.mktemp("asked") / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)):
-        link = open_link(SerialLink(str(port), 4_000_000))
+        link = SerialTarget(str(port), 4_000_000).open()
         try:
             inquiry = probe(link)
         finally:

@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 from made_up_host import USB, MadeUpHost
 
-from resonator_daemon.config import SerialLink
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.port_checks import check_port
 from resonator_daemon.links.port_holders import Holder, Holders
 
-LINK = SerialLink("/dev/ttyUSB0", 4_000_000)
+PORT = "/dev/ttyUSB0"
 NOBODY = Holders((), True)
 
 
@@ -29,8 +28,8 @@ def computer(tmp_path: Path) -> MadeUpHost:
     return made
 
 
-def found(host: Host, holders: Holders = NOBODY, link: SerialLink = LINK) -> dict[str, Finding]:
-    return {finding.id: finding for finding in check_port(link, host, holders)}
+def found(host: Host, holders: Holders = NOBODY, port: str = PORT) -> dict[str, Finding]:
+    return {finding.id: finding for finding in check_port(port, host, holders)}
 
 
 def outcomes(findings: dict[str, Finding]) -> set[Outcome]:

@@ -12,13 +12,18 @@ from observer import observe
 from service_bench import Bench
 
 from resonator_daemon.commands import main
-from resonator_daemon.config import LinkTarget, Mqtt, SerialLink, TcpLink, UsbLink, parse_link
+from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor import run, running_daemon
 from resonator_daemon.doctor.daemon_checks import check_daemon, told
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
-from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, same_link
+from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.port_holders import Holder, Holders
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 
 STATUS: dict[str, Any] = {
@@ -53,7 +58,8 @@ def unopenable(monkeypatch: pytest.MonkeyPatch) -> None:
     def opened(_link: LinkTarget) -> None:
         raise AssertionError("the daemon's link was opened")
 
-    monkeypatch.setattr(run, "open_link", opened)
+    for target in (SerialTarget, TcpTarget):
+        monkeypatch.setattr(target, "open", opened)
 
 
 @pytest.mark.parametrize("by_configuration", [True, False])
@@ -92,14 +98,14 @@ async def test_a_running_daemon_counts_on_while_the_doctor_looks(
 async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
     bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    broker, link = Mqtt(url=bench.broker_url), SerialLink(str(bench.port), 4_000_000)
+    broker, link = Mqtt(url=bench.broker_url), SerialTarget(str(bench.port), 4_000_000)
     async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard:
         async with bench.running(bench.service()):
             await heard.until(lambda: heard.payloads("resonator/hand/health"))
-            by_name = await hear_daemon(broker, "hand", TcpLink("10.0.0.1", 1))
+            by_name = await hear_daemon(broker, "hand", TcpTarget("10.0.0.1", 1))
             by_link = await hear_daemon(broker, None, link)
             monkeypatch.setattr(running_daemon, "_LOOK_S", 0.3)
-            neither = await hear_daemon(broker, None, SerialLink("/dev/ttyACM7", 4_000_000))
+            neither = await hear_daemon(broker, None, SerialTarget("/dev/ttyACM7", 4_000_000))
             nobody = await hear_daemon(broker, "foot", link)
         offline = await hear_daemon(broker, "hand", link)
     assert neither is nobody is offline is None
@@ -112,7 +118,7 @@ async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
 async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    link = TcpLink("127.0.0.1", 9)
+    link = TcpTarget("127.0.0.1", 9)
     file = tmp_path / "hand.toml"
     file.write_text('plate = "quartz16"\nlink = "tcp://127.0.0.1:9"\n')
     answering(monkeypatch, STATUS)
@@ -120,7 +126,7 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
     assert await find_daemon(link, None, {77}) is not None
     answering(monkeypatch, STATUS | {"config": {"file": str(file)}})
     assert await find_daemon(link, None, ()) is not None
-    other = TcpLink("127.0.0.1", 10)
+    other = TcpTarget("127.0.0.1", 10)
     assert await find_daemon(other, None, ()) is None
     assert await find_daemon(other, file, ()) is not None
     answering(monkeypatch, STATUS | {"config": {"file": str(file), "needs_restart": ["link"]}})
@@ -172,11 +178,11 @@ def test_a_bad_file_does_not_hide_that_a_daemon_runs(
     ],
 )
 def test_links_are_the_same_where_they_lead_to_one_board(one: str, other: str, same: bool) -> None:
-    assert same_link(parse_link(one), parse_link(other)) is same
+    assert parse_link(one).leads_to_the_same(parse_link(other)) is same
 
 
 def looked(computer: MadeUpHost, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
-    doctor(DoctorOptions(None, UsbLink(0x1A86, 0x7523, "0042"), 1.0, json=True, host=computer.host()))
+    doctor(DoctorOptions(None, UsbTarget(0x1A86, 0x7523, "0042"), 1.0, json=True, host=computer.host()))
     return {finding["id"]: finding for finding in json.loads(capsys.readouterr().out)["findings"]}
 
 

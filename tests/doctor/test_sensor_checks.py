@@ -9,13 +9,13 @@ import pytest
 from emulation import emulated
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.config import parse_link
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.link_checks import check_sitting
 from resonator_daemon.doctor.plate_readings import PlateReading
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
 from resonator_daemon.doctor.sitting import Sitting, sit_with
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import EmulatorOptions
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 from made_up_host import USB, MadeUpHost
 
-from resonator_daemon.config import UsbLink
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of
+from resonator_daemon.links.carriers.usb import UsbTarget
 
 LOAD_BIT_PER_S = 2.04e6
 
@@ -18,12 +18,12 @@ def computer(tmp_path: Path) -> MadeUpHost:
     return MadeUpHost(tmp_path)
 
 
-def found(host: Host, link: UsbLink, load_bit_per_s: float = LOAD_BIT_PER_S) -> dict[str, Finding]:
+def found(host: Host, link: UsbTarget, load_bit_per_s: float = LOAD_BIT_PER_S) -> dict[str, Finding]:
     return {finding.id: finding for finding in check_usb_link(link, host, load_bit_per_s)}
 
 
 def test_a_device_that_is_well_has_nothing_wrong(computer: MadeUpHost) -> None:
-    findings = found(computer.host(), UsbLink(0x1A86, 0x7523, "0042"))
+    findings = found(computer.host(), UsbTarget(0x1A86, 0x7523, "0042"))
     assert {finding.outcome for finding in findings.values()} == {Outcome.OK}
     assert findings["usb.hubs"].value == 1.0
 
@@ -39,8 +39,8 @@ def test_the_device_behind_a_terminal_is_found(computer: MadeUpHost) -> None:
     assert usb_device_of("ttyUSB1", computer.host()) is None
 
 
-@pytest.mark.parametrize("link", [UsbLink(0x1A86, 0x7524), UsbLink(0x1A86, 0x7523, "0043")])
-def test_a_device_that_is_not_there_is_a_fault(computer: MadeUpHost, link: UsbLink) -> None:
+@pytest.mark.parametrize("link", [UsbTarget(0x1A86, 0x7524), UsbTarget(0x1A86, 0x7523, "0043")])
+def test_a_device_that_is_not_there_is_a_fault(computer: MadeUpHost, link: UsbTarget) -> None:
     findings = found(computer.host(), link)
     assert findings["usb.device"].outcome is Outcome.FAULT
     assert findings["usb.speed"].outcome is Outcome.NOT_CHECKED
@@ -48,17 +48,17 @@ def test_a_device_that_is_not_there_is_a_fault(computer: MadeUpHost, link: UsbLi
 
 def test_two_alike_have_to_be_told_apart(computer: MadeUpHost) -> None:
     computer.link("sys/bus/usb/devices/1-2", computer.root / USB)
-    assert "?serial=" in found(computer.host(), UsbLink(0x1A86, 0x7523))["usb.device"].remedy
+    assert "?serial=" in found(computer.host(), UsbTarget(0x1A86, 0x7523))["usb.device"].remedy
 
 
 def test_a_device_that_may_not_be_opened_is_a_fault(computer: MadeUpHost) -> None:
-    finding = found(computer.host(closed="bus/usb/001/007"), UsbLink(0x1A86, 0x7523))["usb.device"]
+    finding = found(computer.host(closed="bus/usb/001/007"), UsbTarget(0x1A86, 0x7523))["usb.device"]
     assert finding.outcome is Outcome.FAULT
     assert "/dev/bus/usb/001/007" in finding.evidence
 
 
 def test_autosuspend_is_a_warning_unless_its_delay_is_endless(computer: MadeUpHost) -> None:
-    link = UsbLink(0x1A86, 0x7523)
+    link = UsbTarget(0x1A86, 0x7523)
     computer.write(f"{USB}/power/control", "auto")
     computer.write(f"{USB}/power/autosuspend_delay_ms", "2000")
     assert found(computer.host(), link)["usb.autosuspend"].outcome is Outcome.WARNING
@@ -79,7 +79,7 @@ def test_a_speed_that_is_too_low_for_the_frames_is_a_fault(
     computer: MadeUpHost, speed: str, load_bit_per_s: float, outcome: Outcome
 ) -> None:
     computer.write(f"{USB}/speed", speed)
-    assert found(computer.host(), UsbLink(0x1A86, 0x7523), load_bit_per_s)["usb.speed"].outcome is outcome
+    assert found(computer.host(), UsbTarget(0x1A86, 0x7523), load_bit_per_s)["usb.speed"].outcome is outcome
 
 
 def test_many_hubs_in_a_row_are_a_warning(computer: MadeUpHost) -> None:

@@ -7,7 +7,8 @@ import pytest
 import qemu_board
 from switch import Switch
 
-from resonator_daemon.config import SerialLink, TcpLink
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
 
 
 @pytest.fixture(scope="session")
@@ -21,9 +22,9 @@ def switch(request: pytest.FixtureRequest, program: Path, tmp_path: Path) -> Ite
     if request.param == "tcp":
         port = qemu_board.free_port()
         board = qemu_board.QemuBoard(program, tcp_port=port)
-        link: SerialLink | TcpLink = TcpLink("127.0.0.1", port)
+        link: SerialTarget | TcpTarget = TcpTarget("127.0.0.1", port)
     else:
         board = qemu_board.QemuBoard(program, pty=tmp_path / "board")
-        link = SerialLink(str(tmp_path / "board"), 4_000_000)
+        link = SerialTarget(str(tmp_path / "board"), 4_000_000)
     with board:
         yield Switch(board, link)

@@ -15,7 +15,8 @@ from firmware_listener import DEADLINE_S
 
 from firmware_protocol.host import Described, HostEvent, HostSession, Started
 from firmware_protocol.messages import Configuration
-from resonator_daemon.config import SerialLink, TcpLink
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
 
 ASK_AGAIN_S = 0.3
 
@@ -23,8 +24,8 @@ ASK_AGAIN_S = 0.3
 class WireHost:
     """Events in the order in which they came."""
 
-    def __init__(self, link: SerialLink | TcpLink) -> None:
-        if isinstance(link, TcpLink):
+    def __init__(self, link: SerialTarget | TcpTarget) -> None:
+        if isinstance(link, TcpTarget):
             self._descriptor = socket.create_connection((link.host, link.port)).detach()
         else:
             self._descriptor = os.open(link.path, os.O_RDWR | os.O_NOCTTY)

@@ -4,11 +4,12 @@ from typing import NamedTuple
 
 import qemu_board
 
-from resonator_daemon.config import SerialLink, TcpLink
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
 
 
 class Switch(NamedTuple):
     """A board that can be switched on and off, and the daemon's name for its port."""
 
     board: qemu_board.QemuBoard
-    link: SerialLink | TcpLink
+    link: SerialTarget | TcpTarget

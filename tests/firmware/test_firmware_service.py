@@ -11,7 +11,7 @@ import pytest
 from firmware_listener import DEADLINE_S
 from switch import Switch
 
-from resonator_daemon.config import TcpLink
+from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.publishing.embedded_broker import embedded_broker
 
 pytestmark = pytest.mark.firmware
@@ -21,7 +21,7 @@ PRESSED_SITE, FORCE_NEWTON = 13, 2.0
 
 @pytest.mark.parametrize("switch", ["tcp"], indirect=True)
 async def test_the_touch_is_found_with_its_force(switch: Switch, tmp_path: Path) -> None:
-    assert isinstance(switch.link, TcpLink)
+    assert isinstance(switch.link, TcpTarget)
     async with embedded_broker() as url:
         broker = urlsplit(url)
         config = tmp_path / "board.toml"

@@ -20,11 +20,10 @@ import pytest
 import serial
 from serial.tools import list_ports
 
-from resonator_daemon.config import SerialLink
-from resonator_daemon.links import serial as serial_link
+from resonator_daemon.links.carriers import serial as serial_link
+from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.port_holders import Holders
-from resonator_daemon.links.serial import open_serial
 
 BAUD = 4_000_000
 AMPLE_S = 30.0
@@ -60,7 +59,7 @@ def port() -> Iterator[Terminal]:
 
 def refusal(path: str | Path, baud: int = BAUD) -> str:
     with pytest.raises(LinkUnavailableError) as raised:
-        open_serial(SerialLink(str(path), baud))
+        open_serial(SerialTarget(str(path), baud))
     return str(raised.value)
 
 
@@ -103,7 +102,7 @@ def failing_ioctl(request: int, code: int) -> Callable[..., Any]:
 @pytest.mark.parametrize("baud", [115_200, BAUD, 2_345_678])
 def test_every_byte_value_passes_unchanged_both_ways(port: Terminal, baud: int) -> None:
     every_byte = bytes(range(256))
-    link = open_serial(SerialLink(port.path, baud))
+    link = open_serial(SerialTarget(port.path, baud))
     os.write(port.master, every_byte)
     assert read_exactly(link, 256) == every_byte
     link.write(every_byte)
@@ -112,7 +111,7 @@ def test_every_byte_value_passes_unchanged_both_ways(port: Terminal, baud: int) 
 
 
 def test_an_open_port_is_silent_without_waiting_and_tells_a_hang_up(port: Terminal) -> None:
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     assert link.read(0.0) == b""
     port.hang_up()
     with pytest.raises(LinkLostError, match="unplugged"):
@@ -123,7 +122,7 @@ def test_an_open_port_is_silent_without_waiting_and_tells_a_hang_up(port: Termin
 
 def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Terminal) -> None:
     exclusive = array.array("i", [0])
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
     assert exclusive[0] == 1
     link.close()
@@ -132,7 +131,7 @@ def test_a_port_is_kept_from_programs_that_do_not_ask_while_it_is_open(port: Ter
 
 
 def test_closing_never_fails(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     close = serial.Serial.close
 
     def close_late(closed: serial.Serial) -> None:
@@ -145,9 +144,9 @@ def test_closing_never_fails(port: Terminal, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_closing_twice_leaves_the_port_of_the_next_holder_alone(port: Terminal) -> None:
-    first = open_serial(SerialLink(port.path, BAUD))
+    first = open_serial(SerialTarget(port.path, BAUD))
     first.close()
-    second = open_serial(SerialLink(port.path, BAUD))  # takes over the descriptor's number
+    second = open_serial(SerialTarget(port.path, BAUD))  # takes over the descriptor's number
     first.close()
     exclusive = array.array("i", [0])
     fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
@@ -156,12 +155,12 @@ def test_closing_twice_leaves_the_port_of_the_next_holder_alone(port: Terminal) 
 
 
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
-    held = open_serial(SerialLink(port.path, BAUD))
+    held = open_serial(SerialTarget(port.path, BAUD))
     said = refusal(port.path)
     name = Path("/proc/self/comm").read_text().strip()
     assert said == f"{port.path} is held by {name} (pid {os.getpid()}); close it there"
     held.close()
-    open_serial(SerialLink(port.path, BAUD)).close()
+    open_serial(SerialTarget(port.path, BAUD)).close()
 
 
 def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal) -> None:
@@ -169,7 +168,7 @@ def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal
     with locked_elsewhere(port.path) as holder:
         name = Path(f"/proc/{holder.pid}/comm").read_text().strip()
         assert refusal(port.path) == f"{port.path} is held by {name} (pid {holder.pid}); close it there"
-    open_serial(SerialLink(port.path, BAUD)).close()
+    open_serial(SerialTarget(port.path, BAUD)).close()
 
 
 @pytest.mark.parametrize(
@@ -179,7 +178,7 @@ def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal
 def test_a_holder_that_is_not_found_is_said_so(
     port: Terminal, monkeypatch: pytest.MonkeyPatch, all_seen: bool, ending: str
 ) -> None:
-    held = open_serial(SerialLink(port.path, BAUD))
+    held = open_serial(SerialTarget(port.path, BAUD))
     monkeypatch.setattr(serial_link, "port_holders", lambda _path: Holders((), all_seen))
     assert refusal(port.path).endswith(ending.format(path=port.path))
     held.close()
@@ -193,14 +192,14 @@ def test_a_port_that_another_program_has_open_without_a_lock_is_not_shared(
         assert f"also held by {Path(f'/proc/{holder.pid}/comm').read_text().strip()} (pid {holder.pid})" in refusal(
             port.path
         )
-    open_serial(SerialLink(port.path, BAUD)).close()  # this process's own hold counts for nothing
+    open_serial(SerialTarget(port.path, BAUD)).close()  # this process's own hold counts for nothing
 
 
 def test_closing_leaves_the_modem_lines_as_they_are(port: Terminal) -> None:
     settings = termios.tcgetattr(port.slave)
     settings[2] |= termios.HUPCL
     termios.tcsetattr(port.slave, termios.TCSANOW, settings)
-    link = open_serial(SerialLink(port.path, 2_345_678))
+    link = open_serial(SerialTarget(port.path, 2_345_678))
     assert not termios.tcgetattr(port.slave)[2] & termios.HUPCL
     settings2 = bytearray(44)
     fcntl.ioctl(port.slave, TCGETS2, settings2)
@@ -218,14 +217,14 @@ def test_nothing_that_came_before_is_read_or_sent_back(port: Terminal, monkeypat
 
     monkeypatch.setattr(termios, "tcflush", flush)
     os.write(port.master, b"frames of an old run\n")
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     assert link.read(0.0) == b""
     assert flushed == [termios.TCIFLUSH, termios.TCOFLUSH]
     link.close()
 
 
 def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(port: Terminal) -> None:
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     os.write(port.master, bytes(3000))  # so many that the link looks for more
     assert read_exactly(link, 3000) == bytes(3000)
     assert link.read(0.0) == b""
@@ -233,7 +232,7 @@ def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(por
 
 
 def test_the_last_bytes_are_still_sent_when_the_port_is_closed(port: Terminal) -> None:
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     link.write(b"stop")
     link.close()
     assert os.read(port.master, 100) == b"stop"
@@ -253,7 +252,7 @@ def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
             return 0
         return real(descriptor, asked, *rest)
 
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     monkeypatch.setattr(fcntl, "ioctl", stuck)
     clock = SimpleNamespace(monotonic=lambda: next(instants), sleep=lambda _s: None)
     monkeypatch.setattr(serial_link, "time", clock)
@@ -277,7 +276,7 @@ def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, mo
         return 0
 
     monkeypatch.setattr(fcntl, "ioctl", counting)
-    link = open_serial(SerialLink(port.path, BAUD))
+    link = open_serial(SerialTarget(port.path, BAUD))
     assert link.overruns == 0
     overrun, buffer_overrun = -(2**31) + 1, 8  # two more, past the end of the driver's number, and three more
     assert link.overruns == 5
@@ -290,7 +289,7 @@ def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, mo
 
 def ports_present(monkeypatch: pytest.MonkeyPatch, root: Path, devices: tuple[str, ...] = ()) -> Path:
     """Let the machine have these ports, and a directory of ports by id, which is returned."""
-    monkeypatch.setattr(serial_link, "Path", lambda path: root / path.lstrip("/"))
+    monkeypatch.setattr(serial_link, "BY_ID", root / "dev/serial/by-id")
     present = [SimpleNamespace(device=device) for device in devices]
     monkeypatch.setattr(list_ports, "comports", lambda: present)
     by_id = root / "dev/serial/by-id"
@@ -326,7 +325,7 @@ def test_a_path_through_a_file_is_a_missing_port(tmp_path: Path) -> None:
 
 def test_a_port_that_is_back_already_was_missing(tmp_path: Path) -> None:
     error = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-    assert serial_link._why_not(SerialLink(str(tmp_path), BAUD), error).startswith(f"no port {tmp_path}; ")
+    assert serial_link._why_not(SerialTarget(str(tmp_path), BAUD), error).startswith(f"no port {tmp_path}; ")
 
 
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
@@ -340,7 +339,7 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
 
 def test_any_other_error_is_said_once_and_without_its_number(tmp_path: Path) -> None:
     error = serial.SerialException(errno.EMFILE, f"could not open port {tmp_path}: [Errno 24] Too many open files: 'x'")
-    said = serial_link._why_not(SerialLink(str(tmp_path), BAUD), error)
+    said = serial_link._why_not(SerialTarget(str(tmp_path), BAUD), error)
     assert said == f"{tmp_path} cannot be opened: {os.strerror(errno.EMFILE)}"
 
 
@@ -349,7 +348,7 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
         patched.setattr(fcntl, "ioctl", failing_ioctl(TCSETS2, errno.EINVAL))
         said = refusal(port.path, 2_345_678)
     assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
-    open_serial(SerialLink(port.path, BAUD)).close()  # the failure left no lock behind
+    open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind
 
 
 @pytest.mark.parametrize("code", [errno.EACCES, errno.EPERM])
@@ -359,7 +358,7 @@ def test_a_port_that_is_not_permitted_names_the_group_to_join(
     monkeypatch.setattr(grp, "getgrgid", lambda _number: SimpleNamespace(gr_name="dialout"))
     path = tmp_path / "ttyACM0"
     path.touch()
-    said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(code, os.strerror(code)))
+    said = serial_link._why_not(SerialTarget(str(path), BAUD), PermissionError(code, os.strerror(code)))
     assert said == (
         f"{path} may not be opened by this user; join its group: sudo usermod -aG dialout $USER, then log in anew"
     )
@@ -377,7 +376,7 @@ def test_a_group_that_nobody_should_join_asks_for_a_rule(
     path = tmp_path / "ttyACM0"
     path.touch()
     monkeypatch.setattr(grp, "getgrgid", resolve_host)
-    said = serial_link._why_not(SerialLink(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
+    said = serial_link._why_not(SerialTarget(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
     assert said.endswith("give it to a group of this user with a udev rule (docs/links.md)")
 
 
@@ -395,4 +394,4 @@ def test_a_port_that_goes_away_at_the_last_moment_is_given_back(
     with monkeypatch.context() as patched:
         patched.setattr(fcntl, "ioctl", failing_ioctl(termios.TIOCEXCL, errno.EIO))
         assert f"{port.path} went away" in refusal(port.path)
-    open_serial(SerialLink(port.path, BAUD)).close()
+    open_serial(SerialTarget(port.path, BAUD)).close()

@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import pytest
 
-from resonator_daemon.config import TcpLink
 from resonator_daemon.links import link as link_module
-from resonator_daemon.links import tcp as tcp_link
+from resonator_daemon.links.carriers import tcp as tcp_link
+from resonator_daemon.links.carriers.tcp import TcpTarget, open_tcp
 from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
-from resonator_daemon.links.tcp import open_tcp
 
 AMPLE_S = 30.0
 SO_ATTACH_FILTER = 26
@@ -45,8 +44,8 @@ def connected(listener: socket.socket) -> Iterator[Connected]:
     link.close()
 
 
-def target(listener: socket.socket) -> TcpLink:
-    return TcpLink("127.0.0.1", listener.getsockname()[1])
+def target(listener: socket.socket) -> TcpTarget:
+    return TcpTarget("127.0.0.1", listener.getsockname()[1])
 
 
 def test_bytes_pass_both_ways_until_either_end_closes(listener: socket.socket) -> None:
@@ -154,8 +153,7 @@ def test_a_board_that_vanished_without_a_word_is_noticed(connected: Connected) -
         assert connected.link.read(AMPLE_S) == b""
 
 
-def test_a_host_that_does_not_answer_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tcp_link, "_CONNECT_TIMEOUT_S", 0.05)
+def test_a_host_that_does_not_answer_is_given_up() -> None:
     with socket.create_server(("127.0.0.1", 0), backlog=0) as busy:
         where = target(busy)
         with contextlib.ExitStack() as waiting:
@@ -164,7 +162,7 @@ def test_a_host_that_does_not_answer_is_given_up(monkeypatch: pytest.MonkeyPatch
                 client.setblocking(False)
                 client.connect_ex(("127.0.0.1", where.port))
             with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.1: no answer in time"):
-                open_tcp(where)
+                open_tcp(where, timeout_s=0.05)
 
 
 def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,7 +179,7 @@ def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPat
     )
     monkeypatch.setattr(tcp_link, "_connect", connect)
     with pytest.raises(LinkUnavailableError, match=r"192\.0\.2\.1: no answer in time; 192"):
-        open_tcp(TcpLink("board.local", 5000))
+        open_tcp(TcpTarget("board.local", 5000))
     assert given == [2.0, 0.5]
 
 
@@ -189,10 +187,10 @@ def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatc
     port = target(listener).port
     addresses = [(socket.AF_INET, ("127.0.0.2", 1)), (socket.AF_INET, ("127.0.0.1", port))]
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses)
-    open_tcp(TcpLink("board.local", port)).close()
+    open_tcp(TcpTarget("board.local", port)).close()
     monkeypatch.setattr(tcp_link, "resolve_host", lambda _host, _port, _timeout_s: addresses[:1] * 2)
     with pytest.raises(LinkUnavailableError, match=r"127\.0\.0\.2: Connection refused; 127\.0\.0\.2: Connection"):
-        open_tcp(TcpLink("board.local", port))
+        open_tcp(TcpTarget("board.local", port))
 
 
 def test_nobody_there_is_said_with_the_address(listener: socket.socket) -> None:
@@ -205,4 +203,4 @@ def test_nobody_there_is_said_with_the_address(listener: socket.socket) -> None:
 @pytest.mark.parametrize("host", ["left..finger", "x" * 70])
 def test_a_name_that_no_host_can_have_is_no_crash(host: str) -> None:
     with pytest.raises(LinkUnavailableError, match=f"tcp://{host}:5000 does not answer"):
-        open_tcp(TcpLink(host, 5000))
+        open_tcp(TcpTarget(host, 5000))

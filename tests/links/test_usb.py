@@ -10,12 +10,12 @@ import usb.backend.libusb1
 from usb.core import USBError
 from usb_bench import LINK, SERIAL_NUMBER, HostError, UsbBoardEnd, UsbHost, usb_board, usb_host
 
-from resonator_daemon.config import UsbLink
-from resonator_daemon.links import usb as usb_link
+from resonator_daemon.links import usb_link
+from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.links.port_holders import Holder, Holders
-from resonator_daemon.links.usb import open_usb
 from resonator_daemon.links.usb_devices import UsbBoard
+from resonator_daemon.links.usb_link import open_usb
 
 FRAME_BYTES = 204
 SKIN_FRAME_BYTES = 147_000
@@ -24,12 +24,12 @@ UNSUPPORTED = "Operation not supported or unimplemented on this platform"
 _IMPORTS = """
 import errno, hashlib, os, threading
 from usb.core import USBError
-from resonator_daemon.links import usb as usb_link
+from resonator_daemon.links import usb_link
 from resonator_daemon.links import usb_transfers
 from resonator_daemon.links.port_holders import Holder, Holders
 from resonator_daemon.links.usb_devices import present_boards
-from resonator_daemon.links.usb import open_usb
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.usb_link import open_usb
+from resonator_daemon.links.table import parse_link
 
 def open_link(text):
     global link
@@ -306,14 +306,14 @@ def test_a_board_among_several_must_be_named(monkeypatch: pytest.MonkeyPatch) ->
     boards = [a_board("0042", 2), a_board("0043", 3), a_board("0042", 4)]
     monkeypatch.setattr(usb_link, "present_boards", lambda: boards)
     with pytest.raises(LinkUnavailableError) as caught:
-        open_usb(UsbLink(0x1209, 0x0001))
+        open_usb(UsbTarget(0x1209, 0x0001))
     links = "usb:1209:0001?serial=0042, usb:1209:0001?serial=0043, usb:1209:0001?serial=0042"
     assert str(caught.value) == f"3 boards are usb:1209:0001; say which: {links}"
     with pytest.raises(LinkUnavailableError, match=r"^2 boards are usb:1209:0001\?serial=0042; "):
-        open_usb(UsbLink(0x1209, 0x0001, "0042"))
+        open_usb(UsbTarget(0x1209, 0x0001, "0042"))
 
 
-def refused(monkeypatch: pytest.MonkeyPatch, error: Exception, target: UsbLink, present: UsbBoard) -> str:
+def refused(monkeypatch: pytest.MonkeyPatch, error: Exception, target: UsbTarget, present: UsbBoard) -> str:
     """Return the sentence where libusb does not open the only board that is present."""
 
     class Backend:
@@ -331,7 +331,7 @@ def test_who_holds_a_board_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     # Below an emulated /dev nobody's descriptors can be told.
     holders = Holders((Holder(os.getpid(), "pytest", locks=False), Holder(1, "init", locks=False)), all_seen=True)
     monkeypatch.setattr(usb_link, "port_holders", {"/dev/bus/usb/999/002": holders}.__getitem__)
-    said = refused(monkeypatch, USBError("Busy", -6, errno.EBUSY), UsbLink(0x1209, 1), a_board("0042", 2))
+    said = refused(monkeypatch, USBError("Busy", -6, errno.EBUSY), UsbTarget(0x1209, 1), a_board("0042", 2))
     assert said == "usb:1209:0001?serial=0042 is held by init (pid 1); close it there"
 
 
@@ -344,7 +344,7 @@ def test_who_holds_a_board_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     ],
 )
 def test_other_errors_of_opening(monkeypatch: pytest.MonkeyPatch, error: Exception, expected: str) -> None:
-    assert refused(monkeypatch, error, UsbLink(0x1209, 1), a_board(None, 2)) == f"usb:1209:0001 {expected}"
+    assert refused(monkeypatch, error, UsbTarget(0x1209, 1), a_board(None, 2)) == f"usb:1209:0001 {expected}"
 
 
 @pytest.mark.parametrize("call", ["get_configuration", "claim_interface", "ctrl_transfer"])
@@ -379,7 +379,7 @@ def test_what_a_system_does_not_support_ends_a_link(
 def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_number: str | None) -> None:
     # Whom the kernel refuses cannot be tried by root: this is what libusb says then.
     error = USBError("Access denied", -3, errno.EACCES)
-    assert refused(monkeypatch, error, UsbLink(0x1209, 1, serial_number), a_board(None, 2)) == (
+    assert refused(monkeypatch, error, UsbTarget(0x1209, 1, serial_number), a_board(None, 2)) == (
         "/dev/bus/usb/999/002 (1209:0001) may not be opened by this user; put "
         'SUBSYSTEM=="usb", ATTR{idVendor}=="1209", ATTR{idProduct}=="0001", GROUP="resonatord", MODE="0660" '
         "into /etc/udev/rules.d/70-resonatord.rules (as root, `resonatord install` does for boards of its ids), "
@@ -390,4 +390,4 @@ def test_a_board_that_may_not_be_opened(monkeypatch: pytest.MonkeyPatch, serial_
 def test_without_libusb(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(usb.backend.libusb1, "get_backend", lambda: None)
     with pytest.raises(LinkUnavailableError, match=r"libusb 1\.0 cannot be loaded; .*apt-get install libusb-1\.0-0"):
-        open_usb(UsbLink(0x1209, 0x0001, SERIAL_NUMBER))
+        open_usb(UsbTarget(0x1209, 0x0001, SERIAL_NUMBER))

@@ -13,7 +13,7 @@ _READER = """
 import threading
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import ChannelisedFrame, Gap, LinkChange, SingleToneFrame
-from resonator_daemon.config import parse_link
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import load_plate
 
 woken = threading.Event()

@@ -9,10 +9,13 @@ from emulation import emulated
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
-from resonator_daemon.config import LinkTarget, ReplayLink, SerialLink, parse_link
 from resonator_daemon.config.text import load_plate_text
+from resonator_daemon.links.carriers.recording import RecordingTarget
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
-from resonator_daemon.recording.event_replay import Pace
+from resonator_daemon.recording.event_replay import Pace, replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
@@ -96,7 +99,7 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
     faults = parse_faults("bit_error_rate=1e-4,unplug_at_s=0.8,unplug_for_s=0.2,reboot_at_s=1.6")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Sitting(SerialLink(str(port), 4000000), PLATE, path) as sitting,
+        Sitting(SerialTarget(str(port), 4000000), PLATE, path) as sitting,
     ):
         sitting.wait_for(Outage, 2)
         sitting.wait_for(SingleToneFrame, sum(isinstance(a, SingleToneFrame) for a in sitting.arrivals) + 200)
@@ -118,16 +121,24 @@ def test_channelised_frames_are_replayed_to_the_bit(tmp_path: Path) -> None:
 
 def test_a_refused_board_is_refused_again(tmp_path: Path) -> None:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
-    with emulated(EmulatorOptions("skin32", pty=port)), Sitting(SerialLink(str(port), 4000000), PLATE, path) as sitting:
+    with (
+        emulated(EmulatorOptions("skin32", pty=port)),
+        Sitting(SerialTarget(str(port), 4000000), PLATE, path) as sitting,
+    ):
         sitting.wait_for(BoardRefused, 1)
     check_same(sitting, path, PLATE)
+
+
+def replaying(path: str, woken: threading.Event) -> BoardReader:
+    target = RecordingTarget(path)
+    return BoardReader(target, PLATE, woken.set, replay=replay_of(target, PLATE))
 
 
 def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record(path, [StateAnnounced(at(0), "starting", "first"), StateAnnounced(at(300), "waiting", "second")])
     woken = threading.Event()
-    reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
+    reader = replaying(str(path), woken)
     reader.start()
     arrivals: list[Arrival] = []
     while len(arrivals) < 3:
@@ -157,7 +168,7 @@ def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     record(path, [Opened(at(0)), StateAnnounced(at(0), "stalled", "first"), TimersRun(at(3_600_000), idle=True)])
     woken = threading.Event()
-    reader = BoardReader(ReplayLink(str(path)), PLATE, woken.set)
+    reader = replaying(str(path), woken)
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
@@ -166,7 +177,7 @@ def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
 
 def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
     woken = threading.Event()
-    reader = BoardReader(ReplayLink(str(tmp_path / "none.mcap")), PLATE, woken.set)
+    reader = replaying(str(tmp_path / "none.mcap"), woken)
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()

@@ -17,8 +17,10 @@ from mcap.reader import make_reader
 from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
-from resonator_daemon.config import LinkTarget, SerialLink, parse_link
 from resonator_daemon.errors import UserError
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import switch as recording_switch
@@ -58,9 +60,9 @@ def listening(link: LinkTarget, plate: Plate = PLATE) -> Iterator[tuple[Listener
     switch.close()
 
 
-def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, SerialLink]:
+def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, SerialTarget]:
     options = EmulatorOptions("quartz16", pty=port, faults=parse_faults(faults))
-    return options, SerialLink(str(port), 4000000)
+    return options, SerialTarget(str(port), 4000000)
 
 
 def wait_for_frames(it: Listener, more: int) -> None:

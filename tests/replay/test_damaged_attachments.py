@@ -8,8 +8,9 @@ import pytest
 from mcap.writer import Writer
 
 from resonator_daemon import cli
-from resonator_daemon.config import load_config, parse_link
+from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
+from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.session.board_reader import BoardReader

@@ -10,7 +10,8 @@ from listener import Listener, check_indices, frames, gaps
 from recording_bench import PLATE, replayed
 
 from firmware_protocol.layouts import Capability
-from resonator_daemon.config import ReplayLink, SerialLink
+from resonator_daemon.links.carriers.recording import RecordingTarget
+from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.session.frames import Arrival, BlinkAnswered
@@ -47,7 +48,7 @@ def answers_of(it: Listener, count: int) -> list[str | None]:
 
 def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for_frames(100)
         assert answers_of(it, 3) == [None] * 3
         it.wait_for_frames(len(frames(it.arrivals)) + 200)
@@ -60,9 +61,9 @@ def test_a_board_blinks_and_counts_on(tmp_path: Path) -> None:
 
 
 def test_nobody_there_is_an_answer(tmp_path: Path) -> None:
-    with Listener(SerialLink(str(tmp_path / "none"), 4000000)) as it:
+    with Listener(SerialTarget(str(tmp_path / "none"), 4000000)) as it:
         assert answers_of(it, 1) == ["no board is connected"]
-    with Listener(ReplayLink(str(tmp_path / "none.mcap"))) as it:
+    with Listener(RecordingTarget("none.mcap"), replay=lambda *_: None) as it:
         assert answers_of(it, 1) == ["a recording has no board"]
 
 
@@ -122,7 +123,7 @@ def test_an_unplugged_board_is_an_answer(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("freeze_at_s=0.4,freeze_for_s=0.6,unplug_at_s=0.8,unplug_for_s=0.2")
     options = EmulatorOptions("quartz16", pty=port, faults=faults)
-    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(options), Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for(lambda _: ("stalled", "the port is open and no frame comes") in it.states)
         (answer,) = answers_of(it, 1)
     assert answer in (
@@ -136,7 +137,7 @@ def test_an_unplugged_board_is_an_answer(tmp_path: Path) -> None:
 def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway: bool) -> None:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
     switch = RecordingSwitch()
-    link = SerialLink(str(port), 4000000)
+    link = SerialTarget(str(port), 4000000)
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link, on_event=switch.put) as it:
         if midway:
             it.wait_for_frames(300)

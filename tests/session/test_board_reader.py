@@ -5,7 +5,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
@@ -15,8 +15,11 @@ from emulation import emulated
 from listener import DEADLINE_S, Listener, check_bytes, check_indices, frames, gaps, outages
 
 from firmware_protocol.device import DeviceSession
-from resonator_daemon.config import SerialLink, TcpLink, parse_link
-from resonator_daemon.links.link import LinkLostError
+from resonator_daemon.links.carriers.serial import SerialTarget
+from resonator_daemon.links.carriers.tcp import TcpTarget
+from resonator_daemon.links.link import Link, LinkLostError
+from resonator_daemon.links.table import parse_link
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.clock import Line, TickScale
 from resonator_daemon.session.frames import (
@@ -40,7 +43,7 @@ FRAME_BYTES = SingleToneFrame(0, 0, 0, TickScale(10**12, 0, Line(0, 0, 0.0, 0.0,
 
 def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(EmulatorOptions("quartz16", pty=port)) as emulator, Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for_frames(300)
         counters = it.reader.counters()
     check_bytes(counters)
@@ -79,7 +82,7 @@ def test_damage_is_found_to_the_frame(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("bit_error_rate=1e-4,garbage_rate_hz=20")
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
-        with Listener(SerialLink(str(port), 4000000)) as it:
+        with Listener(SerialTarget(str(port), 4000000)) as it:
             it.wait_for(lambda arrivals: len(frames(arrivals)) + sum(gap.loss.total for gap in gaps(arrivals)) > 1500)
             counters = it.reader.counters()
         it.take_the_rest()
@@ -101,7 +104,7 @@ def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
     faults = parse_faults("unplug_at_s=0.3,unplug_for_s=0.5")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialLink(str(port), 4000000)) as it,
+        Listener(SerialTarget(str(port), 4000000)) as it,
     ):
         it.wait_for(lambda arrivals: len(gaps(arrivals)) == 1 and len(frames(arrivals[-200:])) == 200)
         counters = it.reader.counters()
@@ -124,7 +127,7 @@ def test_a_pulled_cable_is_a_gap_and_no_shift(tmp_path: Path) -> None:
 def test_a_reboot_is_told_from_an_unplugging(tmp_path: Path) -> None:
     port = tmp_path / "board"
     options = EmulatorOptions("quartz16", pty=port, faults=parse_faults("reboot_at_s=0.3"))
-    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(options), Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for(lambda arrivals: sum(isinstance(a, BoardOnline) for a in arrivals) == 2)
         it.wait_for(lambda arrivals: len(frames(arrivals[-100:])) == 100)
     first, second = (arrival for arrival in it.arrivals if isinstance(arrival, BoardOnline))
@@ -153,7 +156,7 @@ def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Pat
     port = tmp_path / "board"
     with (
         emulated(EmulatorOptions("quartz16", pty=port)),
-        Listener(SerialLink(str(port), 4000000), frame_queue_bytes=100 * FRAME_BYTES) as it,
+        Listener(SerialTarget(str(port), 4000000), frame_queue_bytes=100 * FRAME_BYTES) as it,
     ):
         deadline = time.monotonic() + DEADLINE_S
         while it.reader.counters().frames < 400 and time.monotonic() < deadline:
@@ -168,7 +171,7 @@ def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Pat
 
 def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000), SKIN) as it:
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialTarget(str(port), 4000000), SKIN) as it:
         it.wait_for(lambda arrivals: any(isinstance(arrival, BoardRefused) for arrival in arrivals))
     refused = next(arrival for arrival in it.arrivals if isinstance(arrival, BoardRefused))
     assert refused.problems[0] == "plate: the board describes quartz16, the plate file has skin32"
@@ -178,7 +181,7 @@ def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
 
 
 @contextmanager
-def tcp_server(greeting: bytes) -> Iterator[TcpLink]:
+def tcp_server(greeting: bytes) -> Iterator[TcpTarget]:
     """Something that is no board: it sends its greeting and nothing else."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
 
@@ -194,7 +197,7 @@ def tcp_server(greeting: bytes) -> Iterator[TcpLink]:
         clients: list[socket.socket] = []
         thread = threading.Thread(target=serve)
         thread.start()
-        yield TcpLink("127.0.0.1", listener.getsockname()[1])
+        yield TcpTarget("127.0.0.1", listener.getsockname()[1])
         listener.shutdown(socket.SHUT_RDWR)
         thread.join()
         for client in clients:
@@ -212,7 +215,7 @@ def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> N
 
 def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    with Listener(SerialLink(str(port), 4000000)) as it:
+    with Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for(lambda arrivals: len(arrivals) > 1)
         assert it.states[0] == ("starting", "the link is being opened")
         state, reason = it.states[1]
@@ -224,7 +227,7 @@ def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
 
 def test_a_busy_port_says_so_and_is_waited_for(tmp_path: Path) -> None:
     port = tmp_path / "board"
-    link = SerialLink(str(port), 4000000)
+    link = SerialTarget(str(port), 4000000)
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(link) as holder:
         holder.wait_for_frames(1)
         with Listener(link) as it:
@@ -236,7 +239,7 @@ def test_a_busy_port_says_so_and_is_waited_for(tmp_path: Path) -> None:
 
 def test_nobody_listens_on_tcp() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        link = TcpLink("127.0.0.1", listener.getsockname()[1])
+        link = TcpTarget("127.0.0.1", listener.getsockname()[1])
     with Listener(link) as it:
         it.wait_for(lambda arrivals: len(arrivals) > 1)
     assert it.states[1][0] == "waiting"
@@ -251,12 +254,28 @@ def test_ticks_that_the_board_cannot_have_reached_are_no_time(tmp_path: Path, mo
 
     monkeypatch.setattr(DeviceSession, "frame", absurd)
     port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for_frames(100)
         counters = it.reader.counters()
     assert counters.messages_malformed >= 20
     check_indices(it.arrivals)
     assert all(abs(frame.gate_middle.utc_ns - time.time_ns()) < 60e9 for frame in frames(it.arrivals))
+
+
+class Opening(LinkTarget):
+    """A target that opens whatever link a function returns."""
+
+    scheme = syntax = "test"
+
+    def __init__(self, make: Callable[[], Link]) -> None:
+        self._make = make
+
+    @classmethod
+    def parse(cls, text: str) -> "Opening":
+        raise NotImplementedError
+
+    def open(self) -> Link:
+        return self._make()
 
 
 class GoneAtOnce:
@@ -280,11 +299,9 @@ class GoneAtOnce:
         pass
 
 
-def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again() -> None:
     link = GoneAtOnce()
-    monkeypatch.setattr("resonator_daemon.session.board_reader.open_link", lambda _target: link)
-    monkeypatch.setattr("resonator_daemon.session.board_reader._BACKOFF_CAP_S", 0.001)
-    with Listener(TcpLink("127.0.0.1", 1)) as it:
+    with Listener(Opening(lambda: link), backoff_max_s=0.001) as it:
         deadline = time.monotonic() + DEADLINE_S
         while link.resets < 3 and time.monotonic() < deadline:
             threading.Event().wait(0.01)
@@ -294,12 +311,11 @@ def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again(monkeypat
     assert not any(isinstance(arrival, ReaderFailed) for arrival in it.arrivals)
 
 
-def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_: object) -> None:
+def test_a_mistake_of_ours_does_not_end_the_reader_unheard() -> None:
+    def fail() -> Link:
         raise ZeroDivisionError("mistake")
 
-    monkeypatch.setattr("resonator_daemon.session.board_reader.open_link", fail)
-    with Listener(TcpLink("127.0.0.1", 1)) as it:
+    with Listener(Opening(fail)) as it:
         _, failed = it.wait_for(lambda arrivals: len(arrivals) > 1)
     assert isinstance(failed, ReaderFailed)
     assert isinstance(failed.error, ZeroDivisionError)
@@ -321,7 +337,7 @@ def test_a_mistake_of_ours_does_not_end_the_reader_unheard(monkeypatch: pytest.M
 def test_what_ended_the_frames_is_told_with_the_outage(tmp_path: Path, faults: str, state: str, reason: str) -> None:
     port = tmp_path / "board"
     options = EmulatorOptions("quartz16", pty=port, faults=parse_faults(faults))
-    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(options), Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for(
             lambda arrivals: (
                 any(reason in outage.reason for outage in outages(arrivals)) and len(frames(arrivals[-100:])) == 100
@@ -345,7 +361,7 @@ def test_frames_that_were_only_late_are_no_outage(tmp_path: Path) -> None:
     faults = parse_faults("freeze_at_s=0.3,freeze_for_s=0.4")  # the board's queue holds 1.3 s
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialLink(str(port), 4000000)) as it,
+        Listener(SerialTarget(str(port), 4000000)) as it,
     ):
         it.wait_for_frames(1500)
         assert it.reader.lost.total == 0
@@ -359,7 +375,7 @@ def test_another_board_on_the_port_is_refused_and_the_right_one_taken_again(tmp_
     faults = parse_faults("wrong_board_at_s=0.3,wrong_board_for_s=0.5")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialLink(str(port), 4000000)) as it,
+        Listener(SerialTarget(str(port), 4000000)) as it,
     ):
         it.wait_for(lambda arrivals: bool(outages(arrivals)) and len(frames(arrivals[-100:])) == 100)
     refused = [reason for state, reason in it.states if state == "refused"]
@@ -377,7 +393,7 @@ def test_a_slow_reader_makes_the_board_overflow_and_every_frame_is_put_down_to_i
     port = tmp_path / "board"
     faults = parse_faults("slow_reader_bytes_per_s=150000")
     with emulated(EmulatorOptions("quartz16", pty=port, faults=faults)) as emulator:
-        with Listener(SerialLink(str(port), 4000000)) as it:
+        with Listener(SerialTarget(str(port), 4000000)) as it:
             it.wait_for(lambda arrivals: sum(gap.loss.board_overflow for gap in gaps(arrivals)) > 300)
             counters = it.reader.counters()
         it.take_the_rest()
@@ -396,7 +412,7 @@ def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> 
     faults = parse_faults("split_bytes=1")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialLink(str(port), 4000000), on_event=tap) as it,
+        Listener(SerialTarget(str(port), 4000000), on_event=tap) as it,
     ):
         it.wait_for_frames(300)
         counters = it.reader.counters()
@@ -409,7 +425,7 @@ def test_time_is_within_its_bound_through_clumps_and_late_answers(tmp_path: Path
     port, truth = tmp_path / "board", tmp_path / "truth.jsonl"
     faults = parse_faults("clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50")
     options = EmulatorOptions("quartz16", pty=port, faults=faults, truth=truth)
-    with emulated(options), Listener(SerialLink(str(port), 4000000)) as it:
+    with emulated(options), Listener(SerialTarget(str(port), 4000000)) as it:
         it.wait_for_frames(9000)
     ends_ns = {line["board_ticks"]: int(line["t_ns"]) for line in map(json.loads, truth.read_text().splitlines()[:-1])}
     settled = [frame for frame in frames(it.arrivals)[5000:] if frame.board_ticks in ends_ns]

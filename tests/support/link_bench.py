@@ -13,9 +13,8 @@ from usb_bench import HostError, UsbHost
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import CounterKind, Description, Identity
-from resonator_daemon.config import parse_link
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
-from resonator_daemon.links.opening import open_link
+from resonator_daemon.links.table import parse_link
 from simulators import links as device_links
 from simulators.usb_link import UsbLink
 
@@ -111,7 +110,7 @@ class LocalHost:
         self._board = board
 
     def open(self) -> Link:
-        return open_link(self._target)
+        return self._target.open()
 
     def descriptors(self) -> int:
         board = self._board
@@ -127,14 +126,13 @@ class RemoteHost:
         self._host = host
         self._opened = 0
         host.run("import os")
-        host.run("from resonator_daemon.links.opening import open_link")
-        host.run("from resonator_daemon.config import parse_link")
+        host.run("from resonator_daemon.links.table import parse_link")
         host.run(f"target = parse_link({link!r})")
 
     def open(self) -> Link:
         self._opened += 1
         name = f"link{self._opened}"
-        _told(lambda: self._host.run(f"{name} = open_link(target)"))
+        _told(lambda: self._host.run(f"{name} = target.open()"))
         return _RemoteLink(self._host, name)
 
     def descriptors(self) -> int:

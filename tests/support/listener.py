@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from resonator_daemon.config import LinkTarget
+from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import load_plate
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.counters import LinkCounters

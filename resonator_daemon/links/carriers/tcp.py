@@ -7,30 +7,66 @@ them, and pyserial's `socket://` drops bytes that it has received already when t
 import os
 import socket
 import time
+from dataclasses import dataclass
+from typing import Self
 
-from resonator_daemon.config import TcpLink
 from resonator_daemon.links.host_lookup import resolve_host
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
+from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.toml_files.urls import split_url
 
-_CONNECT_TIMEOUT_S = 3.0  # for the name and all its addresses together
+CONNECT_TIMEOUT_S = 3.0
 
 # A peer that vanished without a word, as with its power, is told by the kernel after four seconds.
 _IDLE_S, _PROBE_S, _PROBES = 1, 1, 3
 _UNACKNOWLEDGED_MS = 4000
 
 
-def open_tcp(target: TcpLink) -> FileDescriptorLink:
-    """Connect.
+@dataclass(frozen=True)
+class TcpTarget(LinkTarget):
+    """A board that listens on the network."""
+
+    scheme = "tcp"
+    syntax = "tcp://host:port"
+    is_remote = True
+
+    host: str
+    port: int
+
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"tcp://{host}:{self.port}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        url = split_url(text)
+        if not url.hostname or url.port is None or url.netloc.count("@") or url.path or url.query or url.fragment:
+            raise ValueError("must be tcp://host:port, nothing more")
+        return cls(url.hostname, url.port)
+
+    def open(self) -> FileDescriptorLink:
+        return open_tcp(self)
+
+    @property
+    def remedy(self) -> str:
+        return (
+            f"see that what should listen at {self.host} port {self.port} is switched on and in the network "
+            f"(ping {self.host}), that address and port are right, and that no firewall is in between; docs/links.md"
+        )
+
+
+def open_tcp(target: TcpTarget, timeout_s: float = CONNECT_TIMEOUT_S) -> FileDescriptorLink:
+    """Connect; `timeout_s` is for the name and all its addresses together.
 
     Raises
     ------
     LinkUnavailableError
         When the host is not known or not found in time, nobody listens there, or nobody answers.
     """
-    deadline = time.monotonic() + _CONNECT_TIMEOUT_S
+    deadline = time.monotonic() + timeout_s
     reasons = []
     try:
-        for family, address in resolve_host(target.host, target.port, _CONNECT_TIMEOUT_S):
+        for family, address in resolve_host(target.host, target.port, timeout_s):
             try:
                 connection = _connect(family, address, deadline - time.monotonic())
             except OSError as error:

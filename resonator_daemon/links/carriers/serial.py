@@ -8,17 +8,108 @@ import termios
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 import serial
 from serial.tools import list_ports
+from serial.tools.list_ports_common import ListPortInfo
 
-from resonator_daemon.config import SerialLink
 from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
+from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
+from resonator_daemon.links.target import FoundPort, LinkTarget, options_of
 from resonator_daemon.links.tty_settings import configure_tty, overrun_counter, set_low_latency
 
 _LAST_BYTES_S = 0.05
+BY_ID = Path("/dev/serial/by-id")
+_BAUD = 4_000_000  # proposed for a port that is found
+_OWN_IDS = frozenset({(0x1209, 0x0001)})  # those that the installed udev rules name
+_OWN_WORDS = ("resonat", "rd board")  # in the strings of a USB device
+
+
+@dataclass(frozen=True)
+class SerialTarget(LinkTarget):
+    """A board on a serial port."""
+
+    scheme = "serial"
+    syntax = "serial:PATH?baud=N"
+
+    path: str
+    baud: int
+
+    def __str__(self) -> str:
+        return f"serial:{self.path}?baud={self.baud}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        path, _, query = text.partition(":")[2].partition("?")
+        baud = options_of(query, ["baud"]).get("baud", "")
+        if not path or "\0" in path or not (baud.isascii() and baud.isdecimal() and 0 < int(baud[:12]) <= 1e9):
+            raise ValueError("must be serial:PATH?baud=N with N from 1 to 1e9, as serial:/dev/ttyACM0?baud=4000000")
+        return cls(path, int(baud))
+
+    def open(self) -> "SerialPortLink":
+        return open_serial(self)
+
+    def opener(self) -> Callable[[], "SerialPortLink"]:
+        return _Reopening(self)
+
+    def leads_to_the_same(self, other: LinkTarget) -> bool:
+        return other.serial_port is not None and os.path.realpath(self.path) == os.path.realpath(other.serial_port)
+
+    @property
+    def bits_per_s(self) -> int:
+        return self.baud
+
+    @property
+    def appears_at(self) -> str:
+        return self.path
+
+    @property
+    def serial_port(self) -> str:
+        return self.path
+
+    @classmethod
+    def discover(cls) -> list[FoundPort]:
+        by_id = _by_id()
+        ports = []
+        for port in serial_ports():
+            path = by_id.get(os.path.realpath(port.device))
+            holders = port_holders(port.device)
+            ports.append(
+                FoundPort(
+                    link=str(cls(path or port.device, _BAUD)),
+                    kind=cls.scheme,
+                    device=port.device,
+                    by_id=path,
+                    usb_id=None if port.vid is None or port.pid is None else f"{port.vid:04x}:{port.pid:04x}",
+                    serial_number=port.serial_number or None,
+                    description=None if port.description in (None, "n/a") else port.description,
+                    held_by=holders.processes,
+                    held_by_all_seen=holders.all_seen,
+                    permitted=os.access(port.device, os.R_OK | os.W_OK),
+                    looks_like_a_board=_looks_like_a_board(port),
+                )
+            )
+        return ports
+
+
+class _Reopening:
+    """Opens a port again and again; an adapter that has come back under another name is opened there."""
+
+    def __init__(self, target: SerialTarget) -> None:
+        self._target = target
+        self._adapter: PortIdentity | None = None
+
+    def __call__(self) -> "SerialPortLink":
+        target = self._target
+        if self._adapter is not None and (moved_to := find_port(self._adapter, target.path)):
+            target = replace(target, path=moved_to)
+        link = open_serial(target)
+        self._adapter = port_identity(target.path)
+        return link
 
 
 class SerialPortLink(FileDescriptorLink):
@@ -36,7 +127,7 @@ class SerialPortLink(FileDescriptorLink):
         return self._overruns
 
 
-def open_serial(target: SerialLink) -> SerialPortLink:
+def open_serial(target: SerialTarget) -> SerialPortLink:
     """Open a serial port for this process alone: raw, its modem lines left as they are, and nothing old in it.
 
     Raises
@@ -96,7 +187,7 @@ def _shared_with(path: str) -> str:
     return " and ".join(str(holder) for holder in port_holders(path).processes if holder.pid != os.getpid())
 
 
-def _why_not(target: SerialLink, error: Exception) -> str:
+def _why_not(target: SerialTarget, error: Exception) -> str:
     # Where a port's settings cannot be read, only the exception behind pyserial's own has the number.
     cause = error.__context__ if isinstance(error.__context__, termios.error) else error
     code = cause.args[0] if isinstance(cause, termios.error) else getattr(cause, "errno", None)
@@ -135,6 +226,15 @@ def _way_in(path: str) -> str:
 
 
 def _present() -> str:
-    by_id = sorted(str(path) for path in Path("/dev/serial/by-id").glob("*"))
+    by_id = sorted(str(path) for path in BY_ID.glob("*"))
     present = by_id or sorted(port.device for port in list_ports.comports())
     return f"present: {', '.join(present)}" if present else "no serial port is present"
+
+
+def _looks_like_a_board(port: ListPortInfo) -> bool:
+    strings = " ".join(filter(None, (port.manufacturer, port.product, port.description))).lower()
+    return (port.vid, port.pid) in _OWN_IDS or any(word in strings for word in _OWN_WORDS)
+
+
+def _by_id() -> dict[str, str]:
+    return {os.path.realpath(link): str(link) for link in sorted(BY_ID.glob("*"), reverse=True)}

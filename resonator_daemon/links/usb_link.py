@@ -10,7 +10,7 @@ from typing import Any
 from usb.core import USBError, USBTimeoutError
 
 from firmware_protocol.layouts import PROTOCOL_MAJOR
-from resonator_daemon.config import UsbLink
+from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.link import WRITE_TIMEOUT_S, LinkLostError, LinkUnavailableError, write_timeout
 from resonator_daemon.links.port_holders import Holders, port_holders
 from resonator_daemon.links.usb_devices import FAILURES, UsbBoard, present_boards, reason_of, usb_backend
@@ -29,7 +29,7 @@ _WHAT_FAILED = {
 }
 
 
-def open_usb(target: UsbLink) -> "UsbBulkLink":
+def open_usb(target: UsbTarget) -> "UsbBulkLink":
     """Find the board, claim it for this process alone and have it begin anew.
 
     Raises
@@ -165,7 +165,7 @@ class UsbBulkLink:
             raise LinkLostError(self._lost)
 
 
-def _find(target: UsbLink) -> UsbBoard:
+def _find(target: UsbTarget) -> UsbBoard:
     boards = present_boards()
     alike = [board for board in boards if (board.vendor_id, board.product_id) == (target.vendor_id, target.product_id)]
     found = [board for board in alike if target.serial_number in (None, board.serial_number)]

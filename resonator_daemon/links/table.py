@@ -1,0 +1,42 @@
+"""The table of carriers, made of the files in `carriers`: each has one class of targets."""
+
+import pkgutil
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Final
+
+from resonator_daemon.links import carriers
+from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.toml_files.reading import nearest
+
+
+def _targets() -> list[type[LinkTarget]]:
+    for module in pkgutil.iter_modules(carriers.__path__, carriers.__name__ + "."):
+        import_module(module.name)
+    return LinkTarget.__subclasses__()
+
+
+CARRIERS: Final[Mapping[str, type[LinkTarget]]] = {
+    target.scheme: target for target in sorted(_targets(), key=lambda target: target.scheme)
+}
+"""Targets by the scheme that the text of a link begins with."""
+
+
+def parse_link(text: object) -> LinkTarget:
+    """Parse the text of a link, or pass a target through; ValueError says what it must be."""
+    if isinstance(text, LinkTarget):
+        return text
+    if not isinstance(text, str):
+        raise ValueError(f"must be a string: {link_forms()}")
+    scheme = text.partition(":")[0]
+    if (carrier := CARRIERS.get(scheme)) is not None:
+        return carrier.parse(text)
+    if text.startswith("/dev/"):
+        raise ValueError("must say what kind of link it is and how fast, as serial:/dev/ttyACM0?baud=4000000")
+    raise ValueError(f"no link is called {scheme!r}; {nearest(scheme, list(CARRIERS))}")
+
+
+def link_forms() -> str:
+    """Return the forms of all links, for messages."""
+    *forms, last = (carrier.syntax for carrier in CARRIERS.values())
+    return f"{', '.join(forms)} or {last}"
