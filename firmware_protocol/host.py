@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from firmware_protocol.layouts import (
     BLOCK_STRUCT,
@@ -153,18 +153,15 @@ class HostSession:
         self.messages = MessageCounts()
         self._pending: Request | None = self._requests.send(MessageType.IDENTIFY)  # which the state waits for
 
-    @classmethod
-    def running(cls, described: Described, configuration: Configuration, number: int) -> Self:
-        """Return a session in the middle of a run that another began; `number` is that of the other's last request."""
-        session = cls()
-        session._requests.forget()
-        session._requests.number = number
-        session._requests.credit_bytes = max(LEAST_CREDIT_BYTES, described.identity.credit_bytes)
-        session._pending = None
-        session._identity, session._boot_id = described.identity, described.boot_id
-        session._configuration = configuration
-        session.state = HostState.RUNNING
-        return session
+    def restore(self, described: Described, configuration: Configuration, number: int) -> None:
+        """Go on in the middle of a run that another session began; `number` is that of its last request."""
+        self._requests = Requests()
+        self._requests.number = number
+        self._requests.credit_bytes = max(LEAST_CREDIT_BYTES, described.identity.credit_bytes)
+        self._pending = None
+        self._identity, self._boot_id = described.identity, described.boot_id
+        self._configuration = configuration
+        self.state = HostState.RUNNING
 
     @property
     def number(self) -> int:

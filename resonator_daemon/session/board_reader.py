@@ -95,6 +95,8 @@ class BoardReader:
         replay: Replay | None = None,
         backoff_max_s: float = 1.0,
     ) -> None:
+        if (replay is None) != (target.recording_path is None):
+            raise ValueError(f"{target}: a recording needs what replays it, a board must not have it")
         self._backoff_max_s = backoff_max_s
         self._replay = replay
         self._open = target.opener()

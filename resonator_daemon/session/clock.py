@@ -7,7 +7,7 @@ See docs/time.md.
 
 import math
 from collections import deque
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from resonator_daemon.session.ping_pacing import PingPacing
 from resonator_daemon.session.tick_bounds import RATE_WANDER_PER_S, BoundsSnapshot, TickBounds
@@ -80,7 +80,7 @@ class _Bounds(NamedTuple):
 
 
 class ClockSnapshot(NamedTuple):
-    """All that a clock knows of a boot, but for when the next ping should leave."""
+    """State of a `BoardClock`, except when the next ping should leave."""
 
     origin: Exchange
     agreed: BoundsSnapshot
@@ -125,15 +125,14 @@ class BoardClock:
         self.outliers = 0
         self.restarts = 0
 
-    @property
     def snapshot(self) -> ClockSnapshot | None:
-        """What is known now, for `resumed`; None before the first exchange."""
+        """Return the state; None before the first exchange."""
         if self._origin is None or self._agreed is None:
             return None
         return ClockSnapshot(
             self._origin,
-            self._agreed.snapshot,
-            self._rival.snapshot if self._rival is not None else None,
+            self._agreed.snapshot(),
+            self._rival.snapshot() if self._rival is not None else None,
             self._votes,
             self.utc_less_monotonic_ns,
             self._boottime_less_monotonic_ns,
@@ -141,20 +140,17 @@ class BoardClock:
             tuple(self._lines),
         )
 
-    @classmethod
-    def resumed(cls, reference_millihertz: int, snapshot: ClockSnapshot) -> Self:
-        """Return a clock that knows what another knew; it has counted no outliers."""
-        clock = cls(reference_millihertz)
-        clock._origin = snapshot.origin
-        clock._agreed = TickBounds.resumed(snapshot.agreed)
-        clock._rival = TickBounds.resumed(snapshot.rival) if snapshot.rival is not None else None
-        clock._votes = snapshot.votes
-        clock.utc_less_monotonic_ns = snapshot.utc_less_monotonic_ns
-        clock._boottime_less_monotonic_ns = snapshot.boottime_less_monotonic_ns
-        clock._asleep_ns = snapshot.asleep_ns
-        clock._lines.extend(snapshot.lines)
-        clock._line = clock._draw(snapshot.origin, clock._agreed)
-        return clock
+    def restore(self, snapshot: ClockSnapshot) -> None:
+        """Set the state of a new clock; outliers and restarts are not part of it."""
+        self._origin = snapshot.origin
+        self._agreed = TickBounds.restore(snapshot.agreed)
+        self._rival = TickBounds.restore(snapshot.rival) if snapshot.rival is not None else None
+        self._votes = snapshot.votes
+        self.utc_less_monotonic_ns = snapshot.utc_less_monotonic_ns
+        self._boottime_less_monotonic_ns = snapshot.boottime_less_monotonic_ns
+        self._asleep_ns = snapshot.asleep_ns
+        self._lines.extend(snapshot.lines)
+        self._line = self._draw(snapshot.origin, self._agreed)
 
     @property
     def known(self) -> bool:

@@ -129,12 +129,12 @@ class Connection:
         return self._pings.follow
 
     def snapshot(self) -> ConnectionSnapshot | None:
-        """Return what another connection needs to go on from here; None where it could not, as within a packet."""
+        """Return the state; None where a replay could not go on from it, as within a packet."""
         session = self._session
         underway = session.waiting_bytes or self._receiver.frame_begun or self._damaged_bytes != session.bytes.discarded
         if self.described is None or not self._counting or underway or session.state is not HostState.RUNNING:
             return None
-        clock = self.clock.snapshot if self.clock is not None else None
+        clock = self.clock.snapshot() if self.clock is not None else None
         if clock is None or self._state.state != "online" or not self._numbering.settled:
             return None
         return ConnectionSnapshot(
@@ -145,23 +145,24 @@ class Connection:
             self._rate_doubt,
             self._receiver.newest_ticks,
             clock,
-            self._pings.snapshot,
+            self._pings.snapshot(),
         )
 
-    def join(self, running: ConnectionSnapshot) -> None:
-        """Go on where another connection stood: it pings the board, and `sent` tells of that."""
-        described = self.described = running.described
-        self._pings.follow_another(running.pings)
-        self._session = HostSession.running(described, running.configuration, running.request_number)
-        self.clock = BoardClock.resumed(described.description.reference_millihertz, running.clock)
-        self._receiver.newest_ticks = running.newest_ticks
-        self._answered_ns = running.answered_ns
-        self._rate_doubt = running.rate_doubt
+    def restore(self, snapshot: ConnectionSnapshot) -> None:
+        """Go on in a replay where the recorded connection was; it made the pings, and `sent` reports them."""
+        described = self.described = snapshot.described
+        self._pings.restore(snapshot.pings)
+        self._session.restore(described, snapshot.configuration, snapshot.request_number)
+        self.clock = BoardClock(described.description.reference_millihertz)
+        self.clock.restore(snapshot.clock)
+        self._receiver.newest_ticks = snapshot.newest_ticks
+        self._answered_ns = snapshot.answered_ns
+        self._rate_doubt = snapshot.rate_doubt
         self._unanswered = self._now.monotonic_ns - self._answered_ns > _UNANSWERED_NS
         self._receiver.last_frame_ns = self._now.monotonic_ns
         self._counting = self.was_online = True
         self._counters.boot(described.boot_id).connections += 1
-        self._queue.put(BoardOnline(*described, running.configuration, continues=False))
+        self._queue.put(BoardOnline(*described, snapshot.configuration, continues=False))
 
     def sent(self, data: bytes, now: HostTime) -> None:
         """Take what the connection that is followed has sent."""

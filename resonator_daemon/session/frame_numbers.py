@@ -23,7 +23,7 @@ class Accepted:
 
 
 class NumberingSnapshot(NamedTuple):
-    """What the numbers of later frames follow from; `last`: boot id, board ticks and time of the last frame."""
+    """State of `FrameNumbering`; `last`: boot id, board ticks and time of the last frame."""
 
     next_index: int
     next_sequence: int
@@ -83,16 +83,13 @@ class FrameNumbering:
         undecided = self._discarded_bytes or self._overrun or self._dropped_by_board != self._dropped_counted
         return self._frames_of_run >= _SETTLED_FRAMES and not undecided
 
-    @property
     def snapshot(self) -> NumberingSnapshot:
-        """Where the numbers stand, for `join`; within a run only while `settled`."""
+        """Return the state; within a run only while `settled`."""
         return NumberingSnapshot(self._next_index, self._next_sequence, self._dropped_by_board, self._last)
 
-    def join(self, snapshot: NumberingSnapshot) -> None:
-        """Go on from where another's numbers stood."""
-        self._next_index, self._next_sequence = snapshot.next_index, snapshot.next_sequence
-        self._dropped_by_board = self._dropped_counted = snapshot.dropped_by_board
-        self._last = snapshot.last
+    def restore(self, snapshot: NumberingSnapshot) -> None:
+        self._next_index, self._next_sequence, self._dropped_by_board, self._last = snapshot
+        self._dropped_counted = self._dropped_by_board
         self._discarded_bytes, self._overrun, self._resuming = 0, False, False
         self._frames_of_run = _SETTLED_FRAMES
 

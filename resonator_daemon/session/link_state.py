@@ -14,7 +14,7 @@ STATES: Final = frozenset({"waiting", "starting", "online", "stalled", "lost", "
 
 
 class LinkStateSnapshot(NamedTuple):
-    """What was said of a link last, "" where nothing was, and of the outage that goes on."""
+    """State of `LinkState`: what was announced last, "" before the first, and the reasons of the present outage."""
 
     state: str
     reason: str
@@ -23,60 +23,58 @@ class LinkStateSnapshot(NamedTuple):
 
 
 class LinkState:
-    """Follows one link for as long as it is wanted.
+    """State of one link: announces each change once, and each outage when it is over.
 
     Parameters
     ----------
     put
-        Takes what is to be said.
+        Receives the announcements.
     """
 
     def __init__(self, put: Callable[[Arrival], None]) -> None:
         self._put = put
-        self._present: LinkChange | None = None
-        self._outage_reasons: list[str] = []  # of the outage that goes on
+        self._present = LinkStateSnapshot("", "", 0, ())
 
     @property
     def state(self) -> str:
-        return self._present.state if self._present else ""
+        return self._present.state
 
-    @property
     def snapshot(self) -> LinkStateSnapshot:
-        """What is said now, for `join`."""
-        present = self._present or LinkChange("", "", 0, 0)
-        return LinkStateSnapshot(present.state, present.reason, present.since_utc_ns, tuple(self._outage_reasons))
+        return self._present
 
-    def join(self, snapshot: LinkStateSnapshot, utc_ns: int) -> None:
-        """Go on from what was said of the link by another."""
-        self._outage_reasons = list(snapshot.outage_reasons)
+    def restore(self, snapshot: LinkStateSnapshot, utc_ns: int) -> None:
+        """Set the state, and announce it if there is one."""
+        self._present = snapshot
         if snapshot.state:
-            self._present = LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns)
-            self._put(self._present)
+            self._put(LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns))
 
     def announce(self, state: str, reason: str, utc_ns: int) -> None:
-        """Announce a state, unless it was said already; a reason alone may change."""
+        """Announce a state, unless it was announced already; a reason alone may change."""
         before = self._present
-        if before is not None and (state, reason) == (before.state, before.reason):
+        if (state, reason) == (before.state, before.reason):
             return
-        changed = before is None or state != before.state
-        if before is not None and before.state == "online" and changed:
-            self._outage_reasons = [reason]
-        elif state == "lost" and self._outage_reasons:
-            if reason.startswith(self._outage_reasons[-1]):  # the same, told with its cause
-                self._outage_reasons.pop()
-            self._outage_reasons.append(reason)
-        since_utc_ns = utc_ns if changed or before is None else before.since_utc_ns
-        self._present = LinkChange(state, reason, since_utc_ns, utc_ns)
-        self._put(self._present)
+        changed = state != before.state
+        reasons = before.outage_reasons
+        if before.state == "online" and changed:
+            reasons = (reason,)
+        elif state == "lost" and reasons:
+            if reason.startswith(reasons[-1]):  # the same, with its cause
+                reasons = reasons[:-1]
+            reasons = (*reasons, reason)
+        since_utc_ns = utc_ns if changed else before.since_utc_ns
+        self._present = LinkStateSnapshot(state, reason, since_utc_ns, reasons)
+        self._put(LinkChange(state, reason, since_utc_ns, utc_ns))
 
     def frame_received(self, previous: Instant | None, this: Instant, frames_lost: int) -> None:
-        """Tell of the outage that this frame has ended, if there was one; frames that were only late are none."""
-        if self._outage_reasons:
-            if previous is not None and frames_lost:
-                # By the clock of its end: that may have been set meanwhile.
-                start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
-                self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(self._outage_reasons)))
-            self._outage_reasons = []
+        """Announce the outage that this frame has ended, if there was one and frames were lost."""
+        reasons = self._present.outage_reasons
+        if not reasons:
+            return
+        self._present = self._present._replace(outage_reasons=())
+        if previous is not None and frames_lost:
+            # By the clock of its end: that may have been set meanwhile.
+            start_utc_ns = this.utc_ns - (this.boottime_ns - previous.boottime_ns)
+            self._put(Outage(start_utc_ns, this.utc_ns, frames_lost, "; ".join(reasons)))
 
 
 class LinkLog:

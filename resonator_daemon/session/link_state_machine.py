@@ -32,7 +32,7 @@ from resonator_daemon.session.link_events import (
 from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.link_state import LinkState
 
-_SNAPSHOT_EVERY_NS = 100_000_000
+SNAPSHOT_EVERY_NS = 100_000_000
 
 
 class LinkStateMachine:
@@ -41,12 +41,21 @@ class LinkStateMachine:
     Parameters
     ----------
     queue
-        Takes the frames and the news.
+        Receives frames and events.
     on_event
-        Is handed each event before anything follows from it; about every 100 ms it is told how the link stands.
+        Receives each event before it is applied, and snapshots of the link between them.
+    snapshot_every_ns
+        Time between two snapshots, where the state of the link permits one.
     """
 
-    def __init__(self, plate: Plate, queue: FrameQueue, on_event: Callable[[WireEvent], None]) -> None:
+    def __init__(
+        self,
+        plate: Plate,
+        queue: FrameQueue,
+        on_event: Callable[[WireEvent], None],
+        *,
+        snapshot_every_ns: int = SNAPSHOT_EVERY_NS,
+    ) -> None:
         self._plate = plate
         self._queue = queue
         self._on_event = on_event
@@ -55,6 +64,7 @@ class LinkStateMachine:
         self._counters = LinkCounters()
         self._known: Described | None = None
         self._state = LinkState(queue.put)
+        self._snapshot_every_ns = snapshot_every_ns
         self._snapshot_due_ns = 0
         self.connection: Connection | None = None
 
@@ -103,7 +113,7 @@ class LinkStateMachine:
             case BlinkRequested():
                 self._opened().blink(event.now)
             case SnapshotTaken():
-                self._restore(event)
+                self.restore(event.snapshot, event.now)
             case ControlRequested():
                 self._queue.put(ControlRequest(event.key, event.request))
             case Skipped():
@@ -151,7 +161,7 @@ class LinkStateMachine:
             raise ValueError("no link is open")
         return self.connection
 
-    def _open(self, now: HostTime) -> None:
+    def _open(self, now: HostTime) -> Connection:
         if self.connection is not None:
             raise ValueError("the link is open already")
         connection = Connection(
@@ -160,25 +170,29 @@ class LinkStateMachine:
         with self._lock:
             self.connection = connection
             self._counters.connections += 1
+        return connection
 
-    def _record_snapshot(self, now: HostTime) -> None:
-        """Tell the tap how the link stands, unless a packet, a frame or a handshake is under way."""
-        running = self.connection.snapshot() if self.connection is not None else None
-        if running is None and self.connection is not None:
-            return
-        snapshot = LinkSnapshot(self._state.snapshot, self._numbering.snapshot, self._known, running)
-        self._on_event(SnapshotTaken(now, snapshot))
-        self._snapshot_due_ns = now.monotonic_ns + _SNAPSHOT_EVERY_NS
+    def snapshot(self) -> LinkSnapshot | None:
+        """Return the state of the link; None while a packet, a frame or a handshake is under way."""
+        running = None
+        if self.connection is not None and (running := self.connection.snapshot()) is None:
+            return None
+        return LinkSnapshot(self._state.snapshot(), self._numbering.snapshot(), self._known, running)
 
-    def _restore(self, snapshot: SnapshotTaken) -> None:
+    def restore(self, snapshot: LinkSnapshot, now: HostTime) -> None:
+        """Set the state of a link that is not open; ValueError where it is."""
         if self.connection is not None:
             raise ValueError("the link is open already")
-        state, numbers, self._known, running = snapshot.snapshot
-        self._numbering.join(numbers)
-        self._state.join(state, snapshot.now.utc_ns)
+        state, numbers, self._known, running = snapshot
+        self._numbering.restore(numbers)
+        self._state.restore(state, now.utc_ns)
         if running is not None:
-            self._open(snapshot.now)
-            self._opened().join(running)
+            self._open(now).restore(running)
+
+    def _record_snapshot(self, now: HostTime) -> None:
+        if (snapshot := self.snapshot()) is not None:
+            self._on_event(SnapshotTaken(now, snapshot))
+            self._snapshot_due_ns = now.monotonic_ns + self._snapshot_every_ns
 
     def _close(self) -> None:
         connection = self._opened()

@@ -1,4 +1,4 @@
-"""Pings on their way to a board and back, made here or, in a replay that began midway, by the connection of then."""
+"""Pings on their way to a board and back; a replay that begins midway follows the recorded ones."""
 
 from firmware_protocol.host import HostSession
 from firmware_protocol.layouts import MessageType
@@ -17,7 +17,7 @@ class Pings:
     def __init__(self) -> None:
         self._on_the_way: dict[int, Ping] = {}
         self._made = 0
-        self._followed: PacketDecoder | None = None  # of what another connection sends
+        self._followed: PacketDecoder | None = None  # of what the recorded connection sends
 
     @property
     def await_answer(self) -> bool:
@@ -26,11 +26,11 @@ class Pings:
 
     @property
     def follow(self) -> bool:
-        """Whether another connection pings, of which `sent` tells."""
+        """Whether recorded pings are followed, which `sent` reports, instead of making any."""
         return self._followed is not None
 
     def restart(self) -> None:
-        """Forget all, and whom was followed: the board has described itself anew, and all begins with that."""
+        """Discard all, and make pings again: the board has described itself anew."""
         self._on_the_way.clear()
         self._made = 0
         self._followed = None
@@ -53,18 +53,17 @@ class Pings:
                 del self._on_the_way[before.number]  # boards answer in order: it will not be answered any more
         return taken
 
-    @property
     def snapshot(self) -> tuple[Ping, ...]:
-        """Those on their way, for `follow_another`."""
+        """Return those on their way."""
         return tuple(self._on_the_way.values())
 
-    def follow_another(self, on_the_way: tuple[Ping, ...]) -> None:
-        """Make no pings from here: another connection does, and has these on their way."""
+    def restore(self, on_the_way: tuple[Ping, ...]) -> None:
+        """Set those on their way; from here on `sent` reports the pings, none are made."""
         self._followed = PacketDecoder(from_board=False)
         self._on_the_way = {ping.number: ping for ping in on_the_way}
 
     def sent(self, session: HostSession, data: bytes, now: HostTime, newest_ticks: int) -> None:
-        """Take what the connection that is followed has sent, and its request numbers with it."""
+        """Follow what the recorded connection has sent, and its request numbers with it."""
         if self._followed is None:
             return
         session.data_to_send()  # the same, but for the pings

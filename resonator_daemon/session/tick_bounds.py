@@ -36,7 +36,7 @@ class Lines(NamedTuple):
 
 
 class BoundsSnapshot(NamedTuple):
-    """All that bounds know: the vertices of both hulls, and what `TickBounds` derives from them."""
+    """State of `TickBounds`: the vertices of both hulls, and what is derived from them."""
 
     rates: tuple[float, float]
     floor: tuple[Point, ...]
@@ -63,14 +63,11 @@ class TickBounds:
         self.lines = Lines(nominal_ns, least_ns, 0.0, float(most_ns - least_ns), *rates)
         self.count = 1
 
-    @property
     def snapshot(self) -> BoundsSnapshot:
-        """What is known now, for `resumed`."""
         return BoundsSnapshot(self._rates, tuple(self._floor), tuple(self._ceiling), self.lines, self.count)
 
     @classmethod
-    def resumed(cls, snapshot: BoundsSnapshot) -> Self:
-        """Return bounds that know what others knew."""
+    def restore(cls, snapshot: BoundsSnapshot) -> Self:
         bounds = cls(snapshot.rates, *snapshot.floor[-1], snapshot.ceiling[-1].excess_ns)
         bounds._floor, bounds._ceiling = list(snapshot.floor), list(snapshot.ceiling)
         bounds.lines, bounds.count = snapshot.lines, snapshot.exchanges

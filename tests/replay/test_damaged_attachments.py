@@ -12,6 +12,7 @@ from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate
+from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import SingleToneFrame
@@ -105,7 +106,8 @@ def test_a_link_of_it_has_the_plate_of_the_configuration(
 ) -> None:
     path = flipped(tmp_path / "bent.mcap", in_plate())
     woken = threading.Event()
-    reader = BoardReader(parse_link(f"replay:{path}"), load_config(config).plate, woken.set)
+    link, plate = parse_link(f"replay:{path}"), load_config(config).plate
+    reader = BoardReader(link, plate, woken.set, replay=replay_of(link, plate))
     reader.start()
     try:
         while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.pop_arrivals()):

@@ -32,18 +32,18 @@ def test_pings_on_their_way_teach_the_clock_of_whoever_joins() -> None:
     bench.board.session.receive = lambda _data, _ticks: b""  # type: ignore[method-assign]  # these are the last
     queue = FrameQueue(64 << 20, lambda: None)
     numbering = FrameNumbering(PLATE.frame_bytes, GATE_TICKS, MS)
-    numbering.join(bench.numbering.snapshot)
+    numbering.restore(bench.numbering.snapshot())
     state = LinkState(queue.put)
-    state.join(bench.state.snapshot, bench.host_time().utc_ns)
+    state.restore(bench.state.snapshot(), bench.host_time().utc_ns)
     other = Connection(PLATE, None, numbering, queue, LinkCounters(), state, bench.host_time())
-    other.join(running)
+    other.restore(running)
     before = running.clock
     for _, data in bench._on_the_way:
         other.receive(data, bench.host_time())
         bench.connection.receive(data, bench.host_time())
     assert bench.connection.clock is not None
     assert other.clock is not None
-    assert other.clock.snapshot == bench.connection.clock.snapshot != before
+    assert other.clock.snapshot() == bench.connection.clock.snapshot() != before
     arrivals = bench.queue.pop_all()
     assert len(frames(arrivals)) > 2
     assert frames(queue.pop_all()) == frames(arrivals)
@@ -57,8 +57,7 @@ def test_no_link_is_told_to_stand_in_the_middle_of_a_frame(tmp_path: Path) -> No
             it.wait_for_frames(80)
     queue = FrameQueue(64 << 20, lambda: None)
     switch = RecordingSwitch()
-    machine = LinkStateMachine(SKIN, queue, switch.put)
-    machine._snapshot_due_ns = 0
+    machine = LinkStateMachine(SKIN, queue, switch.put, snapshot_every_ns=0)  # at every packet, where it may be
     path = tmp_path / "run.mcap"
     decoder = PacketDecoder(from_board=True)
     started = False
@@ -67,7 +66,6 @@ def test_no_link_is_told_to_stand_in_the_middle_of_a_frame(tmp_path: Path) -> No
         if not started and (machine.counters().frames == 40 and machine.counters().bytes_waiting == 0):
             switch.start(path, Origin(SKIN, str(link)))
             started = True
-        machine._snapshot_due_ns = 0  # at every packet, where it may be
     switch.close()
     arrivals, counters, differences = replayed(path, SKIN)
     assert differences == 0
