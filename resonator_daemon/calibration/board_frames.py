@@ -9,6 +9,7 @@ from typing import Final
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
 from resonator_daemon.config import Config
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
+from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.session.arrival_loop import ArrivalLoop
 from resonator_daemon.session.frames import (
     BoardOnline,
@@ -29,7 +30,8 @@ _TURN_S: Final = 0.2
 @contextmanager
 def board_frames(config: Config, timeout_s: float) -> Iterator[Iterator[FromBoard]]:
     """Give what the board says of itself, then its frames as they come; SIGTERM and SIGHUP end it like Ctrl-C."""
-    loop = ArrivalLoop(config.link, config.plate, any_unit=True)  # another board may be calibrated anew
+    replay = replay_of(config.link, config.plate)
+    loop = ArrivalLoop(config.link, config.plate, any_unit=True, replay=replay)  # another board may be calibrated anew
     handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with loop:
