@@ -16,7 +16,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.slip import SlipWatch, margin_from_forces
+from resonator_daemon.decoding.fitting.slip import SlipWatch
 from resonator_daemon.decoding.fitting.slip_fitter import fit_partial_slip
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.patches import PatchFinder
@@ -123,7 +123,8 @@ def net_forces(draws: int) -> None:
                 if len(patches) != 1:
                     continue
                 force, std = patches[0].force_newton, patches[0].force_std_newton
-                ratios.append(margin_from_forces(force, std, Friction(MU)).stick_ratio - ratio)
+                margin = 1.0 - float(np.hypot(force[0], force[1])) / (MU * float(force[2]))
+                ratios.append(max(margin, 0.0) ** (1.0 / 3.0) - ratio)
                 pressures.append(100.0 * (force[2] - 1.0))
                 scores.append((force[2] - 1.0) / std[2])
                 truth = MU * (1.0 - ratio**3) * scene.along

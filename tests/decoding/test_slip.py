@@ -7,7 +7,7 @@ from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model, noise_std
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.slip import SlipEvent, SlipWatch, margin_from_forces
+from resonator_daemon.decoding.fitting.slip import SlipEvent, SlipWatch
 from simulators.contact import PressedSpot
 
 CENTRE_M, RADIUS_M, MU = (-6e-4, 9e-4), 2.4e-3, 0.6
@@ -107,24 +107,3 @@ def test_an_unknown_frame_does_not_end_it(discs: DiscModel, spot: PressedSpot) -
     assert events == ()
     _, margins, _ = follow(watch, spot, np.full(3, 0.5), 8)
     np.testing.assert_allclose(margins, 0.5, atol=0.1)
-
-
-def test_margin_from_forces_scatters_as_it_says() -> None:
-    rng = np.random.default_rng(9)
-    force, std, mu = np.array([0.1, -0.2, 1.0]), np.array([0.005, 0.01, 0.02]), Friction(0.5, 0.02)
-    forces = force + std * rng.standard_normal((20000, 3))
-    coefficients = mu.coefficient + mu.std * rng.standard_normal(20000)
-    margins = 1.0 - np.hypot(forces[:, 0], forces[:, 1]) / (coefficients * forces[:, 2])
-    found = margin_from_forces(force, std, mu)
-    assert found.slip_margin == pytest.approx(margins.mean(), abs=5e-3)
-    assert found.slip_margin_std == pytest.approx(margins.std(), rel=0.05)
-    assert found.stick_ratio == pytest.approx(np.cbrt(margins).mean(), abs=5e-3)
-    assert found.stick_ratio_std == pytest.approx(np.cbrt(margins).std(), rel=0.05)
-
-
-def test_margin_from_forces_without_pressure_or_shear() -> None:
-    assert np.isnan(margin_from_forces([0.1, 0.0, 0.01], [0.01] * 3, Friction(0.5))).all()
-    found = margin_from_forces([0.0, 0.0, 1.0], [0.01] * 3, Friction(0.5))
-    assert found.slip_margin == found.stick_ratio == 1.0
-    with pytest.raises(ValueError, match="have shapes"):
-        margin_from_forces([1.0, 0.0], [0.1] * 3, Friction(0.5))

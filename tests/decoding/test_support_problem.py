@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
-from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
-from resonator_daemon.decoding.contact_physics.pixels import PixelLattice
+from resonator_daemon.decoding.contact_physics.pixels import PixelLattice, PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import SignalRows
 from resonator_daemon.decoding.contact_physics.support_matrices import Model
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem

@@ -1,9 +1,10 @@
-"""Square pixels that may carry load: they cover the sites and a margin, so that load beside them is allowed."""
+"""Square pixels that may carry load, with the prior of that load; they cover the sites and a margin around them."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from scipy import fft
 from scipy.spatial import Delaunay, QhullError
 
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
@@ -13,6 +14,7 @@ _PITCH_DEPTHS = 0.4  # finer pixels than this cannot be told apart at depth
 _GRID_DEPTHS = (0.25, 0.5)  # pitches of a site grid that serve as they are
 _MARGIN_DEPTHS = 3.2
 _NEGLIGIBLE = 1e-6  # weight of an interpolation
+_PERIOD_LENGTHS = 30.0  # correlation lengths of a period: the correlation has faded to exp(-15) halfway
 
 
 class Interpolation(NamedTuple):
@@ -126,3 +128,34 @@ class PixelLattice:
         rows = np.repeat(pixels, 3).reshape(-1, 3)[kept]
         columns = triangles.simplices[inside[pixels]][kept].astype(np.intp)
         return Interpolation.of_entries(rows, columns, weights[kept], len(centres))
+
+
+class PixelPrior:
+    """Load of unit variance with the correlation exp(-d / l) between pixels.
+
+    On a plane of pixels the precision depends on the offset alone: it is the inverse transform of the reciprocal of the
+    correlation's transform. Its part that belongs to some pixels is their precision given 0 on all the others.
+
+    Parameters
+    ----------
+    lattice
+    correlation_length_m
+        l.
+    """
+
+    def __init__(self, lattice: PixelLattice, correlation_length_m: float) -> None:
+        length = correlation_length_m / lattice.pitch_m
+        period = fft.next_fast_len(max(2 * max(lattice.shape), int(np.ceil(_PERIOD_LENGTHS * length))), real=True)
+        lags = np.minimum(np.arange(period), period - np.arange(period))
+        spectrum = fft.rfft2(np.exp(-np.hypot(lags[:, None], lags) / length)).real
+        self._table = fft.irfft2(1.0 / spectrum, (period, period))[: lattice.shape[0], : lattice.shape[1]].astype(
+            np.float32
+        )
+        self._width = lattice.shape[1]
+
+    def precision(self, rows: Indices, columns: Indices) -> Singles:
+        """Precision between pixels of flat indices (r,) and (c,), of shape (r, c)."""
+        (y, x), (other_y, other_x) = np.divmod(rows, self._width), np.divmod(columns, self._width)
+        offsets = np.abs(y[:, None] - other_y) * self._width + np.abs(x[:, None] - other_x)
+        precision: Singles = self._table.take(offsets)
+        return precision

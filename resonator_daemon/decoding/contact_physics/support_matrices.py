@@ -19,7 +19,7 @@ from resonator_daemon.decoding.contact_physics.inverse import (
     with_rows,
     without_rows,
 )
-from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
+from resonator_daemon.decoding.contact_physics.pixels import PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows
 
 _CHANGED = 0.4  # share of the pixels that may be new: with more, matrices from nothing are as quick

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
-from resonator_daemon.decoding.contact_physics.pixel_prior import PixelPrior
-from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice
+from resonator_daemon.decoding.contact_physics.pixels import Interpolation, PixelLattice, PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import LostRows, SignalRows
 from resonator_daemon.decoding.contact_physics.site_kernel import site_kernel
 from resonator_daemon.decoding.contact_physics.support import (

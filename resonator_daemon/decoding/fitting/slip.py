@@ -2,14 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction
-from resonator_daemon.decoding.fitting.partial_slip import PartialSlip, stick_ratio
+from resonator_daemon.decoding.fitting.partial_slip import PartialSlip
 from resonator_daemon.decoding.fitting.slip_fitter import SlipFitter
 
 INCIPIENT_MARGIN = 0.3  # below it slip is announced ...
@@ -21,34 +21,6 @@ _LEARNED = 0.1  # relative standard deviation at which a coefficient begins to c
 _LEARNED_FLOOR = (
     0.03  # relative standard deviation to which frames can bring it; friction changes, and models are wrong
 )
-
-
-class Margin(NamedTuple):
-    """Margin to slip 1 - F_t / (mu F_n) and the stick ratio c / a = margin^(1/3), with standard deviations."""
-
-    slip_margin: float
-    slip_margin_std: float
-    stick_ratio: float
-    stick_ratio_std: float
-
-
-def margin_from_forces(force_newton: ArrayLike, force_std_newton: ArrayLike, friction: Friction) -> Margin:
-    """Margin of a contact by its net force alone, for when a fit takes too long.
-
-    `force_newton` and `force_std_newton` (3,). NaN where the normal force is not above two standard deviations.
-    ValueError for other shapes.
-    """
-    force, std = np.asarray(force_newton, np.float64), np.asarray(force_std_newton, np.float64)
-    if force.shape != (3,) or std.shape != (3,):
-        raise ValueError(f"force_newton and its std have shapes {force.shape} and {std.shape}, must be (3,)")
-    if not force[2] > _SIGNIFICANCE * std[2]:
-        return Margin(np.nan, np.nan, np.nan, np.nan)
-    shear = float(np.hypot(force[0], force[1]))
-    direction = force[:2] / shear if shear > 0.0 else np.full(2, 0.5**0.5)
-    used = shear / (friction.coefficient * float(force[2]))
-    relative = np.hypot(std[2] / force[2], friction.std / friction.coefficient)
-    spread = float(np.hypot(np.hypot(*(direction * std[:2])) / (friction.coefficient * force[2]), used * relative))
-    return Margin(1.0 - used, spread, *stick_ratio(1.0 - used, spread))
 
 
 @dataclass(frozen=True)

@@ -21,11 +21,10 @@ from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.fourier.averaged_wiener import AveragedWiener
 from resonator_daemon.decoding.fourier.extension import ExtendedTransform, ExtensionName
 from resonator_daemon.decoding.fourier.imputation import Imputation
 from resonator_daemon.decoding.fourier.spectra import Spectra, prior_root, sliding, spectra_of, white
-from resonator_daemon.decoding.fourier.wiener import SpectralWiener, product
+from resonator_daemon.decoding.fourier.wiener import AveragedWiener, SpectralWiener, product
 from resonator_daemon.decoding.parameters import (
     CHI2_LIMIT,
     KNOWN_LIMIT,
