@@ -68,12 +68,14 @@ test: .venv/test-stamp  ## linter, formatter check, type checker, import contrac
 	$(debian-packages)
 	debian-packages $(BROKER) $(SYSTEMD) $(USB) $(COMPILER) $(EXAMPLES)
 	step() { printf '\n== %s\n' "$$*"; ".venv/bin/$$@"; }
+	unset PYTHONDONTWRITEBYTECODE  # or each worker rewrites all tests
+	.venv/bin/pytest --quiet --collect-only >.venv/collect.log 2>&1 &  # rewrites them once, meanwhile
 	step ruff check
 	step ruff format --check
 	step mypy
 	step lint-imports --no-logo
 	export OMP_NUM_THREADS=1  # on a busy machine, threads that wait for each other cost minutes
-	unset PYTHONDONTWRITEBYTECODE  # or each worker rewrites all tests
+	wait
 	if ! step pytest --numprocesses 3 --dist worksteal; then  # neighbours, which share set-ups, stay together
 	  code=0
 	  .venv/bin/pytest --quiet --collect-only --last-failed -m 'not undisturbed' || code=$$?

@@ -319,7 +319,7 @@ def test_gain_errors_that_are_told_do_not_look_like_broken_bounds(decibel):
     assert error(decoded.traction_pascal, truth) <= 0.12
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.5])
+@pytest.mark.parametrize("nu", [0.3, pytest.param(0.5, marks=pytest.mark.soak)])
 def test_irregular_sites(nu):
     rng = np.random.default_rng(2)
     disc = rng.uniform(-1.0, 1.0, (700, 2))

@@ -33,14 +33,14 @@ PLATE_KEYS = {
 
 def test_both_plates_against_the_truth() -> None:
     run = subprocess.run(
-        [*COMMAND, "--headless", "--seconds", "6", "--json"], capture_output=True, text=True, timeout=200, check=False
+        [*COMMAND, "--headless", "--seconds", "4", "--json"], capture_output=True, text=True, timeout=200, check=False
     )
     assert "Traceback" not in run.stderr
     (line,) = run.stdout.splitlines()
     result = json.loads(line)
     assert result["broker"] == "mosquitto"
     assert {"broker", "view and score", "daemon quartz16", "emulator skin32"} < result["cpu_percent_by_part"].keys()
-    assert result["seconds"] >= 6.0
+    assert result["seconds"] >= 4.0
     quartz, skin = result["plates"]["quartz16"], result["plates"]["skin32"]
     assert quartz.keys() >= PLATE_KEYS
     assert skin.keys() >= PLATE_KEYS
@@ -51,7 +51,7 @@ def test_both_plates_against_the_truth() -> None:
         assert {lost[cause] for cause in FRAME_LOSSES - OVERRUNS} == {0}
         assert plate["latency_ms"]["p50"] <= plate["latency_ms"]["p99"]
         assert plate["frames"] > 0
-    assert quartz["contacts_true"] >= 2
+    assert quartz["contacts_true"] >= 1
     assert 0 <= quartz["contacts_late"] <= quartz["contacts_found"] <= quartz["contacts_true"]
     assert quartz["sites_right"] == quartz["contacts_found"]
     assert quartz["force_error_newton_rms"] <= 0.005
@@ -78,7 +78,7 @@ def test_without_mosquitto_amqtt_is_the_broker() -> None:
         "import os, sys; from resonator_daemon import cli; from resonator_daemon.demo import local_broker\n"
         "local_broker.MORE_PLACES, os.environ['PATH'] = '', ''; sys.exit(cli.main())"
     )
-    options = ("demo", "--plate", "quartz16", "--headless", "--seconds", "3", "--json")
+    options = ("demo", "--plate", "quartz16", "--headless", "--seconds", "2", "--json")
     run = subprocess.run([sys.executable, "-c", program, *options], capture_output=True, text=True, timeout=200)
     assert "Traceback" not in run.stderr
     result = json.loads(run.stdout)

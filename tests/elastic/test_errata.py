@@ -424,7 +424,7 @@ def test_stated_uniform_pressure_alone_escapes_the_strains():
         assert lost < TINY if v.nu == 0.5 else lost > 1e-3
 
 
-@pytest.mark.parametrize("nu", ["0", "0.3", "0.5"])
+@pytest.mark.parametrize("nu", ["0", "0.5"])
 def test_stated_minimum_of_eps_xy_at_the_origin(nu: str):
     """Towards omega = 0 the power of eps_xy depends on the direction, is never 0, and is larger than farther out."""
 

@@ -246,8 +246,8 @@ def surface_displacement_spectrum(wx: Floats, wy: Floats, nu: float) -> NDArray[
 
 
 @pytest.mark.parametrize("source", ["traction", "displacement"])
-@pytest.mark.parametrize("z", [0.5e-3, 1.0e-3, 2.0e-3, 3.0e-3])
-@pytest.mark.parametrize("nu", [0.0, 0.3, 0.49, 0.5])
+@pytest.mark.parametrize("z", [0.5e-3, 2.0e-3])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_gaussian_load_agrees_with_superposed_point_loads(nu: float, z: float, source: Input):
     """The load itself as traction, or the displacement of the surface under it, brings about its inner fields."""
     body = HalfSpace(E, nu)

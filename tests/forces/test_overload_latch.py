@@ -13,7 +13,7 @@ from resonator_daemon.forces.site_identification import Match, SiteForce
 def test_no_force_of_a_ramp_to_80_newton_looks_plausible_while_latched(pull):
     plate = Ladder(pull=pull)
     matcher = matcher_of(plate)
-    for site in range(16):
+    for site in range(0, 16, 3):
         latch = OverloadLatch()
         unlatched_plausible = 0
         for force in np.concatenate([np.arange(0.5, 9.0, 0.5), np.arange(9.05, 11.0, 0.1), np.arange(11.0, 80.0, 0.5)]):

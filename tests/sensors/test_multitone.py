@@ -160,7 +160,7 @@ def test_a_touch_beside_what_is_no_touch_is_named_as_possibly_more():
     assert comb.chain.tare() == "sites are touched"
 
 
-@pytest.mark.parametrize("newton", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("newton", [0.3, 3.0])
 def test_an_even_press_of_the_whole_plate_names_no_contact(newton):
     # Four touches in the middle of four sites each would explain most of it.
     comb = SmallComb().untouched()
@@ -171,7 +171,7 @@ def test_an_even_press_of_the_whole_plate_names_no_contact(newton):
     assert (released.status, released.sites) == ("ok", ())
 
 
-@pytest.mark.parametrize("offset", [1e-7, 5e-8, -5e-8])
+@pytest.mark.parametrize("offset", [1e-7, -5e-8])
 def test_a_site_that_is_off_by_less_than_a_contact_leaves_the_others_to_tell(offset):
     comb = SmallComb().untouched()
     off = np.where(np.arange(SITES) == 5, offset, 0.0)

@@ -138,7 +138,7 @@ def test_a_gap_longer_than_half_a_second_ends_the_contact():
 def test_no_ramp_to_80_newton_ever_gives_a_plausible_number(pull):
     plate = Ladder(pull=pull)
     rising = np.arange(0.0, 80.0, 0.25)
-    for site in (0, 5, 10):
+    for site in (0, 10):
         bench = Bench(plate, step_frames=2, window_frames=4).untouched()
         ramp = [plate.loaded_hz(site, force) for force in np.concatenate([rising, rising[::-1]])]
         readings = bench.play(ramp)

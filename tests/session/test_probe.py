@@ -1,5 +1,7 @@
 """Asking a board who it is, over a link that loses requests, and how well its ticks keep time."""
 
+import threading
+
 import pytest
 
 from firmware_protocol.device import DeviceSession
@@ -31,6 +33,8 @@ class LossyLink:
         self._writes += 1
 
     def read(self, timeout_s: float) -> bytes:
+        if not self._answers:
+            threading.Event().wait(timeout_s)  # as a port waits, without spinning
         answers, self._answers = self._answers, b""
         return answers
 
