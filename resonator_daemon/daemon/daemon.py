@@ -1,7 +1,6 @@
 """The daemon for one board: the only place where acquisition, measurement, decoding and publishing are joined."""
 
 import asyncio
-import contextlib
 import gc
 import logging
 import math
@@ -10,12 +9,12 @@ import secrets
 import signal
 import sys
 import time
-from collections import deque
-from collections.abc import Callable, Coroutine, Mapping
+from collections.abc import Coroutine, Mapping
 from importlib.metadata import version
 from typing import Any
 
 from resonator_daemon.config import Config, plate_name
+from resonator_daemon.daemon.arrival_loop import ArrivalLoop
 from resonator_daemon.daemon.command_handlers import CommandHandlers, DaemonParts
 from resonator_daemon.daemon.config_in_use import ConfigInUse
 from resonator_daemon.daemon.config_store import ConfigStore
@@ -55,7 +54,6 @@ from resonator_daemon.session.frames import (
     ControlRequest,
     Frame,
     ReaderFailed,
-    in_blocks,
 )
 
 log = logging.getLogger(__name__)
@@ -63,7 +61,6 @@ log = logging.getLogger(__name__)
 _HEALTH_S = 1.0
 _SWITCH_S = 5e-4  # of the reader thread, before the event loop has its turn; Python's 5 ms are half a frame
 _WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
-_TOGETHER = 50  # arrivals
 _FRAMES_WAITING_S = 2.0
 _FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
 _LATE_NS = 75_000_000  # after its window, a message is skipped if a newer one can be made
@@ -107,9 +104,7 @@ class Service:
         self._file_stem = store.path.stem
         self._instance = as_json_text(self._file_stem)
         loop = asyncio.get_running_loop()
-        self._loop = loop
         self._over: asyncio.Future[None] = loop.create_future()  # done when nothing more is to be measured
-        self._arrivals: deque[Arrival | list[Frame]] = deque()
         self._recording = RecordingSwitch()
         self._daemon_boot_id = secrets.token_hex(8)
         self._decoder: DecoderSupervisor[Any] | None = None
@@ -122,10 +117,13 @@ class Service:
             self._make_decoder,
             is_late=self._is_late,
         )
+        arrivals = ArrivalLoop(
+            lambda: self._reader.pop_arrivals(), self._handle, lambda: self._plate_publisher.together(), self._over
+        )
         self._reader = BoardReader(
             config.link,
             config.plate,
-            self._wake_from(loop),
+            arrivals.wake,
             step_frames=self._pipeline.sensor.wake_frames,
             frame_queue_bytes=frames_waiting_bytes(config.plate),
             on_event=self._recording.put,
@@ -207,24 +205,6 @@ class Service:
         """Where the messages went."""
         return self._plate_publisher.account
 
-    def _wake_from(self, loop: asyncio.AbstractEventLoop) -> Callable[[], None]:
-        pending = False
-
-        def arrived() -> None:
-            nonlocal pending
-            pending = False
-            self._consume()
-
-        def wake() -> None:
-            # One at a time: those of a loop that stalls would fill the pipe that signals come by, too.
-            nonlocal pending
-            if not pending:
-                pending = True
-                with contextlib.suppress(RuntimeError):  # the loop is closed: the service ended meanwhile
-                    loop.call_soon_threadsafe(arrived)
-
-        return wake
-
     def _begin_publishing(self, name: str) -> RecordingCommands:
         parts = DaemonParts(
             report_health=self._report_health,
@@ -292,35 +272,6 @@ class Service:
         now_ns = time.time_ns()
         standing = self._daemon.standing._replace(condition=Condition.OFFLINE, reason=reason, since_utc_ns=now_ns)
         return self._pipeline.states.daemon_state(standing, now_ns)
-
-    def _consume(self) -> None:
-        """Handle what has arrived, in parts, between which the event loop serves messages and signals."""
-        if not self._arrivals:  # else the next part is scheduled already
-            self._handle_next()
-
-    def _handle_next(self) -> None:
-        try:
-            with self._plate_publisher.together():
-                finished = self._handle_part()
-        except Exception as error:  # noqa: BLE001 - `run` raises it
-            if not self._over.done():
-                self._over.set_exception(error)
-        else:
-            if not (finished or self._over.done()):
-                self._loop.call_soon(self._handle_next)
-
-    def _handle_part(self) -> bool:
-        """Handle up to 50 arrivals; return whether none was left."""
-        handled = 0
-        while handled < _TOGETHER and not self._over.done():
-            if not self._arrivals:  # also after the last one: `_consume` ignores what comes while others are handled
-                self._arrivals.extend(in_blocks(self._reader.pop_arrivals(), _TOGETHER))
-                if not self._arrivals:
-                    return True
-            arrival = self._arrivals.popleft()
-            self._handle(arrival)
-            handled += len(arrival) if isinstance(arrival, list) else 1
-        return False
 
     def _is_late(self, gate_middle: Instant) -> bool:
         """Return whether a message about this instant is late, and a newer one can be made, or it is far too late."""

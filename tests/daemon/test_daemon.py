@@ -3,24 +3,19 @@
 import asyncio
 import threading
 import time
-from collections.abc import Callable
 from itertools import pairwise
-from logging import INFO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
-from decoder_bench import until
 from observer import observe
 from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
 from resonator_daemon.daemon.daemon import Service
 from resonator_daemon.errors import ConfigurationError, ExitCode, IncompatibleBoardError
-from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import Arrival, BoardLogLine
 from simulators.faults import parse_faults
 
 pytestmark = pytest.mark.undisturbed
@@ -276,64 +271,6 @@ async def test_another_protocol_ends_the_daemon_with_both_versions_named(bench: 
         with pytest.raises(IncompatibleBoardError, match="speaks protocol 2, this daemon speaks 1") as refused:
             await bench.service("skin32", f"tcp://127.0.0.1:{port}").run()
     assert refused.value.exit_code == ExitCode.UNAVAILABLE
-
-
-async def test_a_consumer_slower_than_its_board_leaves_the_loop_to_others(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    service = bench.service()
-    as_handled = service._handle
-    give_up_s = time.monotonic() + 20.0
-    behind, handled = asyncio.Event(), 0
-
-    def slow(arrival: object) -> None:
-        nonlocal handled
-        handled += 1
-        if handled > 300:
-            behind.set()
-        time.sleep(0.002)  # 1000 frames come in a second
-        if time.monotonic() > give_up_s:
-            service.stop()  # nobody else comes to his turn
-        as_handled(arrival)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(service, "_handle", slow)
-    turns = 0
-    async with bench.emulated(scenario="still"), bench.running(service):
-        await behind.wait()
-        for _ in range(10):
-            await asyncio.sleep(0.001)
-            turns += time.monotonic() < give_up_s
-    assert turns == 10
-    assert time.monotonic() < give_up_s
-
-
-class BusyReader(BoardReader):
-    """A reader without a thread: more arrivals than are handled in one part, and one that comes meanwhile."""
-
-    def __init__(self, target: Any, plate: Any, wake: Callable[[], None], **options: Any) -> None:
-        super().__init__(target, plate, wake, **options)
-        self._wake_consumer = wake
-        self._batches: list[list[Arrival]] = [[BoardLogLine(INFO, str(number)) for number in range(60)]]
-
-    def start(self) -> None:
-        self._wake_consumer()
-
-    def pop_arrivals(self) -> list[Arrival]:
-        batch = self._batches.pop() if self._batches else []
-        if len(batch) > 1:
-            self._batches.append([BoardLogLine(INFO, "meanwhile")])
-            self._wake_consumer()
-        return batch
-
-
-async def test_what_arrives_while_others_are_handled_needs_no_later_arrival(
-    bench: Bench, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    caplog.set_level(INFO)
-    monkeypatch.setattr("resonator_daemon.daemon.daemon.BoardReader", BusyReader)
-    async with bench.running(bench.service(link="tcp://127.0.0.1:1")):
-        await until(lambda: "board: meanwhile" in caplog.messages)
-    assert [text for text in caplog.messages if text.startswith("board: ")][-2:] == ["board: 59", "board: meanwhile"]
 
 
 async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosquitto: Mosquitto) -> None:

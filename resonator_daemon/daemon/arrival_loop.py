@@ -1,0 +1,80 @@
+"""Passes what the reader's thread delivers to the pipeline, on the event loop and in parts."""
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager
+from typing import Final
+
+from resonator_daemon.session.frames import Arrival, Frame, in_blocks
+
+PART_ARRIVALS: Final = 50
+
+
+class ArrivalLoop:
+    """Handles arrivals in parts of at most 50, between which the event loop serves messages and signals.
+
+    Parameters
+    ----------
+    pop
+        Removes and returns what has arrived.
+    handle
+        Called with each arrival, or with adjacent frames.
+    part
+        Makes the context in which each part is handled.
+    over
+        Ends the handling when it is done; gets what `handle` raises.
+    """
+
+    def __init__(
+        self,
+        pop: Callable[[], Iterable[Arrival]],
+        handle: Callable[[Arrival | list[Frame]], None],
+        part: Callable[[], AbstractContextManager[None]],
+        over: asyncio.Future[None],
+    ) -> None:
+        self._pop = pop
+        self._handle = handle
+        self._part = part
+        self._over = over
+        self._loop = asyncio.get_running_loop()
+        self._arrivals: deque[Arrival | list[Frame]] = deque()
+        self._pending = False
+
+    def wake(self) -> None:
+        """Handle what has arrived; from any thread."""
+        # One at a time: those of a loop that stalls would fill the pipe that signals come by, too.
+        if not self._pending:
+            self._pending = True
+            with contextlib.suppress(RuntimeError):  # the loop is closed: the service ended meanwhile
+                self._loop.call_soon_threadsafe(self._begin)
+
+    def _begin(self) -> None:
+        self._pending = False
+        if not self._arrivals:  # else the next part is scheduled already
+            self._handle_next()
+
+    def _handle_next(self) -> None:
+        try:
+            with self._part():
+                finished = self._handle_part()
+        except Exception as error:  # noqa: BLE001 - `over` raises it
+            if not self._over.done():
+                self._over.set_exception(error)
+        else:
+            if not (finished or self._over.done()):
+                self._loop.call_soon(self._handle_next)
+
+    def _handle_part(self) -> bool:
+        """Return whether no arrival was left."""
+        handled = 0
+        while handled < PART_ARRIVALS and not self._over.done():
+            if not self._arrivals:  # also after the last one: `_begin` ignores what comes while others are handled
+                self._arrivals.extend(in_blocks(self._pop(), PART_ARRIVALS))
+                if not self._arrivals:
+                    return True
+            arrival = self._arrivals.popleft()
+            self._handle(arrival)
+            handled += len(arrival) if isinstance(arrival, list) else 1
+        return False
