@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from brokers import Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
-from observer import observe
 from relay import relay
 
 from resonator_daemon.publishing import topics
@@ -97,19 +96,6 @@ async def test_a_broker_without_acknowledgements_and_without_memory(caplog: pyte
             assert left.account.acknowledged == 0
     assert {(message.qos, message.retain) for message in script.received} == {(0, False)}
     assert "keeps no retained messages" in caplog.text
-
-
-async def test_mosquitto_that_says_its_limit(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    broker = Mosquitto(tmp_path, "allow_anonymous true", "max_packet_size 5000")
-    await broker.start()
-    async with observe(broker.url) as observer, publishing(broker.url) as left:
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.DECODED, Messages.decoded(1))
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-        await observer.until(lambda: len(observer.heard) == 1)
-        assert left.account.dropped == {"too_large": 2}
-    assert "the broker takes 5000" in caplog.text
-    await broker.kill()
 
 
 async def test_a_broker_that_ends_the_connection_upon_a_large_event_gets_it_twice_and_no_more(

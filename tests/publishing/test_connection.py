@@ -40,22 +40,6 @@ def broker_attempts(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     return attempts
 
 
-async def test_mqtt_5_where_the_broker_speaks_it(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    async with publishing(mosquitto.url) as left:
-        await until(lambda: left.connected)
-        assert left.protocol == "5"
-    assert said(caplog) == ["connected, MQTT 5"]
-
-
-async def test_mqtt_3_where_the_broker_refuses_5(amqtt, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.INFO)
-    async with publishing(amqtt.url) as left:
-        await until(lambda: left.connected)
-        assert left.protocol == "3.1.1"
-    assert said(caplog) == ["connected, MQTT 3.1.1"]
-
-
 async def test_small_messages_do_not_wait_for_acknowledgements_of_tcp(mosquitto) -> None:
     connection = BrokerConnection(Mqtt(url=mosquitto.url), MQTT_5)
     await connection.connect()

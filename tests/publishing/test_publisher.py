@@ -22,21 +22,6 @@ from resonator_daemon.publishing.publisher import Publisher
 ONLINE = Messages.state("online", "all is well")
 
 
-async def test_messages_reach_a_subscriber_as_they_were_made(broker) -> None:
-    async with observe(broker.url) as observer, publishing(broker.url) as left:
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.HEALTH, Messages.health(1))
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
-        left.publish(LEFT, topics.DECODED, Messages.decoded(3))
-        left.publish(LEFT, topics.STATE_LINK, ONLINE)
-        await observer.until(lambda: len(observer.heard) == 5)
-        by_topic = {message.topic.value: message for message in observer.heard}
-    assert observer.payloads("resonator/left/health")[0]["seq"] == 1
-    assert observer.payloads("resonator/left/contacts/event")[0]["contact"]["id"] == 2
-    assert len(by_topic["resonator/left/decoded"].payload) > 2 * 12288
-    assert by_topic["resonator/left/decoded/5hz"].payload == by_topic["resonator/left/decoded"].payload
-
-
 async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copies(broker) -> None:
     first, second, third = (Encoded(b"{%d}" % n, t_ns=n * 40_000_000) for n in range(3))
     async with observe(broker.url) as observer, publishing(broker.url) as left:
@@ -49,42 +34,6 @@ async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copie
             left.publish(LEFT, topics.CONTACT_EVENT, first)
     assert observer.raw("resonator/left/contacts") == [b"{0}", b"{1}", b"{2}"]
     assert observer.raw("resonator/left/contacts/20hz") == [b"{0}", b"{2}"]
-
-
-async def test_quality_of_service_and_retention_of_each_topic_on_the_wire() -> None:
-    async with scripted_broker() as (url, script), publishing(url) as left:
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.HEALTH, Messages.health(1))
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
-        left.publish(LEFT, topics.DECODED, Messages.decoded(3))
-        left.publish(LEFT, topics.STATE_LINK, ONLINE)
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.handed_to_socket == 3
-        assert left.account.acknowledged == 2
-    assert {message.topic: (message.qos, message.retain) for message in script.received} == {
-        "resonator/left/health": (0, False),
-        "resonator/left/contacts/event": (1, False),
-        "resonator/left/decoded": (0, False),
-        "resonator/left/decoded/5hz": (0, False),
-        "resonator/left/state/link": (1, True),
-        "resonator/left/state/daemon": (1, True),
-    }
-
-
-async def test_a_late_subscriber_sees_the_last_states_and_nothing_else(broker) -> None:
-    async with publishing(broker.url) as left:
-        left.publish(LEFT, topics.STATE_SENSOR, Messages.state("starting"))
-        left.publish(LEFT, topics.STATE_SENSOR, ONLINE)
-        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.HEALTH, Messages.health(1))
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(2))
-        await until(lambda: left.account.waiting == 0)
-        async with observe(broker.url) as observer:
-            await observer.until_last("resonator/left/state/sensor", state="online")
-            await observer.until_last("resonator/left/state/daemon", state="online")
-            assert len(observer.heard) == 2
-            assert all(message.retain for message in observer.heard)
 
 
 async def test_order_within_a_topic_is_kept(broker) -> None:
@@ -337,17 +286,6 @@ async def test_states_that_are_published_on_connecting_go_before_those_restored(
     reasons = [json.loads(message.payload)["reason"] for message in script.received]
     assert reasons == ["all is well", "connection 1", "connection 2", "all is well", "stopped"]
     assert left.account.restored == 1
-
-
-async def test_a_document_is_retained_and_sent_again(broker) -> None:
-    async with publishing(broker.url) as left:
-        left.retain(f"{LEFT}/schema", b'{"asyncapi": "3.0.0"}', topics.JSON)
-        await until(lambda: left.account.acknowledged == 1)
-        await broker.kill()
-        await until(lambda: not left.connected)
-        await broker.start()
-        async with observe(broker.url) as observer:
-            await observer.until(lambda: observer.raw(f"{LEFT}/schema") == [b'{"asyncapi": "3.0.0"}'])
 
 
 async def test_answers_of_a_connection_that_is_over_are_withdrawn() -> None:
