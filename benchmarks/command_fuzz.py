@@ -210,7 +210,7 @@ async def fuzz(inputs: int, seed: int, allowed: Collection[str], directory: Path
     for _ in range(inputs):
         message = make.message()
         taken += not message.retained  # nobody answers those
-        commands.take(message)
+        commands.receive(message)
         if quick:  # some of these are too many
             quick -= 1
             continue
