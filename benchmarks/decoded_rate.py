@@ -7,6 +7,7 @@ than 98 % of the frames were decoded, or if the daemon with its decoder used mor
 
 import argparse
 import json
+import os
 import re
 import subprocess
 import sys
@@ -16,9 +17,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import paho.mqtt.client as mqtt
+import psutil
 from paho.mqtt.enums import CallbackAPIVersion
 from stage_cost_parts import child, tree_s
 from system_parts import free_port, mosquitto_command
+
+from resonator_daemon.demo.host_load import HostLoad
 
 DECODED_MIN, CORES_MAX = 0.98, 0.8
 ROOT = Path(__file__).resolve().parents[1]
@@ -47,6 +51,12 @@ class Subscriber:
             self.decoded += 1
         else:
             self.health = json.loads(message.payload)
+
+
+def process_ids(pid: int) -> set[int]:
+    """Return the ids of a process and its children."""
+    process = psutil.Process(pid)
+    return {process.pid, *(each.pid for each in process.children(recursive=True))}
 
 
 def main() -> int:
@@ -78,16 +88,20 @@ def main() -> int:
                 sys.exit(f"no frame was decoded within {START_S:g} s")
             time.sleep(0.1)
         time.sleep(SETTLE_S)
+        load = HostLoad()
         decoded, started_s = subscriber.decoded, time.monotonic()
         before_s = {name: tree_s(process.pid) for name, process in processes.items()}
         time.sleep(options.seconds)
         passed_s = time.monotonic() - started_s
         share = (subscriber.decoded - decoded) / (passed_s * options.rate)
+        load.stop()
         cores = {name: (tree_s(process.pid) - before_s[name]) / passed_s for name, process in processes.items()}
+        own = {process for each in processes.values() for process in process_ids(each.pid)} | {os.getpid()}
     print(f"decoded: {100 * share:.1f} % of {options.rate:g} frames/s for {passed_s:.0f} s")
     for name, used in cores.items():
         print(f"{name:20}{used:6.2f} cores")
     print(f"lost, skipped: {subscriber.health.get('lost')}, {subscriber.health.get('decoder')}")
+    print(load.in_words(sum(cores.values()) * passed_s, own))
     return int(share < DECODED_MIN or cores["daemon and decoder"] > CORES_MAX)
 
 

@@ -32,7 +32,7 @@ class HostLoad:
         seconds = max(self._ended_s - self._started_s, 1e-9)
         cores, own = psutil.cpu_count() or 1, own_cpu_s / seconds
         others = max(self._busy_s / seconds - own, 0.0)
-        words = f"processor cores used: {own:.2f} of {cores} by this demo, {others:.2f} by other processes"
+        words = f"processor cores used: {own:.2f} of {cores} by these processes, {others:.2f} by other processes"
         foreign = {process: used_s for process, used_s in self.used_s.items() if process.pid not in own_pids}
         if foreign:
             process = max(foreign, key=lambda process: foreign[process])

@@ -28,7 +28,7 @@ def test_the_busiest_other_process_is_named() -> None:
     its = [used_s for each, used_s in load.used_s.items() if each.pid == other.pid]
     assert len(its) == 1
     assert its[0] >= 0.4
-    assert f" of {psutil.cpu_count()} by this demo" in words
+    assert f" of {psutil.cpu_count()} by these processes" in words
     assert f"by {name} (process {other.pid})" in words
 
 
