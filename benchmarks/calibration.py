@@ -35,7 +35,7 @@ from emulated_loads import (
     lead,
 )
 
-from resonator_daemon.calibration.guide import Guide
+from resonator_daemon.calibration.load_procedure import LoadProcedure
 from resonator_daemon.calibration.outcome import make_record
 from resonator_daemon.calibration.plate_file import Record
 from resonator_daemon.calibration.steps import Wanted, plan_steps
@@ -64,19 +64,19 @@ def calibrated(
     steps = plan_steps(wanted, nominal)
     touches = Touches(physics=physics)
     touches.follow(steps, masses)
-    guide = Guide(nominal, steps, 60.0)
+    procedure = LoadProcedure(nominal, steps, 60.0)
     loads = Loads(nominal, true) if comb else None
     with tempfile.TemporaryDirectory() as folder:
         counted = (comb_frames if comb else frames)(true, touches, Path(folder))
-        for _ in lead(guide, nominal, counted, loads):
+        for _ in lead(procedure, nominal, counted, loads):
             pass
-    if not guide.done:
+    if not procedure.done:
         raise RuntimeError("the loads ended before the calibration")
-    outcome = fitted(guide, wanted, nominal, loads)
+    outcome = fitted(procedure, wanted, nominal, loads)
     record = make_record(
         nominal,
         wanted,
-        guide,
+        procedure,
         outcome,
         calibration_id="",
         unit="",

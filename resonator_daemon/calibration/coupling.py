@@ -8,7 +8,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.guide import Guide, Loading
+from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.plate import Plate
 
 SIGMAS: Final = 3.0
@@ -25,14 +25,18 @@ class Felt:
     ratio: float
 
 
-def find_coupling(plate: Plate, guide: Guide, loadings: Sequence[Loading], sensitivity: Floats) -> tuple[Felt, ...]:
+def find_coupling(
+    plate: Plate, procedure: LoadProcedure, loadings: Sequence[Loading], sensitivity: Floats
+) -> tuple[Felt, ...]:
     """Return what lies above 3 standard deviations, of loads on any of the sites; sensitivity (sites, 4)."""
     found = []
     square = (sensitivity**2).sum(axis=1)
     for pressed in sorted({loading.site for loading in loadings}):
         loads = [loading for loading in loadings if loading.site == pressed]
         force = np.array([loading.step.force_newton for loading in loads])
-        newton = np.array([(_moved(guide, load) * sensitivity).sum(axis=1) / square for load in loads])  # (k, sites)
+        newton = np.array(
+            [(_moved(procedure, load) * sensitivity).sum(axis=1) / square for load in loads]
+        )  # (k, sites)
         ratio = force @ newton / (force @ force)
         std = OSCILLATOR_STD / np.sqrt(square / sensitivity.shape[1]) / np.sqrt(force @ force)
         found += [
@@ -70,13 +74,13 @@ def compare_with_width(plate: Plate, coupling: Sequence[Felt]) -> str:
     )
 
 
-def _moved(guide: Guide, loading: Loading) -> Floats:
+def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
     """Shift (sites, 4) since the untouched reading before the load, the common mode taken out of both."""
     if loading.site_shift is None:
         raise ValueError("a loading of a plate that hears one site at a time")
-    before = guide.untouched.before(loading.since_s)
-    rest = 1 - (1 - guide.untouched.site_shift[before]) * (1 + guide.untouched.common_mode[before])
-    common = guide.untouched.at(float(loading.times_s.mean()))
+    before = procedure.untouched.before(loading.since_s)
+    rest = 1 - (1 - procedure.untouched.site_shift[before]) * (1 + procedure.untouched.common_mode[before])
+    common = procedure.untouched.at(float(loading.times_s.mean()))
     moved: Floats = 1 - (1 - loading.site_shift) * (1 + common) - rest
     return moved
 

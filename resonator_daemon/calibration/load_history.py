@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from resonator_daemon.calibration.guide import Guide, Loading
+from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.steps import Wanted
 from resonator_daemon.forces.loadings import Readings, Steps
 
@@ -22,13 +22,13 @@ class LoadChange(NamedTuple):
     loading: Loading | None
 
 
-def load_history(guide: Guide, loadings: Sequence[Loading]) -> list[LoadChange]:
+def load_history(procedure: LoadProcedure, loadings: Sequence[Loading]) -> list[LoadChange]:
     """Return the changes that loadings were, in their order."""
     changes = []
     for loading in sorted(loadings, key=lambda loading: loading.since_s):
         kelvin = loading.step.kelvin
         changes.append(LoadChange(loading.site, loading.since_s, kelvin, loading))
-        if (released_s := _released_s(guide, loading)) is not None:
+        if (released_s := _released_s(procedure, loading)) is not None:
             changes.append(LoadChange(loading.site, released_s, kelvin, None))
     return changes
 
@@ -47,22 +47,22 @@ def steps_of(changes: Sequence[LoadChange], wanted: Wanted) -> Steps:
     )
 
 
-def readings_of(changes: Sequence[LoadChange], guide: Guide) -> Readings:
+def readings_of(changes: Sequence[LoadChange], procedure: LoadProcedure) -> Readings:
     """Return the readings of all loads that were captured."""
     captured = [(row, change.loading) for row, change in enumerate(changes) if change.loading is not None]
     return Readings(
         np.concatenate([np.full(len(load.times_s), row) for row, load in captured]),
         np.concatenate([load.times_s for _, load in captured]),
-        np.concatenate([load.without_common_mode(guide.untouched) for _, load in captured]),
+        np.concatenate([load.without_common_mode(procedure.untouched) for _, load in captured]),
         np.concatenate([load.std for _, load in captured]),
         np.concatenate([np.full(len(load.times_s), load.oscillator_std) for _, load in captured]),
     )
 
 
-def _released_s(guide: Guide, loading: Loading) -> float | None:
+def _released_s(procedure: LoadProcedure, loading: Loading) -> float | None:
     """When a load was taken away; None where another followed on the same site."""
-    after = [time_s for time_s in guide.released_s if time_s > loading.times_s[-1]]
-    following = [other.since_s for other in guide.loadings.values() if other.since_s > loading.since_s]
+    after = [time_s for time_s in procedure.released_s if time_s > loading.times_s[-1]]
+    following = [other.since_s for other in procedure.loadings.values() if other.since_s > loading.since_s]
     if not after or (following and min(following) < after[0]):
         return None
     return after[0]

@@ -70,7 +70,7 @@ class MultitoneLoads:
         return f"without sites {', '.join(silent)}" if silent else None
 
     def _begin(self, heard_hz: Floats) -> None:
-        """Take one reading of the untouched plate."""
+        """Add one reading of the untouched plate."""
         self._resting.append(heard_hz)
         shift = np.array(self._resting) / self._resting[0] - 1.0
         moved = self._force(shift - shift.mean(axis=1, keepdims=True))

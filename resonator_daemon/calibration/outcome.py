@@ -11,8 +11,8 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
 from resonator_daemon.calibration.creep_seen import creep_share
-from resonator_daemon.calibration.guide import Guide, Loading
 from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_history, readings_of, steps_of
+from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
 from resonator_daemon.calibration.site_codes import site_codes
 from resonator_daemon.calibration.steps import STANDARD_GRAVITY, Step, Wanted
@@ -61,7 +61,7 @@ class Outcome:
 def fit_loadings(
     plate: Plate,
     wanted: Wanted,
-    guide: Guide,
+    procedure: LoadProcedure,
     loadings: Sequence[Loading],
     *,
     with_response: bool,
@@ -74,14 +74,14 @@ def fit_loadings(
     used = [loading for loading in loadings if not loading.step.at_temperature]
     codes = site_codes(plate)
     masses_kg = np.array(wanted.masses_kg)
-    changes = load_history(guide, used)
+    changes = load_history(procedure, used)
     fit = fit_calibration(
         codes.f0_hz if untouched_hz is None else untouched_hz,
         codes.sensitivity,
         masses_kg * STANDARD_GRAVITY,
         np.full(len(masses_kg), max(wanted.mass_std, SMALLEST_MASS_STD)),
         steps_of(changes, wanted),
-        readings_of(changes, guide),
+        readings_of(changes, procedure),
         with_response=with_response,
     )
 
@@ -100,14 +100,14 @@ def fit_loadings(
         tuple(bad for bad in doubtful if abs(residual_newton[bad.number]) > BAD_NEWTON + BAD_SHARE * bad.force_newton),
         None if fit.swapped_steps is None else (step(fit.swapped_steps[0]), step(fit.swapped_steps[1])),
         residual_newton,
-        creep_share(guide, [load for load in used if not load.step.continues], fit),
+        creep_share(procedure, [load for load in used if not load.step.continues], fit),
     )
 
 
 def make_record(
     plate: Plate,
     wanted: Wanted,
-    guide: Guide,
+    procedure: LoadProcedure,
     outcome: Outcome,
     *,
     calibration_id: str,
@@ -120,7 +120,7 @@ def make_record(
     fit = outcome.fit
     codes = site_codes(plate)
     kelvin = plate.thermal.reference_kelvin if wanted.kelvin is None else wanted.kelvin
-    found = _fit_temperature(plate, wanted, guide, fit, kelvin)
+    found = _fit_temperature(plate, wanted, procedure, fit, kelvin)
     coefficients = codes.temperature_coefficients.copy()
     if found is not None:
         coefficients[fit.site] = found
@@ -159,7 +159,9 @@ def make_record(
             for site_id, f0 in zip(plate.site_ids.tolist(), f0_hz.tolist(), strict=True)
             if untouched_hz is not None
         ),
-        coupling=() if untouched_hz is None else find_coupling(plate, guide, _loads(guide, outcome), sensitivity),
+        coupling=()
+        if untouched_hz is None
+        else find_coupling(plate, procedure, _loads(procedure, outcome), sensitivity),
     )
 
 
@@ -189,7 +191,9 @@ def notes(plate: Plate, wanted: Wanted, outcome: Outcome, record: Record) -> lis
     return found
 
 
-def _fit_temperature(plate: Plate, wanted: Wanted, guide: Guide, fit: CalibrationFit, kelvin: float) -> Floats | None:
+def _fit_temperature(
+    plate: Plate, wanted: Wanted, procedure: LoadProcedure, fit: CalibrationFit, kelvin: float
+) -> Floats | None:
     """Coefficients (s, 3) from the heaviest mass at each temperature; None where there was no sweep."""
     if not wanted.temperatures_kelvin:
         return None
@@ -200,10 +204,10 @@ def _fit_temperature(plate: Plate, wanted: Wanted, guide: Guide, fit: Calibratio
         for row, warmth in enumerate(kelvins):
             loads = [
                 load
-                for load in guide.loadings.values()
+                for load in procedure.loadings.values()
                 if (load.step.site_id, load.step.kelvin, load.step.mass_kg) == (site_id, warmth, wanted.masses_kg[-1])
             ]
-            shift[row, column] = np.mean([load.without_common_mode(guide.untouched).mean() for load in loads])
+            shift[row, column] = np.mean([load.without_common_mode(procedure.untouched).mean() for load in loads])
     touch = _model_error(plate, fit) * np.abs(fit.sensitivity).mean(axis=1) * wanted.masses_kg[-1] * STANDARD_GRAVITY
     # A load's scatter is independent from channel to channel.
     std = np.hypot(COMMON_MODE_STD, touch / math.sqrt(fit.sensitivity.shape[1]))
@@ -217,10 +221,10 @@ def _temperature_shift(coefficients: Floats, kelvin: float) -> Floats:
     return shift
 
 
-def _loads(guide: Guide, outcome: Outcome) -> list[Loading]:
+def _loads(procedure: LoadProcedure, outcome: Outcome) -> list[Loading]:
     """Return the loads that a fit used, but for slight doubts."""
     doubtful = {step.number for step in outcome.doubtful}
-    loads = guide.loadings.values()
+    loads = procedure.loadings.values()
     return [load for load in loads if not load.step.at_temperature and load.step.number not in doubtful]
 
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.calibration.board_frames import FromBoard, board_frames
-from resonator_daemon.calibration.guide import Guide, Loading, News
+from resonator_daemon.calibration.console import Console, asked, result, summary
+from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
 from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
@@ -24,7 +25,6 @@ from resonator_daemon.calibration.plate_file import (
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.session import Recording, Session
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
-from resonator_daemon.calibration.telling import Teller, asked, result, summary
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
 from resonator_daemon.plate import FORCE_SIGNAL
@@ -36,7 +36,7 @@ from resonator_daemon.tones.tone_detector import ToneDetector, reading_frames
 
 @dataclass(frozen=True)
 class Ending:
-    """What becomes of the result, and how it is told."""
+    """What becomes of the result, and how it is reported."""
 
     accept: bool
     output: Path | None
@@ -68,18 +68,18 @@ def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
 def accept_staged(config_path: Path, *, as_json: bool) -> ExitCode:
     """Put a staged calibration into the plate file."""
     session = Session(config_path)
-    _accept(session, session.staged_or_refuse(), Teller(as_json))
+    _accept(session, session.staged_or_refuse(), Console(as_json))
     return ExitCode.DONE
 
 
 def abort_staged(config_path: Path, *, as_json: bool) -> ExitCode:
-    """Forget what is staged, or was left by an interrupted calibration."""
+    """Discard what is staged, or was left by an interrupted calibration."""
     session = Session(config_path)
     staged = session.staged()
     if staged is not None:
         remove_remains(Path(staged["output"]))
     session.discard()
-    Teller(as_json).aborted(staged)
+    Console(as_json).aborted(staged)
     return ExitCode.DONE
 
 
@@ -97,11 +97,11 @@ class _Calibration:
     ) -> None:
         self._config, self._wanted, self._ending = config, wanted, ending
         self._steps, self._file, self._session = steps, file, session
-        self._guide = Guide(config.plate, steps, ending.timeout_s)
+        self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
         self._detector: ToneDetector | None = None
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
         self._loads: LoadDetector = (MultitoneLoads if every_tone else CapturedLoads)(config.plate)
-        self._teller = Teller(ending.as_json)
+        self._console = Console(ending.as_json)
         self._unit = ""
         self._repeated: set[int] = set()
 
@@ -110,20 +110,20 @@ class _Calibration:
             with self._session.recording() as recording:
                 begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._wanted)}
                 recording.write("begun", begun)
-                self._teller.text(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
+                self._console.text(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
                 outcome = self._capture(recording)
                 record = self._record(outcome)
                 staged = self._stage(record, outcome)
                 recording.write("staged", staged)
         except KeyboardInterrupt:
             self._session.discard()
-            self._teller.aborted(None)
+            self._console.aborted(None)
             return ExitCode.FAILED
         except BaseException:
             self._session.discard()
             raise
         for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
-            self._teller.text(line)
+            self._console.text(line)
         return self._finish(staged)
 
     def _capture(self, recording: Recording) -> Outcome:
@@ -131,14 +131,14 @@ class _Calibration:
         outcome: Outcome | None = None
         with board_frames(self._config, self._ending.timeout_s) as arrivals:
             for arrival in arrivals:
-                heard = self._read(arrival)
-                if heard is None:
+                reading = self._read(arrival)
+                if reading is None:
                     continue
-                for news in self._guide.push(heard):
-                    self._tell(news, recording)
-                if self._guide.done:
+                for prompt in self._procedure.push(reading):
+                    self._show(prompt, recording)
+                if self._procedure.done:
                     outcome = self._judge(recording)
-                    if self._guide.done:
+                    if self._procedure.done:
                         break
         if outcome is None:
             raise CalibrationRefusedError("the link ended before the calibration did")
@@ -158,40 +158,40 @@ class _Calibration:
         return fit_loadings(
             self._config.plate,
             self._wanted,
-            self._guide,
+            self._procedure,
             loads,
             with_response=with_response,
             untouched_hz=self._loads.untouched_hz,
         )
 
-    def _tell(self, news: News, recording: Recording) -> None:
-        step = news.step
-        value: dict[str, Any] = {"event": news.event, "step": step.number if step else 0, "steps": len(self._steps)}
+    def _show(self, prompt: Prompt, recording: Recording) -> None:
+        step = prompt.step
+        value: dict[str, Any] = {"event": prompt.event, "step": step.number if step else 0, "steps": len(self._steps)}
         if step is not None:
             value |= {"site": step.site_id, "mass_kg": step.mass_kg, "force_newton": step.force_newton}
             value["kelvin"] = step.kelvin
-        text = news.text
-        if news.event == "captured" and step is not None:
+        text = prompt.text
+        if prompt.event == "captured" and step is not None:
             value["residual_newton"], so_far = self._fit_so_far(step)
             text += so_far
             recording.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
-        self._teller.object(value | {"text": news.text}, f"{place}{text}")
+        self._console.object(value | {"text": prompt.text}, f"{place}{text}")
 
     def _captured(self, step: Step) -> dict[str, Any]:
-        loading = self._guide.loadings[step.number]
+        loading = self._procedure.loadings[step.number]
         return {
             **asdict(step),
             "since_s": loading.since_s,
             "times_s": loading.times_s.tolist(),
             "shift": loading.shift.tolist(),
             "std": loading.std.tolist(),
-            "common_mode": self._guide.untouched.at(float(loading.times_s.mean())).tolist(),
+            "common_mode": self._procedure.untouched.at(float(loading.times_s.mean())).tolist(),
         }
 
     def _fit_so_far(self, step: Step) -> tuple[float | None, str]:
         """How far a load lies from the fit of its site, None where that has no meaning; and a text."""
-        loads = [load for load in self._guide.loadings.values() if load.step.site_id == step.site_id]
+        loads = [load for load in self._procedure.loadings.values() if load.step.site_id == step.site_id]
         if len(loads) < 3 or step.at_temperature:
             return None, ""  # two always fit
         outcome = self._fit(loads, with_response=False)
@@ -206,7 +206,7 @@ class _Calibration:
         return find_misfits(self._config.plate, steps, outcome, self._wanted.mass_std)
 
     def _judge(self, recording: Recording) -> Outcome:
-        loads = list(self._guide.loadings.values())
+        loads = list(self._procedure.loadings.values())
         outcome = self._fit(loads, with_response=self._wanted.response)
         if outcome.swapped is not None:
             first, second = outcome.swapped
@@ -236,15 +236,15 @@ class _Calibration:
         if steps.keys() & self._repeated or self._wanted.response:
             raise CalibrationRefusedError(f"{finding}; check masses and places, and begin again")
         self._repeated |= steps.keys()
-        self._teller.text(f"{finding}; once more, please")
-        for news in self._guide.repeat([steps[number] for number in sorted(steps)]):
-            self._tell(news, recording)
+        self._console.text(f"{finding}; once more, please")
+        for prompt in self._procedure.repeat([steps[number] for number in sorted(steps)]):
+            self._show(prompt, recording)
 
     def _record(self, outcome: Outcome) -> Record:
         return make_record(
             self._config.plate,
             self._wanted,
-            self._guide,
+            self._procedure,
             outcome,
             calibration_id=secrets.token_hex(8),
             unit=self._unit,
@@ -267,16 +267,16 @@ class _Calibration:
 
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
         if self._ending.accept or (sys.stdin.isatty() and asked("accept? [y/N] ")):
-            _accept(self._session, staged, self._teller)
+            _accept(self._session, staged, self._console)
         else:
-            self._teller.object(
+            self._console.object(
                 result("staged", staged),
                 f"staged, not accepted ({self._session.path}): finish with --accept-staged or --abort",
             )
         return ExitCode.DONE
 
 
-def _accept(session: Session, staged: dict[str, Any], teller: Teller) -> None:
+def _accept(session: Session, staged: dict[str, Any], console: Console) -> None:
     source, output = Path(staged["source"]), Path(staged["output"])
     if PlateFile(source, output).digest != staged["sha256"]:
         raise CalibrationRefusedError(f"{source} has changed since it was calibrated; --abort, and calibrate again")
@@ -285,4 +285,4 @@ def _accept(session: Session, staged: dict[str, Any], teller: Teller) -> None:
     line = f"accepted: {output} holds calibration {staged['id']}"
     if source != output:
         line += f'; set plate = "{output}" in the configuration'
-    teller.object(result("accepted", staged), line)
+    console.object(result("accepted", staged), line)

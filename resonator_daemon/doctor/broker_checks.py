@@ -38,7 +38,7 @@ _TOPIC_LEVEL: Final = "doctor"
 
 
 async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None = None) -> list[Finding]:
-    """Return what there is to say of a broker, link by link; what comes after the first fault is not looked at."""
+    """Return the findings on a broker in causal order; checks after the first fault are left out."""
     where = f"{broker.host}:{broker.port}"
     loop = asyncio.get_running_loop()
     try:
@@ -136,7 +136,7 @@ def _delay_acknowledgements(client: BrokerConnection) -> None:
 
 
 async def _ask(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe, str]:
-    """Return what was measured, and what was last said of the connection."""
+    """Return the measurement and the last message on the connection."""
     probe, closing = _Probe(broker, times), asyncio.get_running_loop().create_future()
     said = ["no answer"]
     session = connection_session(lambda version: probe.make_connection(broker, version), probe.serve, closing)
@@ -149,7 +149,7 @@ async def _ask(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe, str
         async with asyncio.timeout(_TURNS * _PAUSE_S + 3 * _ANSWER_S):
             await probe.done.wait()
     except TimeoutError:
-        pass  # told below by what is missing
+        pass  # reported below by what is missing
     finally:
         closing.set_result(None)
         await keeping
@@ -178,7 +178,7 @@ def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:
     times_s = probe.round_trips_s
     if not times_s:
         yield ROUND_TRIP.not_checked(
-            f"none of {len(probe.sent)} messages came back: its access rules may deny them, which MQTT does not tell"
+            f"none of {len(probe.sent)} messages came back: its access rules may deny them, which MQTT does not report"
         )
         return
     yield excused(_round_trip(times_s, len(probe.sent)), busy)

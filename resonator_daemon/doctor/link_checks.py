@@ -4,8 +4,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from firmware_protocol.messages import ResetCause
+from resonator_daemon.doctor.capture import OPEN_S, Capture
 from resonator_daemon.doctor.finding import Area, Check, Finding, excused, graded, not_checked
-from resonator_daemon.doctor.sitting import OPEN_S, Sitting
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import TOLERANCE_PPM
 from resonator_daemon.session.compatibility import incompatibilities
@@ -52,16 +52,16 @@ def check_inquiry(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> 
     yield _reset(inquiry)
 
 
-def check_sitting(sitting: Sitting) -> Iterator[Finding]:
+def check_capture(capture: Capture) -> Iterator[Finding]:
     """Yield what became of frames and bytes while the board counted."""
-    if not sitting.counted:
-        yield from _nothing_came(sitting)
+    if not capture.counted:
+        yield from _nothing_came(capture)
         return
-    yield COUNTS.ok(f"{sitting.frames} frames in {sitting.seconds:.1f} s")
-    overruns = sitting.after.host_overruns - sitting.before.host_overruns
-    yield excused(_errors(sitting), "the driver lost bytes, which looks the same" if overruns else "")
-    yield excused(_steady(sitting), "" if sitting.losses else sitting.busy)
-    yield excused(_overflow(sitting), sitting.busy)
+    yield COUNTS.ok(f"{capture.frames} frames in {capture.seconds:.1f} s")
+    overruns = capture.after.host_overruns - capture.before.host_overruns
+    yield excused(_errors(capture), "the driver lost bytes, which looks the same" if overruns else "")
+    yield excused(_steady(capture), "" if capture.losses else capture.busy)
+    yield excused(_overflow(capture), capture.busy)
     yield OVERRUN.judged(
         graded(overruns, 0.0, 0.0),
         f"{overruns} times, none is meant" if overruns else "none that it tells of",
@@ -72,12 +72,12 @@ def check_sitting(sitting: Sitting) -> Iterator[Finding]:
     )
 
 
-def _steady(sitting: Sitting) -> Finding:
-    said = (*sitting.losses, *sitting.interruptions)
+def _steady(capture: Capture) -> Finding:
+    said = (*capture.losses, *capture.interruptions)
     if not said:
         return STEADY.ok("frames came all the time")
     return STEADY.fault(
-        f"frames stopped {len(said)} times in {sitting.seconds:.1f} s: {said[0]}",
+        f"frames stopped {len(said)} times in {capture.seconds:.1f} s: {said[0]}",
         "check plug, cable, hub and the board's power: move the cable and watch",
         value=float(len(said)),
         limit=0.0,
@@ -85,38 +85,38 @@ def _steady(sitting: Sitting) -> Finding:
     )
 
 
-def _nothing_came(sitting: Sitting) -> Iterator[Finding]:
+def _nothing_came(capture: Capture) -> Iterator[Finding]:
     rest = (STEADY, OVERFLOW, OVERRUN)
-    account = sitting.after
-    if sitting.problems:
-        check = FITS if not any(text.startswith("reference_hz") for text in sitting.problems) else REFERENCE
-        yield check.fault("; ".join(sitting.problems), "connect the right board, or name the right plate file")
+    account = capture.after
+    if capture.problems:
+        check = FITS if not any(text.startswith("reference_hz") for text in capture.problems) else REFERENCE
+        yield check.fault("; ".join(capture.problems), "connect the right board, or name the right plate file")
         yield from not_checked((COUNTS, ERRORS, *rest), "the board does not serve this plate")
     elif account.bytes_discarded > _GARBAGE_FAULT * max(account.bytes_received, 1):
         yield _garbage(account.bytes_discarded, account.bytes_received, 0, 0)
         yield from not_checked((COUNTS, *rest), "too little arrives undamaged")
     else:
         yield COUNTS.fault(
-            f"it answers, and no frame came within {OPEN_S:g} s: {sitting.link}",
+            f"it answers, and no frame came within {OPEN_S:g} s: {capture.link}",
             "start the board anew; if that does not help, it or its firmware is broken",
         )
         yield from not_checked((ERRORS, *rest), "no frame came")
 
 
-def _overflow(sitting: Sitting) -> Finding:
-    dropped = sitting.after.lost.board_overflow - sitting.before.lost.board_overflow
-    frames = _all_frames(sitting)
+def _overflow(capture: Capture) -> Finding:
+    dropped = capture.after.lost.board_overflow - capture.before.lost.board_overflow
+    frames = _all_frames(capture)
     remedy = (
         "the link takes less than the board counts: raise the baud rate on both ends, use a quicker port, or lower "
         "counter.frame_rate_hz of the plate"
     )
-    rate_hz = frames / sitting.seconds
-    if rate_hz < _RATE_LEAST * sitting.frame_rate_hz and not sitting.stopped:
+    rate_hz = frames / capture.seconds
+    if rate_hz < _RATE_LEAST * capture.frame_rate_hz and not capture.stopped:
         return OVERFLOW.fault(
-            f"frames come at {rate_hz:.0f} a second, {sitting.frame_rate_hz:g} are counted: the others pile up there",
+            f"frames come at {rate_hz:.0f} a second, {capture.frame_rate_hz:g} are counted: the others pile up there",
             remedy,
             value=rate_hz,
-            limit=_RATE_LEAST * sitting.frame_rate_hz,
+            limit=_RATE_LEAST * capture.frame_rate_hz,
             unit="Hz",
         )
     return OVERFLOW.judged(
@@ -129,15 +129,15 @@ def _overflow(sitting: Sitting) -> Finding:
     )
 
 
-def _errors(sitting: Sitting) -> Finding:
-    before, after = sitting.before, sitting.after
+def _errors(capture: Capture) -> Finding:
+    before, after = capture.before, capture.after
     hit = after.lost.damaged - before.lost.damaged
-    if not sitting.stopped:  # else the frames in between count as a gap
+    if not capture.stopped:  # else the frames in between count as a gap
         hit += after.lost.link_gap - before.lost.link_gap
     hit += after.parts_lost - before.parts_lost
     discarded = after.bytes_discarded - before.bytes_discarded
     received = after.bytes_received - before.bytes_received
-    frames = _all_frames(sitting)
+    frames = _all_frames(capture)
     many = hit >= _HITS_LEAST and hit / frames > ERRORS_FAULT
     if many or discarded > max(_GARBAGE_FAULT * received, _GARBAGE_LEAST_BYTES):
         return _garbage(discarded, received, hit, frames)
@@ -164,8 +164,8 @@ def _garbage(discarded: int, received: int, hit: int, frames: int) -> Finding:
     )
 
 
-def _all_frames(sitting: Sitting) -> int:
-    return max(1, sitting.frames + sitting.after.lost.total - sitting.before.lost.total)
+def _all_frames(capture: Capture) -> int:
+    return max(1, capture.frames + capture.after.lost.total - capture.before.lost.total)
 
 
 def _fits(inquiry: ProbeResult, plate: Plate) -> Finding:

@@ -134,7 +134,7 @@ def _brltty_rules(host: Host) -> str:
 
 
 def _claims(rules: str, vendor: str, product: str) -> bool:
-    """Tell whether rules name these ids, as `PRODUCT=="1a86/7523/*"` does, without leading zeros."""
+    """Return whether rules name these ids, as `PRODUCT=="1a86/7523/*"` does, without leading zeros."""
     vendor, product = (text.lstrip("0").lower() for text in (vendor, product))
     return f"{vendor}/{product}/" in rules.lower()
 

@@ -70,7 +70,7 @@ class Report:
         return {reason: of_it for reason, of_it in titles.items() if len(of_it) > 1}
 
     def _not_checked_together(self) -> Iterator[str]:
-        """Yield what is said once for many."""
+        """Yield the lines that hold for several findings."""
         shared = self._shared_reasons
         if not shared:
             return

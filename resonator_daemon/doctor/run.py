@@ -12,6 +12,7 @@ from typing import Final
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
+from resonator_daemon.doctor.capture import capture_board
 from resonator_daemon.doctor.clock_checks import check_clock
 from resonator_daemon.doctor.daemon_checks import check_daemon, told
 from resonator_daemon.doctor.disk_checks import check_disk
@@ -22,7 +23,6 @@ from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
 from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, works_by
 from resonator_daemon.doctor.service_checks import check_service
-from resonator_daemon.doctor.sitting import sit_with
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
 from resonator_daemon.host.places import state_directory
@@ -66,14 +66,14 @@ def doctor(options: DoctorOptions) -> ExitCode:
         Ctrl-C came before all was looked at; what was found by then is printed.
     """
     try:
-        examination = _Examination(options)
+        diagnosis = _Diagnosis(options)
     except ConfigurationError as error:
         bad_file = None if isinstance(error, _NoBoardError) else options.config_path
         runs = "" if bad_file is None else asyncio.run(works_by(bad_file))
         raise UnusableConfigError(*error.messages, *filter(None, [runs])) from error
     found: list[Finding] = []
     try:
-        found.extend(examination.findings())
+        found.extend(diagnosis.findings())
     except KeyboardInterrupt:
         report = Report(found)
         if found and not options.json:
@@ -89,7 +89,7 @@ class _NoBoardError(ConfigurationError):
     """The configuration can be used, and there is nothing to look at."""
 
 
-class _Examination:
+class _Diagnosis:
     def __init__(self, options: DoctorOptions) -> None:
         self._options = options
         self._host = options.host
@@ -208,19 +208,19 @@ class _Examination:
                 (*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
             )
             return
-        sitting = sit_with(link, plate, self._options.seconds, self._say, self._host)
+        capture = capture_board(link, plate, self._options.seconds, self._say, self._host)
         found = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
-        of_link = [finding for finding in link_checks.check_sitting(sitting) if finding.id not in found]
+        of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in found]
         yield from of_link
         yield sensor_checks.check_calibration(plate, plate.calibration.expiry_note(datetime.now(UTC).date()))
         if any(finding.outcome is Outcome.FAULT and finding.area is Area.WIRING for finding in of_link):
             yield from not_checked(sensor_checks.OF_THE_PLATE, "too little arrives undamaged to judge by")
-        elif not sitting.counted:
+        elif not capture.counted:
             yield from not_checked(sensor_checks.OF_THE_PLATE, "no frames came")
         elif link_checks.REFERENCE.id in found:
             yield from not_checked(sensor_checks.OF_THE_PLATE, "frequencies mean nothing by such a reference")
         else:
-            yield from sensor_checks.check_plate(sitting, plate)
+            yield from sensor_checks.check_plate(capture, plate)
 
     def _plate(self, inquiry: ProbeResult) -> Plate | None:
         if self._config is not None:

@@ -53,7 +53,7 @@ async def works_by(config_path: Path) -> str:
 def _read(config: Mapping[str, Any]) -> str:
     loaded_t_ns = config.get("loaded_t_ns")  # a decimal string, as all times of messages
     if not isinstance(loaded_t_ns, str) or not loaded_t_ns.isdecimal() or not 0 <= int(loaded_t_ns[:20]) < _NS_MAX:
-        return "it does not say when"
+        return "at an unknown time"
     return datetime.fromtimestamp(int(loaded_t_ns) // 10**9, UTC).strftime("read %Y-%m-%d %H:%M:%S UTC")
 
 

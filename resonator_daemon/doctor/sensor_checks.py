@@ -8,9 +8,9 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
+from resonator_daemon.doctor.capture import Capture
 from resonator_daemon.doctor.finding import Area, Check, Finding, Outcome, graded, not_checked
 from resonator_daemon.doctor.plate_readings import PAIRS
-from resonator_daemon.doctor.sitting import Sitting
 from resonator_daemon.plate import SKIN_SIGNALS, Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 
@@ -38,18 +38,18 @@ _BOARD_KELVIN: Final = (233.0, 358.0)  # -40 to 85 degrees Celsius, for which pa
 _STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
 
 
-def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
-    """Yield what the tones say; `sitting` is one in which frames came."""
-    expected = sitting.tones
-    if expected is None or len(sitting.readings) < _READINGS_MIN:
-        reason = f"{len(sitting.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
+def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
+    """Yield what the tones say; `capture` is one in which frames came."""
+    expected = capture.tones
+    if expected is None or len(capture.readings) < _READINGS_MIN:
+        reason = f"{len(capture.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
         yield from not_checked(OF_THE_PLATE, reason)
         return
-    times_s = np.array([reading.time_s for reading in sitting.readings])
-    shift = np.array([reading.shift for reading in sitting.readings])  # (r, t, 4)
-    std = np.array([reading.std for reading in sitting.readings])
-    strange_hz = np.array([reading.strange_hz for reading in sitting.readings])
-    touched = np.array([reading.touched for reading in sitting.readings]) | _moving(shift, plate)
+    times_s = np.array([reading.time_s for reading in capture.readings])
+    shift = np.array([reading.shift for reading in capture.readings])  # (r, t, 4)
+    std = np.array([reading.std for reading in capture.readings])
+    strange_hz = np.array([reading.strange_hz for reading in capture.readings])
+    touched = np.array([reading.touched for reading in capture.readings]) | _moving(shift, plate)
     yield _at_rest(touched, shift, plate, expected)
     quiet = ~touched
     if np.count_nonzero(quiet) < _READINGS_MIN:
@@ -58,11 +58,11 @@ def check_plate(sitting: Sitting, plate: Plate) -> Iterator[Finding]:
         shift, std, strange_hz = shift[quiet], std[quiet], strange_hz[quiet]
         yield _channels(shift, strange_hz, expected)
         yield _tones(shift, strange_hz, expected)
-        scatter_radian = np.array([reading.scatter_radian for reading in sitting.readings])[quiet]
+        scatter_radian = np.array([reading.scatter_radian for reading in capture.readings])[quiet]
         yield _worse(_noise(shift, std, plate, expected), _scatter(scatter_radian))
-        yield _cross_talk(np.array([reading.pair_noise for reading in sitting.readings])[quiet])
+        yield _cross_talk(np.array([reading.pair_noise for reading in capture.readings])[quiet])
         yield _drift(times_s[quiet], shift, std)
-    yield _temperature(sitting.temperatures_kelvin)
+    yield _temperature(capture.temperatures_kelvin)
 
 
 def check_calibration(plate: Plate, expiry_note: str) -> Finding:
@@ -76,7 +76,7 @@ def check_calibration(plate: Plate, expiry_note: str) -> Finding:
 
 
 def _moving(shift: Floats, plate: Plate) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Tell in which readings one force site moves against all others: (r,)."""
+    """Return in which readings one force site moves against all others: (r,)."""
     readings, tones, _ = shift.shape
     if tones < 3 or plate.signals == SKIN_SIGNALS:
         return np.zeros(readings, bool)

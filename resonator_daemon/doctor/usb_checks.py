@@ -90,7 +90,7 @@ def _named(link: UsbId, host: Host) -> Iterator[Path]:
 def _autosuspend(device: Path, host: Host) -> Finding:
     control = host.text(device / "power/control")
     if control is None:
-        return AUTOSUSPEND.not_checked("the kernel does not tell")
+        return AUTOSUSPEND.not_checked("the kernel does not report it")
     delay_ms = host.text(device / "power/autosuspend_delay_ms") or ""
     if control == "on" or delay_ms.startswith("-"):
         return AUTOSUSPEND.ok("off")
@@ -105,7 +105,7 @@ def _speed(device: Path, host: Host, load_bit_per_s: float | None) -> Finding:
     try:
         speed_mbit = float(text)
     except ValueError:
-        return SPEED.not_checked("the kernel does not tell")
+        return SPEED.not_checked("the kernel does not report it")
     usable_mbit = _FULL_SPEED_USABLE * speed_mbit
     if load_bit_per_s is None:
         return SPEED.ok(f"{speed_mbit:g} Mbit/s", value=speed_mbit, unit="Mbit/s")

@@ -12,7 +12,7 @@ import numpy as np
 
 from firmware_protocol.layouts import CHANNEL_COUNT, TONE_FIELDS, single_tone_records
 from resonator_daemon.arrays import Floats
-from resonator_daemon.calibration.guide import Guide, News
+from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings
@@ -149,17 +149,19 @@ class Loads:
         return None if reading is None else self._loads.read(reading)
 
 
-def fitted(guide: Guide, wanted: Wanted, plate: Plate = NOMINAL, loads: Loads | None = None) -> Outcome:
-    """Fit everything that the guide has captured."""
-    captured, untouched_hz = list(guide.loadings.values()), None if loads is None else loads.untouched_hz
-    return fit_loadings(plate, wanted, guide, captured, with_response=wanted.response, untouched_hz=untouched_hz)
+def fitted(procedure: LoadProcedure, wanted: Wanted, plate: Plate = NOMINAL, loads: Loads | None = None) -> Outcome:
+    """Fit everything that the procedure has captured."""
+    captured, untouched_hz = list(procedure.loadings.values()), None if loads is None else loads.untouched_hz
+    return fit_loadings(plate, wanted, procedure, captured, with_response=wanted.response, untouched_hz=untouched_hz)
 
 
-def lead(guide: Guide, plate: Plate, counted: Iterable[tuple[Any, ...]], loads: Loads | None = None) -> Iterator[News]:
-    """Give the guide the readings of frames until it is done; `plate` is what the guide assumes."""
+def lead(
+    procedure: LoadProcedure, plate: Plate, counted: Iterable[tuple[Any, ...]], loads: Loads | None = None
+) -> Iterator[Prompt]:
+    """Give the procedure the readings of frames until it is done; `plate` is what the procedure assumes."""
     loads = loads or Loads(plate, plate)
     for frame in counted:
         if (reading := loads.push(*frame)) is not None:
-            yield from guide.push(reading)
-            if guide.done:
+            yield from procedure.push(reading)
+            if procedure.done:
                 return

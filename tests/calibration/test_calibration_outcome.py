@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from emulated_loads import IDEAL, NOMINAL, TRUE, Touches, fitted, frames, lead, true_text
 
-from resonator_daemon.calibration.guide import Guide
 from resonator_daemon.calibration.load_history import _released_s
+from resonator_daemon.calibration.load_procedure import LoadProcedure
 from resonator_daemon.calibration.outcome import Outcome, make_record, notes
 from resonator_daemon.calibration.plate_file import Record
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
@@ -22,18 +22,18 @@ TODAY = date(2026, 11, 21)
 
 def calibrated(
     wanted: Wanted, touches: Touches, folder: Path, masses: dict[float, float] | None = None
-) -> tuple[Guide, Outcome]:
+) -> tuple[LoadProcedure, Outcome]:
     steps = plan_steps(wanted, NOMINAL)
     touches.follow(steps, masses)
-    guide = Guide(NOMINAL, steps, 60.0)
-    list(lead(guide, NOMINAL, frames(TRUE, touches, folder)))
-    assert guide.done
-    return guide, fitted(guide, wanted)
+    procedure = LoadProcedure(NOMINAL, steps, 60.0)
+    list(lead(procedure, NOMINAL, frames(TRUE, touches, folder)))
+    assert procedure.done
+    return procedure, fitted(procedure, wanted)
 
 
-def recorded(wanted: Wanted, guide: Guide, outcome: Outcome) -> Record:
+def recorded(wanted: Wanted, procedure: LoadProcedure, outcome: Outcome) -> Record:
     return make_record(
-        NOMINAL, wanted, guide, outcome, calibration_id="a1", unit="EMU-0001", today=TODAY, valid_days=30
+        NOMINAL, wanted, procedure, outcome, calibration_id="a1", unit="EMU-0001", today=TODAY, valid_days=30
     )
 
 
@@ -43,8 +43,8 @@ def sensitivity_errors(record: Record) -> np.ndarray:
 
 
 def test_ideal_sites_get_the_true_codes(tmp_path: Path) -> None:
-    guide, outcome = calibrated(WANTED, Touches(), tmp_path)
-    record = recorded(WANTED, guide, outcome)
+    procedure, outcome = calibrated(WANTED, Touches(), tmp_path)
+    record = recorded(WANTED, procedure, outcome)
     assert [site.site_id for site in record.sites] == [7, 12]
     assert np.abs(sensitivity_errors(record)).max() < 3e-4  # noise; 0.3 % is asked for
     for site, row in zip(record.sites, (6, 11), strict=True):
@@ -64,8 +64,8 @@ def test_ideal_sites_get_the_true_codes(tmp_path: Path) -> None:
 
 def test_masses_that_are_off_together_stay_within_what_the_record_states(tmp_path: Path) -> None:
     wanted = replace(WANTED, sites=(7,), mass_std=0.01)
-    guide, outcome = calibrated(wanted, Touches(), tmp_path, {mass: 1.01 * mass for mass in wanted.masses_kg})
-    record = recorded(wanted, guide, outcome)
+    procedure, outcome = calibrated(wanted, Touches(), tmp_path, {mass: 1.01 * mass for mass in wanted.masses_kg})
+    record = recorded(wanted, procedure, outcome)
     error = np.abs(sensitivity_errors(record)).max()
     assert error == pytest.approx(0.01, rel=0.1)
     assert error < 1.1 * record.sensitivity_std
@@ -116,14 +116,14 @@ def test_of_three_loads_all_are_doubted_where_one_is_bad(tmp_path: Path) -> None
 
 def test_scatter_from_touch_to_touch_becomes_the_model_error(tmp_path: Path) -> None:
     wanted = Wanted(sites=(1, 7, 9, 12), masses_kg=(0.1, 0.3, 0.5), hold_s=0.5, repeats=2)
-    guide, outcome = calibrated(wanted, Touches(physics=f"{IDEAL}sensitivity_scatter = 0.015"), tmp_path)
-    assert recorded(wanted, guide, outcome).model_error == pytest.approx(0.015, rel=0.3)
+    procedure, outcome = calibrated(wanted, Touches(physics=f"{IDEAL}sensitivity_scatter = 0.015"), tmp_path)
+    assert recorded(wanted, procedure, outcome).model_error == pytest.approx(0.015, rel=0.3)
 
 
 def test_few_loads_leave_the_model_error_of_the_plate_file(tmp_path: Path) -> None:
     wanted = replace(WANTED, sites=(7,), masses_kg=(0.05, 0.2))
-    guide, outcome = calibrated(wanted, Touches(), tmp_path)
-    record = recorded(wanted, guide, outcome)
+    procedure, outcome = calibrated(wanted, Touches(), tmp_path)
+    record = recorded(wanted, procedure, outcome)
     assert record.model_error == NOMINAL.calibration.model_error
     said = " ".join(notes(NOMINAL, wanted, outcome, record))
     assert "model_error 0.015 stays" in said
@@ -133,38 +133,38 @@ def test_few_loads_leave_the_model_error_of_the_plate_file(tmp_path: Path) -> No
 def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Path) -> None:
     wanted = replace(WANTED, sites=(7,), response=True, response_hold_s=40.0)
     physics = f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n"
-    guide, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
-    record = recorded(wanted, guide, outcome)
+    procedure, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
+    record = recorded(wanted, procedure, outcome)
     assert record.response is not None
     assert record.response.hysteresis_newton == pytest.approx(0.1, rel=0.05)  # 1 % of 10 N
     assert record.response.creep_fraction == pytest.approx(0.005, rel=0.1)
     assert record.response.creep_time_s == pytest.approx(20.0, rel=0.1)
     assert np.abs(sensitivity_errors(record)).max() < 3e-3
-    *_, last = loads = list(guide.loadings.values())
-    assert [_released_s(guide, load) for load in loads[:-1]] == [None] * 4  # another mass took its place
-    released_s = _released_s(guide, last)
+    *_, last = loads = list(procedure.loadings.values())
+    assert [_released_s(procedure, load) for load in loads[:-1]] == [None] * 4  # another mass took its place
+    released_s = _released_s(procedure, last)
     assert released_s is not None
     assert 0.5 < released_s - last.times_s[-1] < 1.5
-    without = fitted(guide, replace(wanted, response=False))
+    without = fitted(procedure, replace(wanted, response=False))
     assert len(without.doubtful) == 2  # lag passes for two bad loads; what they lie off is in the residual all the same
-    (site,) = recorded(wanted, guide, without).sites
+    (site,) = recorded(wanted, procedure, without).sites
     errors = []
-    for loading in guide.loadings.values():
-        f_hz = NOMINAL.tones.f0_hz[6] / (1 - loading.shift) / (1 + guide.untouched.at(loading.times_s[0]))
+    for loading in procedure.loadings.values():
+        f_hz = NOMINAL.tones.f0_hz[6] / (1 - loading.shift) / (1 + procedure.untouched.at(loading.times_s[0]))
         newton = np.mean((1 - np.array(site.f0_hz) / f_hz) / site.sensitivity)
         errors.append(newton - loading.step.force_newton)
     stated = np.hypot(np.sqrt(np.mean(np.square(errors))), without.creep_share * 0.5 * 9.80665)
     assert site.residual_newton == pytest.approx(stated, rel=2e-3)  # what it says it is
     assert site.residual_newton > 0.05
-    said = notes(NOMINAL, wanted, without, recorded(wanted, guide, without))
+    said = notes(NOMINAL, wanted, without, recorded(wanted, procedure, without))
     assert "hysteresis and creep were not fitted" in " ".join(said)
 
 
 def test_without_the_response_fitted_the_record_covers_what_it_does_to_forces(tmp_path: Path) -> None:
     wanted = WANTED
     physics = f"{IDEAL}hysteresis_fraction = 0.01\ncreep_fraction = 0.005\n"
-    guide, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
-    record = recorded(wanted, guide, outcome)
+    procedure, outcome = calibrated(wanted, Touches(physics=physics), tmp_path)
+    record = recorded(wanted, procedure, outcome)
     error = np.abs(sensitivity_errors(record)).max()
     assert error > 4e-3  # creep that had no time to come
     assert record.sensitivity_std < 2 * error
@@ -189,11 +189,11 @@ def test_a_sweep_gives_temperature_coefficients_against_the_pilot(tmp_path: Path
         line.append((touches.seconds, step.kelvin))
     kelvin = ", ".join(f"[{time_s:.3f}, {value}]" for time_s, value in line)
     touches.physics = f"environment_kelvin = [{kelvin}]\n{IDEAL}"
-    guide = Guide(NOMINAL, steps, 90.0)
-    news = list(lead(guide, NOMINAL, frames(warm, touches, tmp_path)))
+    procedure = LoadProcedure(NOMINAL, steps, 90.0)
+    news = list(lead(procedure, NOMINAL, frames(warm, touches, tmp_path)))
     assert "bring the plate to 288.15 K, then place 500 g on site 7" in [item.text for item in news]
-    outcome = fitted(guide, wanted)
-    record = recorded(wanted, guide, outcome)
+    outcome = fitted(procedure, wanted)
+    record = recorded(wanted, procedure, outcome)
     a, b, _ = record.sites[0].temperature_coefficients or (0, 0, 0)
     assert a == pytest.approx(-1.0e-6, abs=0.03e-6)
     assert b == pytest.approx(2.0e-9, abs=3e-9)

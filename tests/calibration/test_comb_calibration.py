@@ -12,7 +12,7 @@ import pytest
 from emulated_loads import COMB_NOMINAL, COMB_TRUE, IDEAL, Loads, Touches, comb_frames, comb_text, fitted, lead
 
 from resonator_daemon.calibration.coupling import Felt, compare_with_width, width_m
-from resonator_daemon.calibration.guide import Guide, News
+from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.outcome import make_record, notes
 from resonator_daemon.calibration.plate_file import Record, with_record
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
@@ -24,17 +24,17 @@ WANTED = Wanted(sites=(1, 7, 12), hold_s=1.5)
 IDS = COMB_TRUE.site_ids.tolist()
 
 
-def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[Guide, Record, list[str]]:
+def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[LoadProcedure, Record, list[str]]:
     steps, touches = plan_steps(wanted, COMB_NOMINAL), Touches(physics=physics)
     touches.follow(steps)
-    guide, loads = Guide(COMB_NOMINAL, steps, 60.0), Loads(COMB_NOMINAL, COMB_TRUE)
-    list(lead(guide, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), loads))
-    assert guide.done
-    outcome = fitted(guide, wanted, COMB_NOMINAL, loads)
+    procedure, loads = LoadProcedure(COMB_NOMINAL, steps, 60.0), Loads(COMB_NOMINAL, COMB_TRUE)
+    list(lead(procedure, COMB_NOMINAL, comb_frames(COMB_TRUE, touches, folder), loads))
+    assert procedure.done
+    outcome = fitted(procedure, wanted, COMB_NOMINAL, loads)
     record = make_record(
         COMB_NOMINAL,
         wanted,
-        guide,
+        procedure,
         outcome,
         calibration_id="a1",
         unit="EMU-0001",
@@ -42,7 +42,7 @@ def calibrated(wanted: Wanted, folder: Path, physics: str = IDEAL) -> tuple[Guid
         valid_days=30,
         untouched_hz=loads.untouched_hz,
     )
-    return guide, record, notes(COMB_NOMINAL, wanted, outcome, record)
+    return procedure, record, notes(COMB_NOMINAL, wanted, outcome, record)
 
 
 def sensitivity_errors(record: Record) -> Any:
@@ -102,9 +102,9 @@ def test_scatter_of_touches_becomes_the_model_error(tmp_path: Path) -> None:
     assert record.model_error == pytest.approx(0.015, rel=0.3)
 
 
-def lead_on(touches: Touches, folder: Path, plate: Plate = COMB_NOMINAL, true: Plate = COMB_TRUE) -> list[News]:
-    guide = Guide(plate, plan_steps(WANTED, plate), 4.0)
-    return list(lead(guide, plate, comb_frames(true, touches, folder), Loads(plate, true)))
+def lead_on(touches: Touches, folder: Path, plate: Plate = COMB_NOMINAL, true: Plate = COMB_TRUE) -> list[Prompt]:
+    procedure = LoadProcedure(plate, plan_steps(WANTED, plate), 4.0)
+    return list(lead(procedure, plate, comb_frames(true, touches, folder), Loads(plate, true)))
 
 
 def from_the_start(site_id: int, newton: float, seconds: float) -> str:
@@ -151,18 +151,18 @@ def test_a_silent_tone_is_named(tmp_path: Path) -> None:
             known[2, 4] = False
             yield *frame, known
 
-    guide = Guide(COMB_NOMINAL, plan_steps(WANTED, COMB_NOMINAL), 3.0)
-    with pytest.raises(CalibrationRefusedError, match=f"channel 2 hears nothing .without sites {IDS[4]}."):
-        list(lead(guide, COMB_NOMINAL, deaf(), Loads(COMB_NOMINAL, COMB_TRUE)))
+    procedure = LoadProcedure(COMB_NOMINAL, plan_steps(WANTED, COMB_NOMINAL), 3.0)
+    with pytest.raises(CalibrationRefusedError, match=f"channel 2 receives no tone .without sites {IDS[4]}."):
+        list(lead(procedure, COMB_NOMINAL, deaf(), Loads(COMB_NOMINAL, COMB_TRUE)))
 
 
 def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, sites=(7,)), COMB_NOMINAL), Touches(seconds=6.0)
     touches.follow(steps)
     counted = (frame for frame in comb_frames(COMB_TRUE, touches, tmp_path) if frame[0] not in {31, 77, 163})
-    guide = Guide(COMB_NOMINAL, steps, 20.0)
-    list(lead(guide, COMB_NOMINAL, counted, Loads(COMB_NOMINAL, COMB_TRUE)))
-    assert guide.done
+    procedure = LoadProcedure(COMB_NOMINAL, steps, 20.0)
+    list(lead(procedure, COMB_NOMINAL, counted, Loads(COMB_NOMINAL, COMB_TRUE)))
+    assert procedure.done
 
 
 def test_coupling_that_no_width_in_the_file_explains_is_said() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, fitted
 
-from resonator_daemon.calibration.guide import Guide, Loading
+from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
@@ -29,9 +29,9 @@ def outcome_of(
     """Fit what a plate with its own file's codes reads; scatter is of each load and channel alone."""
     random = np.random.default_rng(seed)
     steps = plan_steps(wanted, NOMINAL)
-    guide = Guide(NOMINAL, steps, 60.0)
-    guide.untouched.times_s.append(0.0)
-    guide.untouched.common_mode.append(np.zeros(4))
+    procedure = LoadProcedure(NOMINAL, steps, 60.0)
+    procedure.untouched.times_s.append(0.0)
+    procedure.untouched.common_mode.append(np.zeros(4))
     for step in steps:
         site = NOMINAL.site_ids.tolist().index(step.site_id)
         newton = (laid_kg or {}).get(step.number, step.mass_kg) * STANDARD_GRAVITY
@@ -40,9 +40,9 @@ def outcome_of(
         growing = 1 + creep_per_s * (times_s - times_s[0])[:, None]
         shift = NOMINAL.tones.sensitivity[site] * felt * growing + NOISE * random.normal(size=(READINGS, 4))
         std = np.full((READINGS, 4), NOISE)
-        guide.loadings[step.number] = Loading(step, site, times_s[0] - 0.1, times_s, shift, std, 1e-10, None)
-        guide.released_s.append(times_s[-1] + 1.0)
-    outcome = fitted(guide, wanted)
+        procedure.loadings[step.number] = Loading(step, site, times_s[0] - 0.1, times_s, shift, std, 1e-10, None)
+        procedure.released_s.append(times_s[-1] + 1.0)
+    outcome = fitted(procedure, wanted)
     return outcome, find_misfits(NOMINAL, steps, outcome, wanted.mass_std)
 
 

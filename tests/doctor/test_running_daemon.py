@@ -143,7 +143,7 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
             {"in_use": "file", "loaded_t_ns": str(10**18)},
             "(pid 77), by this file as it was, read 2001-09-09 01:46:40 UTC;",
         ),
-        ({"in_use": "last_good"}, "(pid 77), by an earlier run's copy of it, it does not say when;"),
+        ({"in_use": "last_good"}, "(pid 77), by an earlier run's copy of it, at an unknown time;"),
         (5, None),
     ],
 )

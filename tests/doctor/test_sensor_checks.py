@@ -9,12 +9,12 @@ import pytest
 from emulation import emulated
 
 from firmware_protocol.layouts import CHANNEL_COUNT
+from resonator_daemon.doctor.capture import Capture, capture_board
 from resonator_daemon.doctor.finding import Finding, Outcome
 from resonator_daemon.doctor.host import Host
-from resonator_daemon.doctor.link_checks import check_sitting
+from resonator_daemon.doctor.link_checks import check_capture
 from resonator_daemon.doctor.plate_readings import PlateReading
 from resonator_daemon.doctor.sensor_checks import check_calibration, check_plate
-from resonator_daemon.doctor.sitting import Sitting, sit_with
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate, load_plate
 from simulators.emulator import EmulatorOptions
@@ -28,24 +28,24 @@ def quartz16() -> Plate:
     return load_plate("quartz16")
 
 
-def listened(plate: str = "quartz16", scenario: str = "still") -> Sitting:
+def listened(plate: str = "quartz16", scenario: str = "still") -> Capture:
     """Sit with an emulated board, anew where the computer halted meanwhile: what was seen then is no truth."""
     for _ in range(20):
         with emulated(EmulatorOptions(plate, tcp=("127.0.0.1", 0), scenario=scenario)) as emulator:
             link = parse_link(emulator.link.address)
-            sitting = sit_with(link, load_plate(plate), SECONDS, lambda _text: None, HOST)
-        if not sitting.busy:
+            capture = capture_board(link, load_plate(plate), SECONDS, lambda _text: None, HOST)
+        if not capture.busy:
             break
-    return sitting
+    return capture
 
 
 @pytest.fixture(scope="module")
-def calm() -> Sitting:
+def calm() -> Capture:
     return listened()
 
 
-def judged(sitting: Sitting, plate: Plate) -> dict[str, Finding]:
-    return {finding.id: finding for finding in check_plate(sitting, plate)}
+def judged(capture: Capture, plate: Plate) -> dict[str, Finding]:
+    return {finding.id: finding for finding in check_plate(capture, plate)}
 
 
 def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
@@ -56,26 +56,26 @@ def bad(findings: dict[str, Finding]) -> dict[str, Outcome]:
     }
 
 
-def changed(sitting: Sitting, **change: object) -> Sitting:
-    """Return the sitting with each reading changed; a callable is given the reading and its number."""
+def changed(capture: Capture, **change: object) -> Capture:
+    """Return the capture with each reading changed; a callable is given the reading and its number."""
     readings = [
         dataclasses.replace(
             reading,
             **{name: value(reading, number) if callable(value) else value for name, value in change.items()},
         )
-        for number, reading in enumerate(sitting.readings)
+        for number, reading in enumerate(capture.readings)
     ]
-    return dataclasses.replace(sitting, readings=readings)
+    return dataclasses.replace(capture, readings=readings)
 
 
-def test_a_plate_that_is_well_has_nothing_wrong(calm: Sitting, quartz16: Plate) -> None:
+def test_a_plate_that_is_well_has_nothing_wrong(calm: Capture, quartz16: Plate) -> None:
     findings = judged(calm, quartz16)
     assert bad(findings) == {}
     assert {name for name, f in findings.items() if f.outcome is Outcome.NOT_CHECKED} == {"board.temperature"}
-    assert {finding.outcome for finding in check_sitting(calm)} == {Outcome.OK}
+    assert {finding.outcome for finding in check_capture(calm)} == {Outcome.OK}
 
 
-def test_a_channel_that_hears_nothing_is_dead(calm: Sitting, quartz16: Plate) -> None:
+def test_a_channel_that_hears_nothing_is_dead(calm: Capture, quartz16: Plate) -> None:
     def deaf(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[:, 2] = np.nan
@@ -86,7 +86,7 @@ def test_a_channel_that_hears_nothing_is_dead(calm: Sitting, quartz16: Plate) ->
     assert "channel 3 of 4" in findings["sensor.channels"].evidence
 
 
-def test_a_plate_that_is_silent_is_dead_on_all_channels(calm: Sitting, quartz16: Plate) -> None:
+def test_a_plate_that_is_silent_is_dead_on_all_channels(calm: Capture, quartz16: Plate) -> None:
     nothing = np.full((1, CHANNEL_COUNT), np.nan)
     findings = judged(changed(calm, shift=nothing, pair_noise=np.full(6, np.nan)), quartz16)
     assert bad(findings) == {"sensor.channels": Outcome.FAULT}
@@ -95,7 +95,7 @@ def test_a_plate_that_is_silent_is_dead_on_all_channels(calm: Sitting, quartz16:
 
 @pytest.mark.parametrize(("times", "outcome"), [(5.0, Outcome.WARNING), (30.0, Outcome.FAULT)])
 def test_a_noise_floor_above_the_counters_own_is_told(
-    calm: Sitting, quartz16: Plate, times: float, outcome: Outcome
+    calm: Capture, quartz16: Plate, times: float, outcome: Outcome
 ) -> None:
     def noisy(reading: PlateReading, number: int) -> np.ndarray:
         return reading.shift + (-1) ** number * times * reading.std / np.sqrt(2.0)
@@ -108,7 +108,7 @@ def test_a_noise_floor_above_the_counters_own_is_told(
     [(0.32, {}), (0.35, {"sensor.noise": Outcome.WARNING}), (1.1, {"sensor.noise": Outcome.FAULT})],
 )
 def test_edges_that_scatter_more_than_those_of_a_signal_do_are_told(
-    calm: Sitting, quartz16: Plate, scatter_radian: float, expected: dict[str, Outcome]
+    calm: Capture, quartz16: Plate, scatter_radian: float, expected: dict[str, Outcome]
 ) -> None:
     scatter = np.array([0.1, 0.1, scatter_radian, 0.1])
     findings = judged(changed(calm, scatter_radian=scatter), quartz16)
@@ -116,13 +116,13 @@ def test_edges_that_scatter_more_than_those_of_a_signal_do_are_told(
     assert not expected or "on channel 3" in findings["sensor.noise"].evidence
 
 
-def test_noise_above_what_the_calibration_left_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
+def test_noise_above_what_the_calibration_left_is_a_warning(calm: Capture, quartz16: Plate) -> None:
     for residual, expected in ((1e-6, {"sensor.noise": Outcome.WARNING}), (1.0, {})):
         record = quartz16.calibration.model_copy(update={"residuals": (residual,)})
         assert bad(judged(calm, quartz16.model_copy(update={"calibration": record}))) == expected
 
 
-def test_tones_that_are_not_heard_do_not_make_the_noise_smaller(comb: Sitting, comb16: Plate) -> None:
+def test_tones_that_are_not_heard_do_not_make_the_noise_smaller(comb: Capture, comb16: Plate) -> None:
     record = comb16.calibration.model_copy(update={"residuals": (1.0,)})
     plate = comb16.model_copy(update={"calibration": record})
 
@@ -139,26 +139,26 @@ def test_tones_that_are_not_heard_do_not_make_the_noise_smaller(comb: Sitting, c
 
 @pytest.mark.parametrize(("share", "outcome"), [(0.3, Outcome.WARNING), (0.001, Outcome.FAULT)])
 def test_two_channels_that_are_too_much_alike_hear_each_other(
-    calm: Sitting, quartz16: Plate, share: float, outcome: Outcome
+    calm: Capture, quartz16: Plate, share: float, outcome: Outcome
 ) -> None:
     findings = judged(changed(calm, pair_noise=np.array([1, 1, 1, share, 1, 1.0])), quartz16)
     assert bad(findings) == {"sensor.cross_talk": outcome}
     assert "channels 2 and 3" in findings["sensor.cross_talk"].evidence
 
 
-def test_a_drift_is_a_warning(calm: Sitting, quartz16: Plate) -> None:
+def test_a_drift_is_a_warning(calm: Capture, quartz16: Plate) -> None:
     def drifting(reading: PlateReading, _number: int) -> np.ndarray:
         return reading.shift + 1e-7 * reading.time_s + 1e-7 * reading.time_s**2  # and it grows
 
     assert bad(judged(changed(calm, shift=drifting), quartz16)) == {"sensor.drift": Outcome.WARNING}
 
 
-def test_a_pilot_of_another_plate_is_out_of_place(calm: Sitting, quartz16: Plate) -> None:
+def test_a_pilot_of_another_plate_is_out_of_place(calm: Capture, quartz16: Plate) -> None:
     strange = changed(calm, shift=np.full((1, CHANNEL_COUNT), np.nan), strange_hz=np.full(CHANNEL_COUNT, 10_046_000.0))
     assert bad(judged(strange, quartz16)) == {"sensor.tones": Outcome.FAULT}
 
 
-def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Sitting, quartz16: Plate) -> None:
+def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Capture, quartz16: Plate) -> None:
     findings = judged(changed(calm, touched=True), quartz16)
     assert bad(findings) == {"sensor.at_rest": Outcome.FAULT}
     assert findings["sensor.noise"].outcome is Outcome.NOT_CHECKED
@@ -170,7 +170,7 @@ def test_a_plate_that_is_pressed_is_told_whether_it_is_released_or_not(calm: Sit
 
 
 def test_figures_that_are_well_are_said_in_words_that_can_be_read(
-    calm: Sitting, comb: Sitting, quartz16: Plate, comb16: Plate
+    calm: Capture, comb: Capture, quartz16: Plate, comb16: Plate
 ) -> None:
     findings = judged(changed(calm, pair_noise=np.array([1, 1, 1, 0.9, 1, 1.0])), quartz16)
     assert re.fullmatch(
@@ -193,7 +193,7 @@ def test_figures_that_are_well_are_said_in_words_that_can_be_read(
     ],
 )
 def test_a_temperature_that_no_board_has_is_a_fault(
-    calm: Sitting, quartz16: Plate, kelvin: list[float], outcome: Outcome
+    calm: Capture, quartz16: Plate, kelvin: list[float], outcome: Outcome
 ) -> None:
     told = dataclasses.replace(calm, temperatures_kelvin=kelvin)
     assert judged(told, quartz16)["board.temperature"].outcome is outcome
@@ -212,15 +212,15 @@ def comb16() -> Plate:
 
 
 @pytest.fixture(scope="module")
-def comb() -> Sitting:
+def comb() -> Capture:
     return listened("comb16")
 
 
-def test_a_comb_that_is_well_has_nothing_wrong(comb: Sitting, comb16: Plate) -> None:
+def test_a_comb_that_is_well_has_nothing_wrong(comb: Capture, comb16: Plate) -> None:
     assert bad(judged(comb, comb16)) == {}
 
 
-def test_a_tone_that_no_channel_hears_is_a_fault(comb: Sitting, comb16: Plate) -> None:
+def test_a_tone_that_no_channel_hears_is_a_fault(comb: Capture, comb16: Plate) -> None:
     def deaf(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] = np.nan
@@ -231,7 +231,7 @@ def test_a_tone_that_no_channel_hears_is_a_fault(comb: Sitting, comb16: Plate) -
     assert "1 of 16 are not heard" in findings["sensor.tones"].evidence
 
 
-def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Sitting, comb16: Plate) -> None:
+def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Capture, comb16: Plate) -> None:
     def pressed(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
         shift[4] += 0.1 * comb16.force_max_newton * comb16.tones.sensitivity[4]
@@ -242,7 +242,7 @@ def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Sittin
     assert judged(changed(comb, shift=pressed), comb16)["sensor.at_rest"].outcome is Outcome.OK
 
 
-def test_a_tone_out_of_its_band_is_named(comb: Sitting, comb16: Plate) -> None:
+def test_a_tone_out_of_its_band_is_named(comb: Capture, comb16: Plate) -> None:
 
     def off(reading: PlateReading, _number: int) -> np.ndarray:
         shift = reading.shift.copy()
@@ -265,17 +265,17 @@ def test_a_tone_out_of_its_band_is_named(comb: Sitting, comb16: Plate) -> None:
 )
 def test_what_befalls_the_link_is_told_apart(tmp_path: Path, scenario: str, id: str) -> None:
     (tmp_path / "scenario.toml").write_text(scenario)
-    sitting = listened(scenario=str(tmp_path / "scenario.toml"))
-    found = {finding.id: finding for finding in check_sitting(sitting)}
+    capture = listened(scenario=str(tmp_path / "scenario.toml"))
+    found = {finding.id: finding for finding in check_capture(capture)}
     assert found[id].outcome is Outcome.FAULT
     assert next(finding.id for finding in found.values() if finding.outcome is Outcome.FAULT) == id
 
 
-def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Sitting) -> None:
+def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Capture) -> None:
     account = dataclasses.replace(
         calm.after, host_overruns=calm.before.host_overruns + 1, bytes_discarded=calm.after.bytes_discarded + 99_999
     )
-    found = {finding.id: finding.outcome for finding in check_sitting(dataclasses.replace(calm, after=account))}
+    found = {finding.id: finding.outcome for finding in check_capture(dataclasses.replace(calm, after=account))}
     assert (found["host.overrun"], found["link.errors"]) == (Outcome.FAULT, Outcome.NOT_CHECKED)
 
 
@@ -290,17 +290,17 @@ def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Sitting) -> N
     ],
 )
 def test_a_packet_that_was_cut_is_no_broken_cable(
-    calm: Sitting, damaged: int, discarded: int, outcome: Outcome
+    calm: Capture, damaged: int, discarded: int, outcome: Outcome
 ) -> None:
     lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
     account = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
-    found = {finding.id: finding for finding in check_sitting(dataclasses.replace(calm, after=account))}
+    found = {finding.id: finding for finding in check_capture(dataclasses.replace(calm, after=account))}
     assert found["link.errors"].outcome is outcome
 
 
-def test_a_board_that_does_not_count_is_the_sensors(calm: Sitting) -> None:
+def test_a_board_that_does_not_count_is_the_sensors(calm: Capture) -> None:
     silent = dataclasses.replace(calm, seconds=0.0, after=calm.before, link="no frames")
-    found = {finding.id: finding.outcome for finding in check_sitting(silent)}
+    found = {finding.id: finding.outcome for finding in check_capture(silent)}
     assert {name for name, outcome in found.items() if outcome is Outcome.FAULT} == {"board.counts"}
 
 
@@ -314,14 +314,14 @@ def test_a_board_that_does_not_count_is_the_sensors(calm: Sitting) -> None:
     ],
 )
 def test_what_a_busy_computer_explains_is_not_the_links_fault(
-    calm: Sitting, change: dict[str, object], id: str, outcome: Outcome
+    calm: Capture, change: dict[str, object], id: str, outcome: Outcome
 ) -> None:
     busy = dataclasses.replace(calm, busy="this computer is busy", **change)
-    assert {finding.id: finding.outcome for finding in check_sitting(busy)}[id] is outcome
+    assert {finding.id: finding.outcome for finding in check_capture(busy)}[id] is outcome
 
 
-def test_frames_that_come_more_slowly_than_they_are_counted_pile_up(calm: Sitting) -> None:
+def test_frames_that_come_more_slowly_than_they_are_counted_pile_up(calm: Capture) -> None:
     narrow = dataclasses.replace(calm, frame_rate_hz=1.5 * calm.frame_rate_hz)
-    faulty = [finding for finding in check_sitting(narrow) if finding.outcome is not Outcome.OK]
+    faulty = [finding for finding in check_capture(narrow) if finding.outcome is not Outcome.OK]
     assert [(finding.id, finding.outcome) for finding in faulty] == [("link.overflow", Outcome.FAULT)]
     assert "pile up" in faulty[0].evidence

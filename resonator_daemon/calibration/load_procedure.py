@@ -1,4 +1,4 @@
-"""Leads through the steps of a calibration: tells from what is heard when a load stands, and captures it."""
+"""Steps of a calibration: detects in the readings when a load rests, captures it, and prompts for the next."""
 
 import math
 from bisect import bisect_left
@@ -27,8 +27,8 @@ Kind = Literal["untouched", "place", "wrong_site", "unsteady", "captured", "remo
 
 
 @dataclass(frozen=True)
-class News:
-    """Something for whoever loads the plate."""
+class Prompt:
+    """Instruction or message for the person who loads the plate."""
 
     event: Kind
     step: Step | None  # None: the untouched baseline
@@ -41,7 +41,7 @@ class Untouched:
 
     times_s: list[float] = field(default_factory=list)
     common_mode: list[Floats] = field(default_factory=list)  # (4,) each
-    site_shift: list[Floats] = field(default_factory=list)  # (sites, 4) each, where all sites are heard
+    site_shift: list[Floats] = field(default_factory=list)  # (sites, 4) each, where all sites are measured
 
     def before(self, time_s: float) -> int:
         """Return which of them is the last one before a time."""
@@ -63,15 +63,15 @@ class Loading:
     shift: Floats  # (n, 4), 1 - f0 / f with the plate file's f0, the common mode still in it
     std: Floats  # (n, 4), of the counter
     oscillator_std: float  # of each reading, common to its channels
-    site_shift: Floats | None  # (sites, 4) of all sites, mean over the readings, where all are heard
+    site_shift: Floats | None  # (sites, 4) of all sites, mean over the readings, where all are measured
 
     def without_common_mode(self, untouched: Untouched) -> Floats:
         """Return 1 - f0 / f of each reading with the common mode taken out of f; (n, 4)."""
         return 1 - (1 - self.shift) * (1 + untouched.at(float(self.times_s.mean())))
 
 
-class Guide:
-    """Takes readings, gives news; `loadings` and `untouched` are what was captured."""
+class LoadProcedure:
+    """State machine from readings to prompts; `loadings` and `untouched` are what was captured."""
 
     def __init__(self, plate: Plate, steps: Sequence[Step], timeout_s: float) -> None:
         self._sensitivity = site_codes(plate).sensitivity
@@ -86,8 +86,8 @@ class Guide:
         self._phase: Literal["baseline", "load", "release", "done"] = "baseline"
         self._captured_newton: float | None = None  # last force captured, where the site was not released since
         self._since_s: float | None = None
-        self._complaint = ""
-        self._placed_s: float | None = None  # when the site was first heard, where it had been released before
+        self._problem = ""
+        self._placed_s: float | None = None  # when the site was first detected, where it had been released before
         self._said: set[str] = set()
 
     @property
@@ -100,14 +100,14 @@ class Guide:
         """Whether every load was captured, and the last one taken away."""
         return self._phase == "done"
 
-    def repeat(self, steps: Sequence[Step]) -> list[News]:
+    def repeat(self, steps: Sequence[Step]) -> list[Prompt]:
         """Ask for some steps once more; only when all is done."""
         self._steps.extend(steps)
         self._begin()
         return list(self._ask())
 
-    def push(self, heard: LoadReading) -> list[News]:
-        """Take one reading.
+    def push(self, reading: LoadReading) -> list[Prompt]:
+        """Process one reading.
 
         Raises
         ------
@@ -115,51 +115,51 @@ class Guide:
             Touched while the baseline is taken; a step that takes too long.
         """
         if self._since_s is None:
-            self._since_s = heard.time_s
-        if heard.untouched:
-            self._quiet.append(heard)
+            self._since_s = reading.time_s
+        if reading.untouched:
+            self._quiet.append(reading)
         elif self.untouched.times_s and len(self._quiet) >= CLEAR_READINGS:
             self._keep_quiet()
         else:
             self._quiet.clear()
-        news: list[News] = []
+        prompts: list[Prompt] = []
         match self._phase:
             case "baseline":
-                news.extend(self._take_baseline(heard))
+                prompts.extend(self._take_baseline(reading))
             case "load":
-                news.extend(self._await_load(heard, self._steps[0]))
+                prompts.extend(self._await_load(reading, self._steps[0]))
             case "release":
-                news.extend(self._await_release(heard))
+                prompts.extend(self._await_release(reading))
         allowed_s = self._timeout_s + (self.step.hold_s if self.step else BASELINE_S)
-        if self._since_s is not None and heard.time_s - self._since_s > allowed_s:
+        if self._since_s is not None and reading.time_s - self._since_s > allowed_s:
             raise CalibrationRefusedError(self._overdue())
-        return news
+        return prompts
 
     def force_newton(self, site: int, shift: Floats, common_mode: Floats) -> Floats:
         """Force by the plate file's sensitivities, mean over the channels; shift (..., 4)."""
         force: Floats = np.mean((shift - common_mode) / self._sensitivity[site], axis=-1)
         return force
 
-    def _take_baseline(self, heard: LoadReading) -> Iterator[News]:
-        if heard.touched is not None:
-            self._held.append(heard)
+    def _take_baseline(self, reading: LoadReading) -> Iterator[Prompt]:
+        if reading.touched is not None:
+            self._held.append(reading)
             if len(self._held) >= STEADY_READINGS:
-                site_id = self._site_ids[heard.touched]
+                site_id = self._site_ids[reading.touched]
                 raise CalibrationRefusedError(
                     f"baseline: site {site_id} is touched; take everything off the plate and begin again"
                 )
         else:
             self._held.clear()
-        self._complaint = _missing(heard, PILOT, "the pilot")
+        self._problem = _missing(reading, PILOT, "the pilot")
         if len(self._quiet) * READING_S >= BASELINE_S:
             self._keep_quiet()
             self._begin()
-            yield News("untouched", None, f"untouched plate captured for {BASELINE_S:g} s")
+            yield Prompt("untouched", None, f"untouched plate captured for {BASELINE_S:g} s")
             yield from self._ask()
 
-    def _await_release(self, heard: LoadReading) -> Iterator[News]:
-        self._complaint = "the last load was not taken away" if heard.touched is not None else ""
-        self._complaint = self._complaint or _missing(heard, PILOT, "the pilot")
+    def _await_release(self, reading: LoadReading) -> Iterator[Prompt]:
+        self._problem = "the last load was not taken away" if reading.touched is not None else ""
+        self._problem = self._problem or _missing(reading, PILOT, "the pilot")
         if len(self._quiet) >= CLEAR_READINGS:
             self.released_s.append(self._quiet[0].time_s - READING_S)
             self._begin()
@@ -174,67 +174,67 @@ class Guide:
         self._said.clear()
 
     def _keep_quiet(self) -> None:
-        """Note the common mode of the untouched readings so far, as one point."""
+        """Append the common mode of the untouched readings so far, as one point."""
         if self._quiet:
-            self.untouched.times_s.append(float(np.mean([heard.time_s for heard in self._quiet])))
-            self.untouched.common_mode.append(np.mean([heard.pilot_shift for heard in self._quiet], axis=0))
-            if site_shift := [heard.site_shift for heard in self._quiet if heard.site_shift is not None]:
+            self.untouched.times_s.append(float(np.mean([reading.time_s for reading in self._quiet])))
+            self.untouched.common_mode.append(np.mean([reading.pilot_shift for reading in self._quiet], axis=0))
+            if site_shift := [reading.site_shift for reading in self._quiet if reading.site_shift is not None]:
                 self.untouched.site_shift.append(np.mean(site_shift, axis=0))
             self._quiet = []
 
-    def _ask(self) -> Iterator[News]:
+    def _ask(self) -> Iterator[Prompt]:
         if not self._steps:
             return
         step = self._steps[0]
         warm = f"bring the plate to {step.kelvin:g} K, then " if step.at_temperature else ""
         replace = " in place of the last mass, without releasing it" if step.continues else ""
-        yield News("place", step, f"{warm}place {step.load}{replace}")
+        yield Prompt("place", step, f"{warm}place {step.load}{replace}")
 
-    def _await_load(self, heard: LoadReading, step: Step) -> Iterator[News]:
+    def _await_load(self, reading: LoadReading, step: Step) -> Iterator[Prompt]:
         site = self._site_ids.index(step.site_id)
-        if heard.untouched:
-            self._hear_nothing(step)
+        if reading.untouched:
+            self._await_touch(step)
             return
-        if any(tone != site for tone in heard.tone):
+        if any(tone != site for tone in reading.tone):
             self._held.clear()
-            yield from self._complain(heard, site, step)
+            yield from self._report_other_load(reading, site, step)
             return
         if self._captured_newton is None and self._placed_s is None:
-            self._placed_s = heard.time_s - READING_S / 2
-        self._held.append(heard)
+            self._placed_s = reading.time_s - READING_S / 2
+        self._held.append(reading)
         if len(self._held) < STEADY_READINGS:
             return
         force = self._forces(site)
-        if not self._steady(force, heard, site, step):
+        if not self._steady(force, reading, site, step):
             began = len(self._held) > STEADY_READINGS
             while len(self._held) >= STEADY_READINGS:
                 self._held.popleft()
-            self._complaint = "the load does not stand still"
+            self._problem = "the load does not stand still"
             if began:
-                yield from self._say("unsteady", step, f"site {step.site_id}: the load moved; hold it still")
+                yield from self._prompt("unsteady", step, f"site {step.site_id}: the load moved; hold it still")
             return
         if self._captured_newton is not None and not self._changed(
             float(np.median(force)) - self._captured_newton, step
         ):
             self._held.popleft()
-            self._complaint = "the mass was not changed"
+            self._problem = "the mass was not changed"
             return
         if len(self._held) * READING_S >= step.hold_s - 1e-9:
             yield from self._capture(step, float(np.mean(force)))
 
-    def _steady(self, force: Floats, heard: LoadReading, site: int, step: Step) -> bool:
+    def _steady(self, force: Floats, reading: LoadReading, site: int, step: Step) -> bool:
         """Whether the first forces held agree with each other, and the last one with all."""
-        sigma = math.sqrt(heard.oscillator_std**2 + float(np.mean(heard.std**2)) / len(heard.std))
+        sigma = math.sqrt(reading.oscillator_std**2 + float(np.mean(reading.std**2)) / len(reading.std))
         noise_newton = sigma / float(np.abs(self._sensitivity[site]).mean())
         tolerance = STEADY_SHARE * step.force_newton + STEADY_SIGMAS * noise_newton
         spread = max(np.ptp(force[:STEADY_READINGS]), abs(force[-1] - np.median(force)))
         return bool(spread <= tolerance)
 
     def _forces(self, site: int) -> Floats:
-        shift = np.array([heard.shift for heard in self._held])
+        shift = np.array([reading.shift for reading in self._held])
         return self.force_newton(site, shift, self.untouched.common_mode[-1])
 
-    def _hear_nothing(self, step: Step) -> None:
+    def _await_touch(self, step: Step) -> None:
         """Untouched while a load is awaited."""
         if self._captured_newton is not None:
             raise CalibrationRefusedError(
@@ -245,22 +245,22 @@ class Guide:
         self._placed_s = None
         if len(self._quiet) * READING_S >= BASELINE_S:
             self._keep_quiet()
-        self._complaint = "nothing was placed"
+        self._problem = "nothing was placed"
 
     def _changed(self, change_newton: float, step: Step) -> bool:
         """Whether at least half of the step from the mass before has come."""
         return abs(change_newton) > 0.5 * abs(step.force_newton - self.loadings[step.number - 1].step.force_newton)
 
-    def _capture(self, step: Step, force_newton: float) -> Iterator[News]:
+    def _capture(self, step: Step, force_newton: float) -> Iterator[Prompt]:
         held = list(self._held)
-        site_shift = [heard.site_shift for heard in held if heard.site_shift is not None]
+        site_shift = [reading.site_shift for reading in held if reading.site_shift is not None]
         self.loadings[step.number] = Loading(
             step,
             self._site_ids.index(step.site_id),
             self._placed_s if self._placed_s is not None else held[0].time_s - READING_S / 2,
-            np.array([heard.time_s for heard in held]),
-            np.array([heard.shift for heard in held]),
-            np.array([heard.std for heard in held]),
+            np.array([reading.time_s for reading in held]),
+            np.array([reading.shift for reading in held]),
+            np.array([reading.std for reading in held]),
             held[0].oscillator_std,
             np.mean(site_shift, axis=0) if site_shift else None,
         )
@@ -273,43 +273,43 @@ class Guide:
         text = (
             f"{step.load} captured: {force_newton:.4g} N by the plate file, {off:+.3g} N from {step.force_newton:.4g} N"
         )
-        yield News("captured", step, text)
+        yield Prompt("captured", step, text)
         if self._steps and self._steps[0].continues:
             yield from self._ask()
         else:
             self._phase = "release"
-            yield News("remove", step, f"take everything off site {step.site_id}")
+            yield Prompt("remove", step, f"take everything off site {step.site_id}")
 
-    def _complain(self, heard: LoadReading, site: int, step: Step) -> Iterator[News]:
-        touched = heard.touched
+    def _report_other_load(self, reading: LoadReading, site: int, step: Step) -> Iterator[Prompt]:
+        touched = reading.touched
         if touched is not None and touched != site:
             other = self._site_ids[touched]
-            self._complaint = f"site {other} carries a load, not site {step.site_id}"
-            yield from self._say("wrong_site", step, f"{self._complaint}; place {step.load}")
+            self._problem = f"site {other} carries a load, not site {step.site_id}"
+            yield from self._prompt("wrong_site", step, f"{self._problem}; place {step.load}")
         else:
-            self._complaint = _missing(heard, site, f"site {step.site_id}")
+            self._problem = _missing(reading, site, f"site {step.site_id}")
 
-    def _say(self, kind: Kind, step: Step, text: str) -> Iterator[News]:
-        """Say each sentence once in a step."""
+    def _prompt(self, kind: Kind, step: Step, text: str) -> Iterator[Prompt]:
+        """Yield each prompt once in a step."""
         if text not in self._said:
             self._said.add(text)
-            yield News(kind, step, text)
+            yield Prompt(kind, step, text)
 
     def _overdue(self) -> str:
         where = f"step {self._steps[0].number} ({self._steps[0].load})" if self.step else "baseline"
-        return f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {self._complaint or 'nothing is heard'}"
+        return f"{where}: not done within {self._timeout_s:g} s (--timeout-s): {self._problem or 'no tone is received'}"
 
 
-def _missing(heard: LoadReading, wanted: int, name: str) -> str:
-    """Say for each channel that does not hear what is wanted what it hears instead."""
+def _missing(reading: LoadReading, wanted: int, name: str) -> str:
+    """Return for each channel without the wanted tone what it receives instead."""
     return ", ".join(
         f"channel {channel} {_instead(tone, fault)} instead of {name}"
-        for channel, (tone, fault) in enumerate(zip(heard.tone, heard.faults, strict=True))
+        for channel, (tone, fault) in enumerate(zip(reading.tone, reading.faults, strict=True))
         if tone != wanted
     )
 
 
 def _instead(tone: int, fault: str | None) -> str:
     if tone == NOTHING:
-        return f"hears nothing ({fault})"
-    return "hears the pilot" if tone == PILOT else "hears another site"
+        return f"receives no tone ({fault})"
+    return "receives the pilot" if tone == PILOT else "receives another site"

@@ -1,4 +1,4 @@
-"""Some seconds with a board: who it is, what it counts, and what became of the bytes on the way."""
+"""Measurement of some seconds of a board: its identity, what it counts, and the fate of its bytes."""
 
 import time
 from collections.abc import Callable
@@ -36,21 +36,21 @@ Progress = Callable[[str], None]
 
 
 @dataclass
-class Sitting:
-    """What some seconds with a board have given.
+class Capture:
+    """Result of some seconds of a board.
 
     Attributes
     ----------
     before, after
-        The link's account at the first frame and at the end; equal where no frame came.
+        The link's counters at the first frame and at the end; equal where no frame came.
     interruptions, losses
-        What was said of the link whenever frames stopped coming, and whenever the link itself was lost.
+        Reasons of the link whenever frames stopped, and whenever the link itself was lost.
     busy
-        That this computer had too little time to listen; empty where it had enough.
+        Sentence on a computer that was too busy to read in time; empty where it was not.
     problems
-        Why the board cannot serve the plate, as it said itself or as its ticks have shown.
+        Why the board cannot serve the plate, as it reported itself or as its ticks have shown.
     temperatures_kelvin
-        As the board says them of itself; empty where it does not.
+        As the board reports them; empty where it does not.
     """
 
     frame_rate_hz: float = 0.0  # that the plate asks for
@@ -99,7 +99,7 @@ class _StatusDecoder:
                     continue  # the link's account has it
 
 
-def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, host: Host) -> Sitting:
+def capture_board(target: LinkTarget, plate: Plate, seconds: float, progress: Progress, host: Host) -> Capture:
     """Capture `seconds` of a board from its first frame on.
 
     Raises
@@ -110,20 +110,20 @@ def sit_with(target: LinkTarget, plate: Plate, seconds: float, progress: Progres
     status = _StatusDecoder()
     loop = ArrivalLoop(target, plate, any_unit=True, on_event=status.put)  # another unit is reported beside the rest
     reader = loop.reader
-    sitting = Sitting(plate.counter.frame_rate_hz)
+    capture = Capture(plate.counter.frame_rate_hz)
     with Load(host) as load, loop:
-        _capture(loop, sitting, plate, seconds, progress)
-    sitting.busy = load.busy()
-    if sitting.counted:
-        sitting.after = reader.counters()
+        _capture(loop, capture, plate, seconds, progress)
+    capture.busy = load.busy()
+    if capture.counted:
+        capture.after = reader.counters()
     else:
-        sitting.before = sitting.after = reader.counters()
+        capture.before = capture.after = reader.counters()
     kelvin = (message.temperature_millikelvin for message in status.messages)
-    sitting.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
-    return sitting
+    capture.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
+    return capture
 
 
-def _capture(loop: ArrivalLoop, sitting: Sitting, plate: Plate, seconds: float, progress: Progress) -> None:
+def _capture(loop: ArrivalLoop, capture: Capture, plate: Plate, seconds: float, progress: Progress) -> None:
     reader, sensor = loop.reader, sensor_of(plate)
     frames = reading_frames(1 / plate.counter.frame_rate_hz, FEWEST_FRAMES)
     expected, detector = sensor.expected_tones, None
@@ -137,31 +137,31 @@ def _capture(loop: ArrivalLoop, sitting: Sitting, plate: Plate, seconds: float, 
                 case SingleToneFrame() | ChannelisedFrame():
                     if first_s is None:
                         first_s = now_s
-                        sitting.before = reader.counters()
+                        capture.before = reader.counters()
                     if detector is not None and (reading := detector.push(arrival)) is not None:
-                        sitting.readings.append(plate_reading(reading, expected))
+                        capture.readings.append(plate_reading(reading, expected))
                 case BoardOnline():
-                    sitting.board = arrival
+                    capture.board = arrival
                     if detector is None:
-                        sitting.tones = expected
+                        capture.tones = expected
                         detector = sensor.tone_detector(frames, oscillator_hz(arrival.description))
                 case LinkChange():
-                    sitting.link = arrival.reason
+                    capture.link = arrival.reason
                     if first_s is not None and arrival.state == "stalled":
-                        sitting.interruptions.append(arrival.reason)
+                        capture.interruptions.append(arrival.reason)
                     if first_s is not None and arrival.state == "lost":
-                        sitting.losses.append(arrival.reason)
+                        capture.losses.append(arrival.reason)
                 case BoardRefused():
-                    sitting.problems = arrival.problems
+                    capture.problems = arrival.problems
                 case ReaderFailed():
                     raise arrival.error
-        if sitting.problems:
+        if capture.problems:
             return
         if first_s is None:
             if now_s - begun_s > OPEN_S:
                 return
         else:
-            sitting.seconds = now_s - first_s
-            progress(f"{reader.counters().frames} frames, {min(sitting.seconds, seconds):.0f} of {seconds:g} s")
-            if sitting.seconds >= seconds:
+            capture.seconds = now_s - first_s
+            progress(f"{reader.counters().frames} frames, {min(capture.seconds, seconds):.0f} of {seconds:g} s")
+            if capture.seconds >= seconds:
                 return

@@ -1,4 +1,4 @@
-"""What a calibration tells: text for people on stderr, objects for programs on stdout."""
+"""Output of a calibration: text for people on stderr, objects for programs on stdout."""
 
 import json
 import sys
@@ -9,8 +9,8 @@ from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.plate_file import Record
 
 
-class Teller:
-    """Writes both."""
+class Console:
+    """Writer of text and, if wanted, of JSON objects."""
 
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
@@ -26,7 +26,7 @@ class Teller:
             sys.stdout.flush()
 
     def aborted(self, staged: dict[str, Any] | None) -> None:
-        """Say that nothing changed; `staged` is the result that was forgotten, if there was one."""
+        """Report that nothing changed; `staged` is the result that was discarded, if there was one."""
         value = result("aborted", staged or {}) | {"staged": staged is not None}
         self.object(value, "aborted; the plate file is as before")
 
@@ -38,7 +38,7 @@ def result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
 
 
 def asked(question: str) -> bool:
-    """Whether whoever sits at the terminal says yes."""
+    """Return whether the person at the terminal confirms."""
     sys.stderr.write(question)
     sys.stderr.flush()
     try:

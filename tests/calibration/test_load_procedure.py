@@ -1,4 +1,4 @@
-"""The guide on an emulated plate: it tells by itself what lies where, and waits where that is wrong."""
+"""The procedure on an emulated plate: it tells by itself what lies where, and waits where that is wrong."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,65 +8,65 @@ import pytest
 from emulated_loads import NOMINAL, TRUE, Touches, frames, lead
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, single_tone_records
-from resonator_daemon.calibration.guide import Guide, News
+from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import Wanted, plan_steps
 
 WANTED = Wanted(sites=(7,), masses_kg=(0.1, 0.3), hold_s=1.0)
 
 
-def kinds(news: list[News]) -> list[tuple[str, int]]:
+def kinds(news: list[Prompt]) -> list[tuple[str, int]]:
     return [(item.event, item.step.number if item.step else 0) for item in news]
 
 
-def refused(guide: Guide, touches: Touches, folder: Path) -> tuple[list[News], str]:
-    heard: list[News] = []
+def refused(procedure: LoadProcedure, touches: Touches, folder: Path) -> tuple[list[Prompt], str]:
+    heard: list[Prompt] = []
     with pytest.raises(CalibrationRefusedError) as refusal:
-        heard.extend(lead(guide, NOMINAL, frames(TRUE, touches, folder)))
+        heard.extend(lead(procedure, NOMINAL, frames(TRUE, touches, folder)))
     return heard, str(refusal.value)
 
 
 def test_right_loads_are_captured_one_after_the_other(tmp_path: Path) -> None:
     steps, touches = plan_steps(WANTED, NOMINAL), Touches()
     touches.follow(steps)
-    guide = Guide(NOMINAL, steps, 20.0)
-    news = list(lead(guide, NOMINAL, frames(TRUE, touches, tmp_path)))
-    assert guide.done
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    news = list(lead(procedure, NOMINAL, frames(TRUE, touches, tmp_path)))
+    assert procedure.done
     assert kinds(news) == [
         ("untouched", 0), ("place", 1), ("captured", 1), ("remove", 1), ("place", 2), ("captured", 2), ("remove", 2)
     ]  # fmt: skip
     assert news[1].text == "place 100 g on site 7"
     for step in steps:
-        loading = guide.loadings[step.number]
+        loading = procedure.loadings[step.number]
         assert loading.times_s.shape == (10,)  # a second of tenths
         # The true plate by eq. (1); the pilot tells the reference error, 1.5e-6, that is still in f.
         f_hz = TRUE.tones.f0_hz[6] / (1 - TRUE.tones.sensitivity[6] * step.force_newton) / (1 + 1.5e-6)
         truth = 1 - NOMINAL.tones.f0_hz[6] / f_hz
         assert np.abs(loading.shift.mean(axis=0) - truth).max() < 5e-9  # 1 mN
-        assert np.abs(guide.untouched.at(loading.times_s[0]) + 1.5e-6).max() < 5e-9
+        assert np.abs(procedure.untouched.at(loading.times_s[0]) + 1.5e-6).max() < 5e-9
         assert 0.0 < loading.times_s[0] - loading.since_s < 1.0
-    assert len(guide.released_s) == 2
+    assert len(procedure.released_s) == 2
 
 
 def test_a_wrong_site_is_named_and_waited_out(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, masses_kg=(0.1,)), NOMINAL), Touches()
     touches.load(13, 0.1, 2.0)
     touches.load(7, 0.1, 1.0)
-    guide = Guide(NOMINAL, steps, 20.0)
-    news = list(lead(guide, NOMINAL, frames(TRUE, touches, tmp_path)))
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    news = list(lead(procedure, NOMINAL, frames(TRUE, touches, tmp_path)))
     assert kinds(news)[2:] == [("wrong_site", 1), ("captured", 1), ("remove", 1)]
     assert news[2].text == "site 13 carries a load, not site 7; place 100 g on site 7"
-    assert guide.done
+    assert procedure.done
 
 
 def test_a_load_that_moves_is_not_captured_until_it_stands(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, masses_kg=(0.1,), hold_s=2.0), NOMINAL), Touches()
     touches.press(7, 1.0, 3.0, 6.0)
     touches.press(7, 0.3, 4.0, 0.2)  # a finger that helps, in the middle of the hold
-    guide = Guide(NOMINAL, steps, 20.0)
-    news = list(lead(guide, NOMINAL, frames(TRUE, touches, tmp_path)))
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    news = list(lead(procedure, NOMINAL, frames(TRUE, touches, tmp_path)))
     assert kinds(news)[2:] == [("unsteady", 1), ("captured", 1), ("remove", 1)]
-    captured = guide.loadings[1]
+    captured = procedure.loadings[1]
     assert captured.times_s[0] > 4.6
     assert np.ptp(captured.shift, axis=0).max() < 2e-8
 
@@ -74,23 +74,23 @@ def test_a_load_that_moves_is_not_captured_until_it_stands(tmp_path: Path) -> No
 def test_a_touched_plate_has_no_baseline(tmp_path: Path) -> None:
     touches = Touches()
     touches.press(11, 0.5, 0.2, 20.0)
-    guide = Guide(NOMINAL, plan_steps(WANTED, NOMINAL), 20.0)
-    news, said = refused(guide, touches, tmp_path)
+    procedure = LoadProcedure(NOMINAL, plan_steps(WANTED, NOMINAL), 20.0)
+    news, said = refused(procedure, touches, tmp_path)
     assert news == []
     assert said == "baseline: site 11 is touched; take everything off the plate and begin again"
 
 
 def test_a_step_that_is_never_done_ends_the_calibration_with_the_reason(tmp_path: Path) -> None:
     steps = plan_steps(WANTED, NOMINAL)
-    _, said = refused(Guide(NOMINAL, steps, 4.0), Touches(seconds=12.0), tmp_path)
+    _, said = refused(LoadProcedure(NOMINAL, steps, 4.0), Touches(seconds=12.0), tmp_path)
     assert said == "step 1 (100 g on site 7): not done within 4 s (--timeout-s): nothing was placed"
     wrong = Touches()
     wrong.press(5, 1.0, 4.0, 20.0)
-    _, said = refused(Guide(NOMINAL, steps, 4.0), wrong, tmp_path)
+    _, said = refused(LoadProcedure(NOMINAL, steps, 4.0), wrong, tmp_path)
     assert "site 5 carries a load, not site 7" in said
     kept = Touches()
     kept.press(7, 0.1 * 9.80665, 4.0, 20.0)
-    news, said = refused(Guide(NOMINAL, steps, 4.0), kept, tmp_path)
+    news, said = refused(LoadProcedure(NOMINAL, steps, 4.0), kept, tmp_path)
     assert kinds(news)[-1] == ("remove", 1)
     assert "the last load was not taken away" in said
 
@@ -107,25 +107,26 @@ def test_a_channel_without_signal_is_named(tmp_path: Path) -> None:
         for index, payload in frames(TRUE, Touches(seconds=10.0), tmp_path):
             yield index, changed(payload, 2, flags=int(RecordFlag.NO_SIGNAL))
 
-    guide = Guide(NOMINAL, plan_steps(WANTED, NOMINAL), 3.0)
+    procedure = LoadProcedure(NOMINAL, plan_steps(WANTED, NOMINAL), 3.0)
     with pytest.raises(CalibrationRefusedError) as refusal:
-        list(lead(guide, NOMINAL, deaf()))
+        list(lead(procedure, NOMINAL, deaf()))
     assert "baseline: not done within 3 s" in str(refusal.value)
-    assert "channel 2 hears nothing (no_signal) instead of the pilot" in str(refusal.value)
+    assert "channel 2 receives no tone (no_signal) instead of the pilot" in str(refusal.value)
 
 
 def test_a_series_goes_on_without_release(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, response=True, response_hold_s=1.0), NOMINAL), Touches()
     touches.follow(steps)
-    guide = Guide(NOMINAL, steps, 20.0)
-    news = list(lead(guide, NOMINAL, frames(TRUE, touches, tmp_path)))
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    news = list(lead(procedure, NOMINAL, frames(TRUE, touches, tmp_path)))
     assert kinds(news) == [
         ("untouched", 0), ("place", 1), ("captured", 1), ("place", 2), ("captured", 2), ("place", 3), ("captured", 3),
         ("remove", 3),
     ]  # fmt: skip
     assert news[3].text == "place 300 g on site 7 in place of the last mass, without releasing it"
     force = [
-        guide.force_newton(6, guide.loadings[number].shift, guide.untouched.common_mode[-1]) for number in (1, 2, 3)
+        procedure.force_newton(6, procedure.loadings[number].shift, procedure.untouched.common_mode[-1])
+        for number in (1, 2, 3)
     ]
     assert np.ptp(force[0] - force[2]) < 2e-3
     assert force[1].mean() - force[0].mean() == pytest.approx(0.2 * 9.80665, rel=0.3)
@@ -135,7 +136,7 @@ def test_a_series_that_is_released_is_refused(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, response=True, response_hold_s=1.0), NOMINAL), Touches()
     touches.load(7, 0.1, 1.0)
     touches.load(7, 0.3, 1.0)
-    _, said = refused(Guide(NOMINAL, steps, 20.0), touches, tmp_path)
+    _, said = refused(LoadProcedure(NOMINAL, steps, 20.0), touches, tmp_path)
     assert "step 2 (300 g on site 7): site 7 was released within its series of loads" in said
 
 
@@ -144,10 +145,10 @@ def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
     touches.load(7, 0.1, 2.5)
     holes = {120, 121, 580, 581, 582}
     counted = (frame for frame in frames(TRUE, touches, tmp_path) if frame[0] not in holes)
-    guide = Guide(NOMINAL, steps, 20.0)
-    assert kinds(list(lead(guide, NOMINAL, counted)))[-1] == ("remove", 1)
-    assert guide.done
-    assert guide.loadings[1].times_s.shape == (10,)
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    assert kinds(list(lead(procedure, NOMINAL, counted)))[-1] == ("remove", 1)
+    assert procedure.done
+    assert procedure.loadings[1].times_s.shape == (10,)
 
 
 def test_a_damaged_record_is_not_heard(tmp_path: Path) -> None:
@@ -158,6 +159,6 @@ def test_a_damaged_record_is_not_heard(tmp_path: Path) -> None:
         for index, payload in frames(TRUE, touches, tmp_path):
             yield index, changed(payload, 1, s1_ticks=2**64 - 1) if index == 400 else payload
 
-    guide = Guide(NOMINAL, steps, 20.0)
-    list(lead(guide, NOMINAL, damaged()))
-    assert np.ptp(guide.loadings[1].shift, axis=0).max() < 2e-8
+    procedure = LoadProcedure(NOMINAL, steps, 20.0)
+    list(lead(procedure, NOMINAL, damaged()))
+    assert np.ptp(procedure.loadings[1].shift, axis=0).max() < 2e-8
