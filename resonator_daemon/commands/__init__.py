@@ -12,10 +12,8 @@ underscore are no commands.
 
 import argparse
 import importlib
-import inspect
 import io
 import os
-import pkgutil
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -76,7 +74,8 @@ def command_names(package: ModuleType | None = None) -> Iterator[str]:
 
 
 def _names(package: ModuleType) -> list[str]:
-    return [found.name for found in pkgutil.iter_modules(package.__path__) if not found.name.startswith("_")]
+    files = os.listdir(package.__path__[0])  # pkgutil costs 10 ms more
+    return sorted(file.removesuffix(".py") for file in files if file[0] not in "._")
 
 
 def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: Sequence[str], group: str = "") -> None:
@@ -84,7 +83,7 @@ def _add_commands(parser: argparse.ArgumentParser, package: ModuleType, words: S
     names = _names(package)
     for name in words[:1] if words and words[0] in names else names:
         module = importlib.import_module(f"{package.__name__}.{name}")
-        summary, *paragraphs = inspect.cleandoc(module.__doc__ or name).split("\n\n")
+        summary, *paragraphs = (module.__doc__ or name).strip().split("\n\n")
         sub = sub_parsers.add_parser(
             name,
             help=summary[0].lower() + summary[1:].removesuffix("."),

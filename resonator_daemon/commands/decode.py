@@ -4,7 +4,6 @@ Example: resonatord decode --config left-index.toml
 """
 
 import argparse
-import asyncio
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     with suppress(KeyboardInterrupt):
+        import asyncio
+
         from resonator_daemon.config.decoder import load_decoder_config
         from resonator_daemon.remote_decoding.service import serve
 

@@ -7,7 +7,6 @@ import argparse
 import os
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict
 from typing import TYPE_CHECKING
 
 from resonator_daemon.commands._output import print_error, print_json, print_note
@@ -45,6 +44,8 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
 
 def _as_json(place: "FoundPort") -> dict[str, object]:
+    from dataclasses import asdict
+
     return {**asdict(place), "held_by": [{"pid": holder.pid, "name": holder.name} for holder in place.held_by]}
 
 

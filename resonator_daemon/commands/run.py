@@ -4,7 +4,6 @@ Example: resonatord run --config left-index.toml
 """
 
 import argparse
-import asyncio
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,6 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     with suppress(KeyboardInterrupt):
+        import asyncio
+
         from resonator_daemon.daemon.config_store import ConfigStore
         from resonator_daemon.daemon.daemon import serve
         from resonator_daemon.host.places import state_directory

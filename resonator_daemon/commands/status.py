@@ -4,7 +4,6 @@ Example: resonatord status left-index --watch
 """
 
 import argparse
-import asyncio
 import io
 import sys
 import time
@@ -81,6 +80,8 @@ def _watch(name: str | None, *, as_json: bool) -> None:
 
 
 def _ask(name: str | None) -> "list[Answer]":
+    import asyncio
+
     from resonator_daemon.monitoring.status_client import ask_all
 
     if isinstance(sys.stdout, io.TextIOWrapper):

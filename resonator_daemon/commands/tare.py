@@ -4,7 +4,6 @@ Example: resonatord tare --config left-index.toml
 """
 
 import argparse
-import asyncio
 import logging
 import sys
 from pathlib import Path
@@ -25,6 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     """Print what the daemon did, or why it did not."""
+    import asyncio
+
     from resonator_daemon.config import load_client
 
     logging.getLogger().setLevel(logging.WARNING)  # a connected broker is no news here

@@ -4,7 +4,6 @@ Example: resonatord watch --url mqtt://127.0.0.1:1883
 """
 
 import argparse
-import asyncio
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +23,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     with suppress(KeyboardInterrupt):
+        import asyncio
+
         from resonator_daemon.config import load_client
         from resonator_daemon.view.watch import broker_at, watch
 
