@@ -9,12 +9,10 @@ import numpy as np
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.layouts import Capability
 from firmware_protocol.messages import BoardStatus, CounterKind, Identity, ResetCause
-from firmware_protocol.packets import PACKET_OVERHEAD_BYTES
 from firmware_protocol.states import BoardState
+from simulators.faults.byte_faults import packets_in
 from simulators.faults.misbehaviour import Misbehaviour
 from simulators.plate import Contact, CountedFrame, EmulatedPlate
-
-_LENGTH_AT = 20  # in a packet
 
 
 class MadeFrame(NamedTuple):
@@ -266,14 +264,3 @@ class Board:
             self.frames_crowded_out += 1
         self._queue.append(outgoing)
         self._queued_bytes += size_bytes
-
-
-def packets_in(data: bytes) -> list[bytes]:
-    """Split undamaged packets that follow each other."""
-    packets, start = [], 0
-    while start < len(data):
-        payload_bytes = int.from_bytes(data[start + _LENGTH_AT : start + _LENGTH_AT + 2], "little")
-        end = start + PACKET_OVERHEAD_BYTES + payload_bytes
-        packets.append(data[start:end])
-        start = end
-    return packets

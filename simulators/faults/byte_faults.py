@@ -5,11 +5,12 @@ import math
 import numpy as np
 
 from firmware_protocol.layouts import MessageType
-from simulators.board import packets_in
+from firmware_protocol.packets import PACKET_OVERHEAD_BYTES
 from simulators.faults.account import FaultCounts
 from simulators.faults.plan import FaultPlan
 
 _TYPE_AT = 3  # in a packet
+_LENGTH_AT = 20
 
 _SEQUENCE_AT = slice(4, 8)
 _LONGEST_GARBAGE_BYTES = 64
@@ -128,3 +129,14 @@ class ByteFaults:
 
     def _gap_s(self, rate_hz: float) -> float:
         return float(self._random.exponential(1.0 / rate_hz)) if rate_hz > 0.0 else math.inf
+
+
+def packets_in(data: bytes) -> list[bytes]:
+    """Split undamaged packets that follow each other."""
+    packets, start = [], 0
+    while start < len(data):
+        payload_bytes = int.from_bytes(data[start + _LENGTH_AT : start + _LENGTH_AT + 2], "little")
+        end = start + PACKET_OVERHEAD_BYTES + payload_bytes
+        packets.append(data[start:end])
+        start = end
+    return packets
