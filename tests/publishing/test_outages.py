@@ -152,6 +152,7 @@ async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
             for _ in range(5):
                 left.publish(LEFT, topics.DECODED, Messages.decoded(number))
                 left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
+                left.publish(LEFT, topics.HEALTH, Messages.health(number))
                 assert_exact(left)
                 number += 1
             await asyncio.sleep(0.001)
@@ -159,6 +160,7 @@ async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(
         assert frozen.acknowledged == 2
         assert frozen.unknown_at_disconnect == outbox.UNACKNOWLEDGED_MAX + 1  # one stream was half written
         assert set(frozen.dropped) <= {"no_connection", "queue_full"}
+        assert frozen.waiting == number - 1  # events alone, the first of which was acknowledged
         mosquitto.thaw()
         async with observe(mosquitto.url) as observer:
             events = await heard_events(observer, number - 1)
