@@ -43,7 +43,7 @@ class DeviceSession:
     """Bytes from the host in, answers out; the board asks `state` and `configuration` what to do.
 
     `started` counts the runs, so that a board sees a new START; a repeated START does not begin a new run. `located`
-    counts the times that the board was asked to make itself seen. While `fault` says why the board cannot count, a
+    counts the requests to blink. While `fault` gives the reason why the board cannot count, a
     START is refused with those words.
 
     Raises
@@ -73,13 +73,13 @@ class DeviceSession:
         return self._decoder.waiting_bytes
 
     def begin(self) -> None:
-        """Be idle, and give up a request that has begun: a host begins afresh, where the link can say so."""
+        """Be idle, and give up a request that has begun: a host begins afresh, where the link has a signal for that."""
         self._decoder.abandon()
         self.state = BoardState.IDLE
         self.configuration = None
 
     def receive(self, data: bytes, board_ticks: int) -> bytes:
-        """Take bytes from the host, received at `board_ticks`; return the answers."""
+        """Process bytes from the host, received at `board_ticks`; return the answers."""
         answers = []
         for found in self._decoder.feed(data):
             if isinstance(found, Packet):

@@ -34,7 +34,7 @@ from firmware_protocol.states import HOST, Cue, HostState
 
 
 class Described(NamedTuple):
-    """The board said who and what it is; it waits for a configuration."""
+    """The board has identified and described itself; it waits for a configuration."""
 
     identity: Identity
     description: Description
@@ -79,7 +79,7 @@ class Pong(NamedTuple):
 
 
 class Located(NamedTuple):
-    """The answer to a locate: the board makes itself seen, or says why it does not."""
+    """The answer to LOCATE: the board blinks, or refuses."""
 
     refusal: Refusal | None
 
@@ -230,11 +230,11 @@ class HostSession:
         return True
 
     def ask_again(self) -> None:
-        """Take every unanswered request for lost; repeat the one that the state waits for, under its own number."""
+        """Treat every unanswered request as lost; repeat the one that the state waits for, under its own number."""
         self._requests.overdue(self._pending)
 
     def receive(self, data: bytes) -> list[HostEvent]:
-        """Take received bytes and return what they mean, in order."""
+        """Decode received bytes; return their events in order."""
         new_tuple = tuple.__new__  # without the detour of the class: a thousand frames a second
         events: list[HostEvent] = []
         for found in self._decoder.feed(data):

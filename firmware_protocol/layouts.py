@@ -15,7 +15,7 @@ CHANNEL_COUNT = 4  # one transducer per corner
 
 
 class MessageType(IntEnum):
-    """Third byte of every packet; bit 7 tells the direction, so that an echo is recognised."""
+    """Third byte of every packet; bit 7 is the direction, so that an echo is recognised."""
 
     IDENTIFY = 0x01
     DESCRIBE = 0x02
@@ -42,7 +42,7 @@ FROM_BOARD = 0x80  # set in the type of every message that a board sends
 
 
 class Capability(IntFlag):
-    """What a board can do beyond what every board can; DESCRIPTION tells."""
+    """What a board can do beyond what every board can; part of DESCRIPTION."""
 
     TEMPERATURE = 0x01  # STATUS carries temperature_millikelvin
     LOCATE = 0x02

@@ -120,7 +120,7 @@ class PacketDecoder:
         self._direction = FROM_BOARD if from_board else 0
         self._max_packet_bytes = max_packet_bytes
         self._waiting: list[bytes] = []
-        self._wanted_bytes = 0  # as long as fewer are waiting, nothing can be told of them
+        self._wanted_bytes = 0  # with fewer than these nothing can be decoded
         self._discarding: Defect | None = None
         self._discarded_bytes = 0
         self.counts = ByteCounts()
@@ -132,7 +132,7 @@ class PacketDecoder:
         self._keep(b"", 0)
 
     def feed(self, data: bytes) -> list[Packet | Damage | ForeignVersion]:
-        """Take received bytes; return the packets they complete, each after the damage that came before it."""
+        """Decode received bytes; return the packets they complete, each after the damage before it."""
         self.counts.received += len(data)
         self.waiting_bytes += len(data)
         if self.waiting_bytes < self._wanted_bytes:

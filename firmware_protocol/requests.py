@@ -51,7 +51,7 @@ class Requests:
         return request
 
     def room_for(self, payload_bytes: int) -> bool:
-        """Tell whether a request with that payload would go out at once."""
+        """Return whether a request with that payload would go out at once."""
         return not self._waiting and self._room(PACKET_OVERHEAD_BYTES + payload_bytes)
 
     def withdraw(self, request: Request) -> None:
@@ -60,7 +60,7 @@ class Requests:
             self._waiting.remove(request)
 
     def overdue(self, again: Request | None) -> None:
-        """Take all unanswered requests for lost; send `again` once more, before those that wait."""
+        """Treat all unanswered requests as lost; send `again` once more, before those that wait."""
         self._unanswered.clear()
         if again is not None and again not in self._waiting:
             self._waiting.appendleft(again)

@@ -40,7 +40,7 @@ def error_prefix() -> str:
 class JournalHandler(logging.Handler):
     """Log handler that writes the journal's native protocol (systemd.io/JOURNAL_NATIVE_PROTOCOL) and never waits.
 
-    A line that finds the journal's queue full is lost; the next one that does not says how many were, in
+    A line that finds the journal's queue full is lost; the next one that does not carries their number, in
     `RESONATORD_LINES_LOST`. A value of more than 32 kB is cut off.
 
     Parameters

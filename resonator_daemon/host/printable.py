@@ -1,6 +1,6 @@
 """Foreign text made safe for terminals."""
 
 
-def printable(said: object) -> str:
+def printable(text: object) -> str:
     """Return the text in one line, without control characters."""
-    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(said))
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(text))

@@ -1,4 +1,4 @@
-"""What a link is, and the file-descriptor link that serial ports and sockets share."""
+"""Interface of links, and the file-descriptor link that serial ports and sockets share."""
 
 import os
 import select
@@ -16,7 +16,7 @@ _BROKEN = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class LinkUnavailableError(Exception):
-    """The link cannot be opened now; the text says which, why, and what is there instead."""
+    """The link cannot be opened now; the text has which, why, and what is there instead."""
 
 
 class LinkLostError(Exception):
@@ -28,7 +28,7 @@ class Link(Protocol):
 
     @property
     def overruns(self) -> int:
-        """How often the host's own kernel has lost bytes since the link was opened; 0 where it does not tell."""
+        """How often the host's own kernel has lost bytes since the link was opened; 0 where it does not count."""
 
     def read(self, timeout_s: float) -> bytes:
         """Return what has come, waiting at most `timeout_s`; empty when nothing has. Raises LinkLostError."""
@@ -37,7 +37,7 @@ class Link(Protocol):
         """Send all of `data`. Raises LinkLostError."""
 
     def reset(self) -> None:
-        """Have the device begin anew where the link can do that; elsewhere nothing. Raises LinkLostError."""
+        """Reset the device where the link can do that; elsewhere do nothing. Raises LinkLostError."""
 
     def close(self) -> None:
         """Give the port back; never fails, and never waits for the board."""
@@ -108,9 +108,9 @@ class FileDescriptorLink:
 
     def _wait(self, timeout_s: float) -> bool:
         # poll counts in whole milliseconds. Pings would leave on a grid of those behind the arrival of bytes, and where
-        # these come in clumps, none would leave just before a clump, which is what tells the time best.
+        # these come in clumps, none would leave just before a clump, which gives the tightest bound of the time.
         if self._descriptor < _SELECT_LIMIT:
-            with suppress(OSError):  # a closed descriptor: poll tells it otherwise
+            with suppress(OSError):  # a closed descriptor, which poll reports in its own way
                 return bool(select.select([self._descriptor], [], [], timeout_s)[0])
         return bool(self._readable.poll(timeout_s * 1e3))
 

@@ -1,11 +1,11 @@
-"""Which processes hold a port open, as Linux tells it below /proc."""
+"""Processes that hold a port open, from Linux's /proc."""
 
 import os
 import stat
 from pathlib import Path
 from typing import NamedTuple
 
-_PROC = Path("/proc")
+PROC = Path("/proc")
 _PTY_MAJORS = range(136, 144)
 
 
@@ -32,7 +32,7 @@ class Holders(NamedTuple):
         return " and ".join(str(holder) for holder in locking or self.processes)
 
 
-def port_holders(path: str) -> Holders:
+def port_holders(path: str, proc: Path = PROC) -> Holders:
     """Return the processes that hold the character device at `path`, this one included."""
     try:
         port = os.stat(path)
@@ -40,10 +40,10 @@ def port_holders(path: str) -> Holders:
         return Holders((), True)
     if not stat.S_ISCHR(port.st_mode):
         return Holders((), True)
-    locking = _locking(port)
+    locking = _locking(port, proc)
     found: list[Holder] = []
     all_seen = True
-    for process in _PROC.glob("[0-9]*"):
+    for process in proc.glob("[0-9]*"):
         try:
             with os.scandir(process / "fd") as descriptors:
                 holds = any(_is_open(descriptor, port) for descriptor in descriptors)
@@ -66,10 +66,10 @@ def is_pseudo_terminal(path: str) -> bool:
         return False
 
 
-def _locking(port: os.stat_result) -> set[int]:
+def _locking(port: os.stat_result, proc: Path) -> set[int]:
     where = f"{os.major(port.st_dev):02x}:{os.minor(port.st_dev):02x}:{port.st_ino}"
     try:
-        locks = [line.split() for line in (_PROC / "locks").read_text().splitlines()]
+        locks = [line.split() for line in (proc / "locks").read_text().splitlines()]
     except OSError:
         return set()
     return {int(lock[4]) for lock in locks if len(lock) > 5 and lock[1] == "FLOCK" and lock[5] == where}

@@ -1,4 +1,4 @@
-"""The adapter behind a serial port, so that the same one is known again under another name."""
+"""Identity of the adapter behind a serial port, which finds it again under another name."""
 
 import os
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from serial.tools.list_ports_common import ListPortInfo
 
 
 class PortIdentity(NamedTuple):
-    """What a USB adapter says of itself; `interface` tells the ports of one adapter apart, "" where it has one."""
+    """Identity of a USB adapter; `interface` distinguishes the ports of one adapter, "" where it has one."""
 
     vendor_id: int
     product_id: int

@@ -1,4 +1,4 @@
-"""What Linux is asked of a serial port beyond pyserial: modem lines left alone, no waiting of bytes, losses counted."""
+"""Settings of a terminal that pyserial leaves out: modem lines, low latency, counters of losses."""
 
 import fcntl
 import logging
@@ -20,12 +20,12 @@ _TIOCGICOUNT = 0x545D
 _COUNTS = struct.Struct("@20i")
 _OVERRUN, _BUFFER_OVERRUN = 7, 10
 
-_SYS_TTY = Path("/sys/class/tty")
-_said: set[str] = set()  # ports whose latency was told of: once for each life of the process
+SYS_TTY = Path("/sys/class/tty")
+_logged: set[Path] = set()  # timers that were logged: once in the life of a process
 
 
 def configure_tty(descriptor: int) -> None:
-    """Have DTR stay as it is when the port is closed, and an empty port not look like one that is gone.
+    """Keep DTR as it is when the port is closed, and tell an empty port from one that is gone.
 
     Many boards start anew when DTR falls and rises. With the minimum of 0 bytes that pyserial sets, a read that finds
     nothing returns no bytes, as does a read from a port that was hung up.
@@ -36,8 +36,8 @@ def configure_tty(descriptor: int) -> None:
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
-def set_low_latency(descriptor: int, path: str) -> None:
-    """Have received bytes handed on at once where an adapter would collect them; say so where it will not."""
+def set_low_latency(descriptor: int, path: str, sys_tty: Path = SYS_TTY) -> None:
+    """Ask an adapter to deliver bytes at once instead of collecting them; log it where that fails."""
     try:
         serial = bytearray(_SERIAL_STRUCT_BYTES)
         fcntl.ioctl(descriptor, _TIOCGSERIAL, serial)
@@ -45,17 +45,17 @@ def set_low_latency(descriptor: int, path: str) -> None:
         _FLAGS.pack_into(serial, _FLAGS_AT, flags | _ASYNC_LOW_LATENCY)
         fcntl.ioctl(descriptor, _TIOCSSERIAL, bytes(serial))
     except OSError:
-        pass  # a driver that knows no such flag; its timer, if it has one, says what remains to be done
+        pass  # a driver without this flag; its timer, if it has one, is set below
     name = os.path.basename(os.path.realpath(path))
-    timer = _SYS_TTY / name / "device" / "latency_timer"
+    timer = sys_tty / name / "device" / "latency_timer"
     timer_ms = _latency_ms(timer)
     if timer_ms is None or timer_ms <= 1:
         return
     try:
         timer.write_text("1")
     except OSError as error:
-        if path not in _said:
-            _said.add(path)
+        if timer not in _logged:
+            _logged.add(timer)
             log.info(
                 "%s hands bytes on only every %d ms (%s); a udev rule mends it: "
                 'ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
@@ -66,7 +66,7 @@ def set_low_latency(descriptor: int, path: str) -> None:
 
 
 def overrun_counter(descriptor: int) -> Callable[[], int]:
-    """Return what tells how often driver and terminal have lost bytes since now; always 0 where they do not count."""
+    """Return a counter of the losses of driver and terminal since now; always 0 where they do not count."""
     first = _overruns(descriptor)
     if first is None:
         return lambda: 0

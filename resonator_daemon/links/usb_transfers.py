@@ -175,7 +175,7 @@ class BulkReader:
             self._fail(Failure.NO_DEVICE if code == _ERROR_NO_DEVICE else Failure.ERROR)
 
     def _ended(self, pointer: Any) -> None:
-        """Take an ended transfer from libusb, which loses exceptions."""
+        """Handle an ended transfer; called by libusb, which loses exceptions."""
         self._in_flight -= 1
         transfer = pointer.contents
         if transfer.actual_length > 0:  # also of those that failed or were cancelled half way

@@ -1,4 +1,4 @@
-"""Has a recorded link happen again, event by event, and says where what follows is not what followed then."""
+"""Replay of recorded link events, and detection of differences from what followed when they were recorded."""
 
 import logging
 import os
@@ -181,7 +181,7 @@ class Replay:
             self._differ(event, f"it cannot follow: {error}")
 
     def end(self) -> WireEvent:
-        """Have the link be lost, for the reason that the recording is over; returns that event."""
+        """Announce that the link is lost because the recording is over; return that event."""
         self.close(self._now)
         name, damage = os.path.basename(self._recording.path), self._recording.damage
         sentences = [f"the recording {name} is over"]

@@ -1,4 +1,4 @@
-"""The files of a recording that goes on and on: their names, when the next begins, and the room they may take."""
+"""Files of a continuous recording: their names, when the next begins, and the disk space they may take."""
 
 import fcntl
 import logging
@@ -24,11 +24,11 @@ _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _STAMP: Final = r"\d{8}T\d{6}\.\d{3}Z"
 _AGAIN: Final = 1.1  # so much more room lets a recording go on that ended for want of it
 
-Say = Callable[[int, str], None]
+LogLine = Callable[[int, str], None]
 
 
 def discard_line(_level: int, _text: str) -> None:
-    """Take a line that nobody wants to read."""
+    """Discard a line for the log."""
 
 
 _Version = tuple[int, int, int]
@@ -105,13 +105,13 @@ class Series:
         return self.directory / ("-".join(filter(None, (self.name, stamp, self.label))) + ".mcap")
 
 
-class Room:
-    """The room that the recordings of one name take and leave.
+class DiskSpace:
+    """Disk space that the recordings of one name take, and that is kept free.
 
     Parameters
     ----------
-    say
-        Is told what is removed, and what cannot be.
+    log_line
+        Receives lines for the log: what is removed, and what cannot be.
 
     Attributes
     ----------
@@ -119,12 +119,12 @@ class Room:
         Since this was made.
     """
 
-    def __init__(self, series: Series, say: Say) -> None:
+    def __init__(self, series: Series, log_line: LogLine) -> None:
         self._series = series
-        self._say = say
+        self._log_line = log_line
         self._others_bytes: int | None = None  # None: not counted yet
-        self._told: set[Path] = set()
-        self._ours: dict[Path, tuple[_Version, bool]] = {}  # whether a file says that it is of this name
+        self._logged: set[Path] = set()
+        self._ours: dict[Path, tuple[_Version, bool]] = {}  # whether the header of a file has this name
         self.files_removed = 0
 
     def check(self, *, again: bool) -> None:
@@ -167,7 +167,7 @@ class Room:
                 break
             if self._remove(path):
                 self.files_removed += 1
-                self._say(logging.INFO, f"{path} was removed: recordings exceeded {budget_bytes / 1e6:g} MB")
+                self._log_line(logging.INFO, f"{path} was removed: recordings exceeded {budget_bytes / 1e6:g} MB")
                 total_bytes -= size_bytes
         self._others_bytes = total_bytes - own.size_bytes
 
@@ -200,9 +200,9 @@ class Room:
         except BlockingIOError:
             return False  # it is being written
         except OSError as error:
-            if path not in self._told:
-                self._told.add(path)
-                self._say(logging.WARNING, f"{path} cannot be removed: {error.strerror}")
+            if path not in self._logged:
+                self._logged.add(path)
+                self._log_line(logging.WARNING, f"{path} cannot be removed: {error.strerror}")
             return False
         return True
 

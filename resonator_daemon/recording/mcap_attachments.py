@@ -18,7 +18,7 @@ _UNREADABLE: Final = (McapError, ValueError, OverflowError, MemoryError, struct.
 
 @dataclass
 class DamagedAttachment(McapRecord):
-    """An attachment that is not what its check sum says, or cannot be read.
+    """An attachment with a wrong check sum, or one that cannot be read.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ def messages(records: Iterator[McapRecord], topics: Collection[str]) -> Iterator
     Raises
     ------
     ValueError
-        A chunk is not what its check sum or its records say.
+        A chunk does not agree with its check sum or its records.
     """
     of_channel: dict[int, str] = {}
     for record in records:
@@ -75,7 +75,7 @@ def chunk_data(chunk: Chunk) -> bytes:
     Raises
     ------
     ValueError, RuntimeError
-        It is compressed otherwise than recordings are, is larger, or is not what its check sum or its size say.
+        It is compressed otherwise than recordings are, is larger, or does not agree with its check sum or size.
     """
     size_bytes = chunk.uncompressed_size
     if size_bytes > MAX_CHUNK_BYTES:

@@ -57,7 +57,7 @@ DAMAGE = (McapError, ValueError, KeyError, TypeError, RuntimeError, struct.error
 
 
 class Mark(NamedTuple):
-    """What somebody had to say at that time; nothing on the link follows from it."""
+    """A text that somebody wrote at that time; it has no effect on the link."""
 
     now: HostTime
     text: str
@@ -83,7 +83,7 @@ def decode_mark(data: bytes, monotonic_ns: int, utc_ns: int) -> Mark:
 
 
 def plate_fingerprints(plate: Plate) -> dict[str, str]:
-    """Return what tells plates apart: name, all of the file, and what of it decides what is on the wire."""
+    """Return fingerprints of a plate: name, hash of the file, and hash of what decides the frames."""
     wire = hashlib.sha256(plate.counter.model_dump_json().encode())
     wire.update(plate.tones.f0_hz.tobytes())
     return {
@@ -95,7 +95,7 @@ def plate_fingerprints(plate: Plate) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Origin:
-    """What is recorded, as the beginning of each file says it.
+    """What is recorded; written to the beginning of each file.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
 
 
 def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
-    """Take the first two records of a file and return what it says of itself.
+    """Read the first two records of a file; return its metadata.
 
     Raises
     ------
@@ -268,7 +268,7 @@ def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:
 
 
 def check_format(path: str, header: dict[str, str]) -> None:
-    """Check that a file is of the format that this version reads; LinkUnavailableError says where it is not."""
+    """Check that a file is of the format that this version reads. Raises LinkUnavailableError."""
     if (number := header.get("format")) != FORMAT:
         raise LinkUnavailableError(
             f"{path} has format {number}, this version reads format {FORMAT}; replay it with the version that wrote it"
@@ -278,7 +278,7 @@ def check_format(path: str, header: dict[str, str]) -> None:
 def _attachments(
     records: Iterator[McapRecord],
 ) -> tuple[dict[str, str], tuple[str, ...], Iterator[McapRecord]]:
-    """Take the attachments that come next; return them, the names of damaged ones, and the records that follow."""
+    """Read the attachments that come next; return them, the names of damaged ones, and the records that follow."""
     texts: dict[str, str] = {}
     damaged: list[str] = []
     following: Iterator[McapRecord] = iter(())
@@ -300,7 +300,7 @@ def _attachments(
 
 
 def _raising(error: Exception) -> Iterator[McapRecord]:
-    """Have what was found early be found in its place."""
+    """Raise an error where its record would be read."""
     raise error
     yield
 

@@ -1,4 +1,4 @@
-"""Writes what happens on a link to files, in a thread of its own; whoever reads the link never waits for the disk."""
+"""Writes link events to files in a thread of its own, so that the reader never waits for the disk."""
 
 import logging
 import threading
@@ -10,7 +10,7 @@ from types import TracebackType
 from typing import Any, Final, NamedTuple, Self
 
 from resonator_daemon.errors import UserError
-from resonator_daemon.recording.file_series import Room, Say, Series, discard_line
+from resonator_daemon.recording.file_series import DiskSpace, LogLine, Series, discard_line
 from resonator_daemon.recording.items import EVENT_BYTES, Item, State, size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.writer import Published, RecordingWriter
@@ -21,9 +21,9 @@ from resonator_daemon.session.link_events import Received, Sent, Skipped, Snapsh
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
 _PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
-_BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
+BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
 FLUSH_S = 0.8  # with a batch, and what writing takes, less than the second that is promised
-_RETRY_S = 10.0
+RETRY_S = 10.0
 _NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
 
 
@@ -49,7 +49,7 @@ class _Filling(NamedTuple):
 class Recorder:
     """A recording that is being written; a file that is there already is left alone.
 
-    After an error, as of the disk, nothing more is written: `failure` says so, and what was written stays readable.
+    After an error, as of the disk, nothing more is written. `failure` has the reason; what was written stays readable.
     Where the series resumes, it goes on in a new file once it can, and `failure` is None again. A series goes from file
     to file where a `SnapshotTaken` is put: the next begins with it.
 
@@ -61,8 +61,12 @@ class Recorder:
         Written into the beginning of each.
     queue_bytes
         Bound of the memory of events that wait to be written; what does not fit is counted, here and in the file.
-    say
-        Is told level and text of what a log should have, from the thread that writes.
+    log_line
+        Receives level and text of lines for the log, in the thread that writes.
+    batch_s
+        How often what waits is written.
+    retry_s
+        When a new file is tried after a failure, where the series resumes.
 
     Raises
     ------
@@ -71,13 +75,22 @@ class Recorder:
     """
 
     def __init__(
-        self, place: Path | Series, origin: Origin, *, queue_bytes: int = QUEUE_BYTES, say: Say = discard_line
+        self,
+        place: Path | Series,
+        origin: Origin,
+        *,
+        queue_bytes: int = QUEUE_BYTES,
+        log_line: LogLine = discard_line,
+        batch_s: float = BATCH_S,
+        retry_s: float = RETRY_S,
     ) -> None:
         self._place = place
         self._origin = origin
-        self._room = Room(place, say) if isinstance(place, Series) else None
+        self._disk_space = DiskSpace(place, log_line) if isinstance(place, Series) else None
         self._resumes = isinstance(place, Series) and place.resumes
-        self._say = say
+        self._log_line = log_line
+        self._batch_s = batch_s
+        self._retry_after_s = retry_s
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
         self._items: deque[Item] = deque()
@@ -86,12 +99,12 @@ class Recorder:
         self._events = 0
         self._counts = RecordingCounts()
         self._failure: str | None = None
-        self._said_failure = False  # once, until all is well again
+        self._logged_failure = False  # once, until all is well again
         self._path = place if isinstance(place, Path) else place.directory
         self._closing = threading.Event()
         self._board: BoardOnline | None = None  # those of the thread: what each file begins with
         self._states: dict[str, Published] = {}
-        self._begun_utc_ns = 0  # of the last file, as its name says
+        self._begun_utc_ns = 0  # of the last file, as in its name
         self._retry_s = 0.0
         self._syncing: list[threading.Thread] = []
         self._filling = _Filling()
@@ -166,7 +179,7 @@ class Recorder:
             self._skip(event)
 
     def mark(self, mark: Mark) -> bool:
-        """Have written what somebody said at that time; return whether there is room for it. Never waits."""
+        """Queue a mark; return whether there is room for it. Never waits."""
         with self._lock:
             fits = self._failure is None and self._waiting_bytes + size_bytes(mark) <= self._queue_bytes
             if fits:
@@ -174,7 +187,7 @@ class Recorder:
             return fits
 
     def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
-        """Have a published message written to a channel of its topic; never waits. What does not fit is counted.
+        """Queue a published message for the channel of its topic; never waits. What does not fit is counted.
 
         Parameters
         ----------
@@ -200,7 +213,7 @@ class Recorder:
             self._append(State(topic_path, t_ns, payload, json_schema))
 
     def name_board(self, board: BoardOnline) -> None:
-        """Have written which board it is, for whoever looks at the file."""
+        """Queue the identity of the board for the metadata of the file."""
         with self._lock:
             self._append(board)
 
@@ -235,7 +248,7 @@ class Recorder:
         look_s = 0.0
         closing = False
         while not closing:
-            closing = self._closing.wait(_BATCH_S)
+            closing = self._closing.wait(self._batch_s)
             with self._lock:
                 if closing:  # nothing comes after them
                     self._record_missing(read_host_time())
@@ -327,22 +340,22 @@ class Recorder:
         if isinstance(self._place, Path):
             file = RecordingWriter(self._place, self._origin, utc_ns)
         else:
-            # Names tell what is oldest, also where the host's clock was set back.
+            # The order of names is that of age, also where the host's clock was set back.
             utc_ns = self._begun_utc_ns = max(utc_ns, self._begun_utc_ns + _NAMES_APART_NS)
-            if self._room is not None:
-                self._room.check(again=self._failure is not None)
-                self._room.begin()
+            if self._disk_space is not None:
+                self._disk_space.check(again=self._failure is not None)
+                self._disk_space.begin()
             file = self._place.make(self._origin, utc_ns)
         for state in self._states.values():
             file.publish(state)
         with self._lock:
             failed, self._failure = self._failure, None
-            self._said_failure = False
+            self._logged_failure = False
             self._path, self._file, self._chunks = file.path, file, file.chunks
             self._ended_bytes += self._counts.file_bytes
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
         if failed is not None:
-            self._say(logging.INFO, f"recording goes on in {file.path}")
+            self._log_line(logging.INFO, f"recording goes on in {file.path}")
 
     def _flush(self) -> None:
         """Hand what was written to the kernel, and look after the room on the disk."""
@@ -354,9 +367,9 @@ class Recorder:
             if self._file.is_gone:
                 self._leave()
                 return
-            if self._room is not None:
-                self._room.keep_budget(self._file)
-                self._room.check(again=False)
+            if self._disk_space is not None:
+                self._disk_space.keep_budget(self._file)
+                self._disk_space.check(again=False)
         except UserError as error:
             self._end_file(wait=False)
             self._fail(str(error))
@@ -370,14 +383,14 @@ class Recorder:
         then = "a new file is begun as soon as that can be" if self._resumes else "nothing more is recorded"
         self._report_failure(f"{self._path} was removed, moved or replaced: {then}")
         self._retry_s = 0.0
-        self._said_failure = not self._resumes  # why none can be begun is news
+        self._logged_failure = not self._resumes  # why none can be begun is logged, too
 
     def _update_counts(self) -> None:
         with self._lock:
             if self._file is not None:
                 self._counts = self._counts._replace(file_bytes=self._file.size_bytes)
-            if self._room is not None:
-                self._counts = self._counts._replace(files_removed=self._room.files_removed)
+            if self._disk_space is not None:
+                self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
 
     def _end_file(self, *, wait: bool) -> None:
         """Write the end of the file; the medium may take seconds for it, which nothing else waits for."""
@@ -402,7 +415,7 @@ class Recorder:
         try:
             file.sync()
         except OSError as error:
-            self._say(logging.WARNING, f"{file.path} may not be on the disk: {error.strerror}")
+            self._log_line(logging.WARNING, f"{file.path} may not be on the disk: {error.strerror}")
 
     def _break_off(self, error: Exception) -> None:
         """Leave a file as it is that takes nothing more."""
@@ -419,16 +432,16 @@ class Recorder:
         self._fail(f"{self._path}: {reason}")
 
     def _fail(self, reason: str) -> None:
-        then = f"it is tried again every {_RETRY_S:g} s" if self._resumes else "nothing more is recorded"
+        then = f"it is tried again every {self._retry_after_s:g} s" if self._resumes else "nothing more is recorded"
         self._report_failure(f"{reason}: {then}; what was written stays")
 
-    def _report_failure(self, said: str) -> None:
+    def _report_failure(self, text: str) -> None:
         with self._lock:
-            self._failure = said
-        self._retry_s = time.monotonic() + _RETRY_S
-        if not self._said_failure:
-            self._said_failure = True
-            self._say(logging.WARNING, said)
+            self._failure = text
+        self._retry_s = time.monotonic() + self._retry_after_s
+        if not self._logged_failure:
+            self._logged_failure = True
+            self._log_line(logging.WARNING, text)
 
 
 def _is_of_use(snapshot: SnapshotTaken, file: RecordingWriter) -> bool:

@@ -22,17 +22,17 @@ _FOOTER: Final = struct.Struct("<BQQQI8s")  # opcode, length, where summary and 
 _CRC_AND_MAGIC_BYTES: Final = 12  # what the summary's check sum leaves out
 
 
-class Hole(NamedTuple):
-    """What is damaged, a chunk or a message; `messages` by channel, as the index behind a chunk says."""
+class DamagedRange(NamedTuple):
+    """Damaged part of a file, a chunk or a message; `messages` by channel, from the index behind a chunk."""
 
     size_bytes: int
     messages: dict[int, int]
 
-    def joined(self, other: Self) -> "Hole":
+    def joined(self, other: Self) -> "DamagedRange":
         """Return both as one."""
         channels = self.messages.keys() | other.messages.keys()
         messages = {channel: self.messages.get(channel, 0) + other.messages.get(channel, 0) for channel in channels}
-        return Hole(self.size_bytes + other.size_bytes, messages)
+        return DamagedRange(self.size_bytes + other.size_bytes, messages)
 
 
 def known_channels(file: IO[bytes]) -> list[Schema | Channel]:
@@ -73,7 +73,7 @@ class _BoundedReader(StreamReader):
 
 
 class Records:
-    """Records one by one, those of chunks too, up to where none can be told any more.
+    """Records one by one, those of chunks too, up to where none can be decoded any more.
 
     Attributes
     ----------
@@ -88,8 +88,8 @@ class Records:
         self.good_bytes = 0
         self.ended = False
 
-    def __iter__(self) -> Iterator[McapRecord | Hole]:
-        hole: Hole | None = None
+    def __iter__(self) -> Iterator[McapRecord | DamagedRange]:
+        hole: DamagedRange | None = None
         for record in self._outer():
             if isinstance(record, MessageIndex):
                 if hole is not None:
@@ -104,7 +104,7 @@ class Records:
             try:
                 inner = breakup_chunk(replace(record, compression="", data=chunk_data(record)))
             except DAMAGE:
-                hole = Hole(min(record.uncompressed_size, MAX_CHUNK_BYTES), {})
+                hole = DamagedRange(min(record.uncompressed_size, MAX_CHUNK_BYTES), {})
             else:
                 yield from inner
         if hole is not None:

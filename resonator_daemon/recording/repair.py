@@ -35,7 +35,7 @@ from resonator_daemon.recording.reader import (
     decode_mark,
     open_recording,
 )
-from resonator_daemon.recording.recovery import Hole, Records, known_channels
+from resonator_daemon.recording.recovery import DamagedRange, Records, known_channels
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Skipped, decode, encode
 
@@ -184,15 +184,15 @@ class _Copier:
         self._topics: dict[int, str] = {}
         self._known_schemas = {record.id: record for record in known if isinstance(record, Schema)}
         self._known_channels = {record.id: record for record in known if isinstance(record, Channel)}
-        self._hole: Hole | None = None
+        self._hole: DamagedRange | None = None
         self.holes = self.unreadable = self.events = self.events_missing = 0
         self.texts: set[str] = set()
         self.damaged_attachments: list[str] = []
         self.last_event_utc_ns: int | None = None
 
-    def take(self, record: McapRecord | Hole) -> None:
+    def take(self, record: McapRecord | DamagedRange) -> None:
         match record:
-            case Hole():
+            case DamagedRange():
                 self.holes += 1
                 self._miss(record)
             case Header() if not self._begun:
@@ -254,7 +254,7 @@ class _Copier:
                 decode_mark(message.data, message.publish_time, message.log_time)
         except DAMAGE:
             self.unreadable += 1
-            self._miss(Hole(len(message.data), {message.channel_id: 1}))
+            self._miss(DamagedRange(len(message.data), {message.channel_id: 1}))
             return
         if topic == TOPIC:
             if self._hole is not None:
@@ -266,15 +266,15 @@ class _Copier:
             self._channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence
         )
 
-    def _miss(self, hole: Hole) -> None:
+    def _miss(self, hole: DamagedRange) -> None:
         self._hole = hole if self._hole is None else self._hole.joined(hole)
 
-    def _tell(self, hole: Hole, following: Message) -> None:
+    def _tell(self, hole: DamagedRange, following: Message) -> None:
         missing = self._missing(hole)
         self.events_missing += missing
         now = HostTime(following.publish_time, following.log_time - following.publish_time, 0)
         data = encode(Skipped(now, missing, hole.size_bytes))
         self._writer.add_message(self._channels[following.channel_id], now.utc_ns, data, now.monotonic_ns)
 
-    def _missing(self, hole: Hole) -> int:
+    def _missing(self, hole: DamagedRange) -> int:
         return sum(count for channel, count in hole.messages.items() if self._topics.get(channel) == TOPIC)

@@ -31,7 +31,7 @@ class NothingRecordedError(UserError):
 
 
 class RecordingNow(NamedTuple):
-    """The recording that runs; `failure` says why nothing is written any more, None while all is well."""
+    """The recording that runs; `failure` has the reason why nothing is written any more, None while all is well."""
 
     path: Path
     since_utc_ns: int
@@ -51,15 +51,17 @@ class RecordingSummary(NamedTuple):
 
 
 class RecordingSwitch:
-    """Records what a reader's tap is handed, from and until whenever that is wanted.
+    """Recording of a reader's events that can be switched on and off.
 
-    It remembers how the link stood last and what has happened since, which is about 100 ms: a file begins with these,
-    so that a replay of it can go on from there.
+    `put` receives every event.
+
+    The last snapshot and the events since, about 100 ms, are kept in memory. A file begins with these, so that a
+    replay can go on from there.
 
     Parameters
     ----------
     kept_bytes
-        Bound of the memory of what has happened since. Beyond it, a recording begins with the next standing.
+        Bound of the memory of what has happened since. Beyond it, a recording begins with the next snapshot.
     """
 
     def __init__(self, *, kept_bytes: int = KEPT_BYTES) -> None:
@@ -77,7 +79,7 @@ class RecordingSwitch:
         self._since: HostTime | None = None
 
     def put(self, event: WireEvent) -> None:
-        """Take one event, in the reader's thread; never waits for a disk."""
+        """Record one event, in the reader's thread; never waits for a disk."""
         with self._lock:
             if isinstance(event, SnapshotTaken):
                 self._kept, self._size_bytes = [], 0
@@ -94,7 +96,7 @@ class RecordingSwitch:
                     self._kept = None
 
     def name_board(self, board: BoardOnline) -> None:
-        """Have files say which board counts, for whoever looks at them."""
+        """Set the board whose identity goes to the metadata of files."""
         with self._lock:
             self._board = board
             if self._recorder is not None:
@@ -126,7 +128,7 @@ class RecordingSwitch:
         with self._switching:
             if self._recorder is not None:
                 raise RecordingRunningError(f"{self._recorder.path} is being recorded; stop that first")
-            recorder = Recorder(place, origin, say=log.log)
+            recorder = Recorder(place, origin, log_line=log.log)
             with self._lock:
                 self._since = read_host_time()
                 for state in self._states.values():

@@ -45,9 +45,9 @@ class Published(NamedTuple):
 
 
 class RecordingWriter:
-    """A file that is being written; what it says of itself is in the kernel's hands once it is made.
+    """A file that is being written; its metadata are in the kernel's hands once it is made.
 
-    For one thread. A lock (flock) on the file tells other programs that it is being written.
+    For one thread. A lock (flock) marks the file as being written.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ class RecordingWriter:
     chunks
         How many are whole and in the kernel's hands, with all that was written until then.
     snapshot_due
-        A chunk has ended since it was last written how the link stands.
+        A chunk has ended since the last snapshot was written.
     """
 
     def __init__(self, path: Path, origin: Origin, utc_ns: int) -> None:

@@ -1,4 +1,4 @@
-"""Asks a board that counts to make itself seen, as often as it takes, and always comes to an answer."""
+"""Requests to blink: repeated until the board answers, each with an answer in any case."""
 
 from firmware_protocol.host import HostSession, Located
 from resonator_daemon.session.frame_queue import FrameQueue
@@ -9,7 +9,7 @@ _ANSWER_NS = 3_000_000_000
 
 
 class BlinkRequests:
-    """What one connection asks of this kind; the answers go to the ring."""
+    """Requests to blink of one connection; the answers go to the frame queue."""
 
     def __init__(self, queue: FrameQueue) -> None:
         self._queue = queue

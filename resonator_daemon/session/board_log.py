@@ -1,4 +1,4 @@
-"""What a board tells of itself, for people: why it started, and the lines of its log."""
+"""Messages of a board for people: why it started, and the lines of its log."""
 
 from firmware_protocol.messages import BoardLog, ResetCause
 from resonator_daemon.session.counters import LinkCounters
@@ -10,7 +10,7 @@ _S = 1_000_000_000
 
 
 class BoardLogFilter:
-    """Hands on the lines of a board's log, no more than anyone would read; the others are counted."""
+    """Filter that passes at most 20 lines a second of a board's log; the others are counted."""
 
     def __init__(self, queue: FrameQueue, counters: LinkCounters) -> None:
         self._queue = queue
@@ -28,8 +28,8 @@ class BoardLogFilter:
             self._counters.log_lines_dropped += 1
 
 
-def after(reset_cause: int | None) -> str:
-    """Return the end of a sentence that says that a board started anew."""
+def reset_cause_text(reset_cause: int | None) -> str:
+    """Return why a board started anew, as the end of a sentence."""
     match reset_cause:
         case ResetCause.POWER_ON:
             return ", switched on"

@@ -1,4 +1,4 @@
-"""One board on one link: identify, configure, run, reconnect, in a thread that nothing behind it can slow."""
+"""Reader of one board on one link: identify, configure, run, reconnect, in a thread that nothing can slow."""
 
 import random
 import threading
@@ -39,7 +39,7 @@ FRAME_QUEUE_BYTES = 64 << 20
 
 _POLL_NS = 20_000_000  # the longest that `stop` waits for a read
 _BACKOFF_FIRST_S = 0.05
-_JITTER = (0.75, 1.25)  # so that several daemons do not knock together
+_JITTER = (0.75, 1.25)  # so that several daemons do not open in step
 _REFUSED_S = 5.0
 _PIECES, _QUICK_S = 100, 50e-6  # read at most before they are looked at, where an answer may be among them
 _FEW_BYTES, _GATHER_S = 64, 250e-6
@@ -51,7 +51,7 @@ Replay = Callable[[LinkStateMachine, Callable[[float], object], Callable[[], boo
 
 
 def _discard_event(_: WireEvent) -> None:
-    """Take an event that is not recorded."""
+    """Discard an event that is not recorded."""
 
 
 class BoardReader:
@@ -64,13 +64,13 @@ class BoardReader:
     plate
         What the board must serve; decides the gate.
     wake
-        Called from the reader's thread when `pop_arrivals` has something to give.
+        Called from the reader's thread when there are arrivals.
     step_frames
         How many frames are of use together: `wake` waits until there are a multiple of any of these numbers.
     frame_queue_bytes
         Bound of the memory of frames that nobody takes.
     on_event
-        Is handed everything that happens on the link, as a recorder wants it; must not wait.
+        Receives every event on the link, for a recorder; must not wait.
 
     replay
         Replays the recording that `target` names, from `recording.event_replay`; None where it names a board.
@@ -80,7 +80,7 @@ class BoardReader:
     Attributes
     ----------
     turns
-        How often the reader looked whether there is something to do: who stands still does not count on.
+        Number of turns of the reader's loop, which shows that it is alive.
     """
 
     def __init__(
@@ -117,7 +117,7 @@ class BoardReader:
         self._blink_due = self._link_open = self._serving = False
 
     def start(self) -> None:
-        if not self.replays:  # there it was said when it was recorded
+        if not self.replays:  # a recording has its own first state
             self._machine.apply(StateAnnounced(read_host_time(), "starting", "the link is being opened"))
         self._thread.start()
 
@@ -137,8 +137,8 @@ class BoardReader:
                 self._log.write(arrival)
             elif isinstance(arrival, BlinkAnswered):
                 with self._blink_lock:
-                    told, self._on_blink_answer = self._on_blink_answer, []
-                for done in told:
+                    waiting, self._on_blink_answer = self._on_blink_answer, []
+                for done in waiting:
                     done(arrival.refused)
         return arrivals
 
@@ -168,7 +168,7 @@ class BoardReader:
         return self._machine.counters()
 
     def set_step_frames(self, step_frames: Sequence[int]) -> None:
-        """Have `wake` called at the ends of other steps from now on."""
+        """Set the steps at whose ends `wake` is called."""
         self._queue.step_frames = step_frames
 
     @property
@@ -211,7 +211,7 @@ class BoardReader:
                 self._keep_reading()
             else:
                 self._run_replay(self._replay)
-        except Exception as error:  # noqa: BLE001 - whoever waits for frames must hear of it, or would wait for ever
+        except Exception as error:  # noqa: BLE001 - it is passed on as ReaderFailed, else frames would be awaited for ever
             self._queue.put(ReaderFailed(error))
 
     def _keep_reading(self) -> None:
@@ -244,7 +244,7 @@ class BoardReader:
                 backoff_s = min(2 * backoff_s, self._backoff_max_s)
 
     def _serve(self, link: Link) -> bool:
-        """Talk to the board until the link is lost; return whether it ever counted."""
+        """Serve the link until it is lost; return whether the board ever counted."""
         machine = self._machine
         now = read_host_time()
         machine.apply(Opened(now))

@@ -184,7 +184,7 @@ class BoardClock:
         return (least_ppm + most_ppm) / 2, (most_ppm - least_ppm) / 2
 
     def add(self, exchange: Exchange, utc_less_monotonic_ns: int, *, boottime_less_monotonic_ns: int = 0) -> None:
-        """Take one ping exchange, and the present differences of the host's clocks.
+        """Add one ping exchange, with the present differences of the host's clocks.
 
         `boottime_less_monotonic_ns` grows while the host sleeps: then, the board counted on and the monotonic clock did
         not, and the relation begins anew.
@@ -223,7 +223,7 @@ class BoardClock:
         if not self._lines or line.nominal_ns - self._lines[-1].nominal_ns >= _LINES_APART_NS:
             self._lines.append(line)
         before_next_ns = line.uncertainty_ns + line.rate_uncertainty * _NS
-        self._pacing.learnt(exchange.received_monotonic_ns, before_next_ns, agreed.count)
+        self._pacing.update(exchange.received_monotonic_ns, before_next_ns, agreed.count)
 
     def _begin(self, agreed: TickBounds) -> TickBounds:
         self._agreed = agreed
@@ -232,7 +232,7 @@ class BoardClock:
         return agreed
 
     def _weigh(self, agreed: TickBounds, bounds: _Bounds) -> TickBounds:
-        """Take bounds that may contradict those before; contradictions that agree with each other win in the end."""
+        """Weigh bounds that may contradict those before; contradictions that agree with each other win in the end."""
         fits = agreed.add(*bounds)
         fits_rival = self._rival is not None and self._rival.add(*bounds)
         if fits:

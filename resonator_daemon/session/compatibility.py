@@ -1,4 +1,4 @@
-"""Whether a board can serve a plate: what it describes against what the plate file says."""
+"""Compatibility of a board with a plate: its description against the plate file."""
 
 from dataclasses import fields
 
@@ -36,7 +36,7 @@ def oscillator_hz(description: Description) -> NDArray[np.float64]:
 
 
 def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]:
-    """Return a sentence for everything about the board that does not fit the plate file; empty when it fits."""
+    """Return a sentence for each property of the board that is incompatible with the plate file."""
     reference_hz = description.reference_millihertz / 1e3
     kind = _KINDS.get(CounterKind(description.counter_kind)) if description.counter_kind in set(CounterKind) else None
     pairs: list[tuple[str, object, object]] = [
@@ -82,7 +82,7 @@ def incompatibilities(description: Description, plate: Plate) -> tuple[str, ...]
 
 
 def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
-    """Return a sentence for everything that tells a board from the one that was here; empty when it is the same."""
+    """Return a sentence for each difference from the board that was here before; empty when it is the same."""
     if board.identity.serial_number != known.identity.serial_number:
         return (
             f"another board is on this link: {board.identity.serial_number}; {known.identity.serial_number} was here "
@@ -101,7 +101,7 @@ def identity_changes(board: Described, known: Described) -> tuple[str, ...]:
 
 
 def tick_rate_problem(description: Description, slower_ppm: float, uncertainty_ppm: float) -> str:
-    """Say that the board's ticks do not come at the rate that it describes."""
+    """Return a sentence on ticks that do not come at the rate that the board describes."""
     described_hz = description.reference_millihertz / 1e3
     measured_hz = described_hz / (1 + slower_ppm * 1e-6)
     return (

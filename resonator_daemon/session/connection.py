@@ -10,7 +10,7 @@ from firmware_protocol.states import HostState
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.blink import BlinkRequests
-from resonator_daemon.session.board_log import BoardLogFilter, after
+from resonator_daemon.session.board_log import BoardLogFilter, reset_cause_text
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
 from resonator_daemon.session.compatibility import (
     BoardRefusedError,
@@ -43,7 +43,7 @@ _UNANSWERED_NS = 10 * _S  # without an answer, though frames come
 class Connection:
     """One opening of the link: a session, the board's clock, and the timers that keep both going.
 
-    It reads no clock and opens nothing: it is handed bytes and times, and has `data_to_send`.
+    It reads no clock and opens nothing: bytes and times come as arguments, and it has `data_to_send`.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Connection:
         self.was_online = False
 
     def receive(self, data: bytes, now: HostTime) -> None:
-        """Take bytes that had been received at `now`.
+        """Process bytes that had been received at `now`.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Connection:
 
     @property
     def follows(self) -> bool:
-        """Whether what went out is told by `sent` instead of made here."""
+        """Whether `sent` reports recorded requests, and none are made here."""
         return self._pings.follow
 
     def snapshot(self) -> ConnectionSnapshot | None:
@@ -165,15 +165,15 @@ class Connection:
         self._queue.put(BoardOnline(*described, snapshot.configuration, continues=False))
 
     def sent(self, data: bytes, now: HostTime) -> None:
-        """Take what the connection that is followed has sent."""
+        """Follow what the recorded connection has sent."""
         self._pings.sent(self._session, data, now, self._receiver.newest_ticks)
 
     def blink(self, now: HostTime) -> None:
-        """Ask the board to make itself seen; BoardLocated follows in any case."""
+        """Ask the board to blink; BlinkAnswered follows in any case."""
         self._blink.ask(self._session, now.monotonic_ns)
 
     def overrun(self) -> None:
-        """Take note that the host's driver lost bytes of this link."""
+        """Count a loss of bytes by the host's driver."""
         self._counters.host_overruns += 1
         self._numbering.overrun()
 
@@ -199,9 +199,9 @@ class Connection:
                 self._announce_online()
         elif now_ns - self._opened_ns > _HANDSHAKE_NS:
             received = self._session.bytes.received
-            heard = f"{received} bytes came and no answer" if received else "not a byte came"
+            received_text = f"{received} bytes came and no answer" if received else "not a byte came"
             self._announce(
-                "stalled", f"no board answers: {heard}; is it a board of this kind, and the baud rate right?"
+                "stalled", f"no board answers: {received_text}; is it a board of this kind, and the baud rate right?"
             )
             raise LinkLostError("no board answers")
         if not self._session.awaits_answer:
@@ -231,7 +231,7 @@ class Connection:
         self._session.stop()
 
     def close(self) -> None:
-        """Hand on what was begun and close the books of this connection."""
+        """Pass on what was begun, and add the counts of this connection to the link's."""
         self._flush_receiver()
         self._blink.close()
         self.add_to(self._counters)
@@ -346,7 +346,7 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._announce("lost", f"the board started anew{after(identity.reset_cause)}")
+            self._announce("lost", f"the board started anew{reset_cause_text(identity.reset_cause)}")
         self._announce(
             "starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
         )
@@ -372,12 +372,12 @@ class Connection:
     def _announce_online(self) -> None:
         if self.described is not None:
             rate_hz = self._plate.counter.frame_rate_hz
-            told = [f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"]
+            sentences = [f"board {self.described.identity.serial_number} sends {rate_hz:g} frames/s"]
             if self._rate_doubt:
-                told.append(self._rate_doubt)
+                sentences.append(self._rate_doubt)
             if self._unanswered:
-                told.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
-            self._announce("online", "; ".join(told))
+                sentences.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
+            self._announce("online", "; ".join(sentences))
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns

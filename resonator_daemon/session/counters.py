@@ -9,9 +9,9 @@ class FrameLoss:
 
     link_gap: int = 0  # never arrived
     damaged: int = 0  # arrived with a wrong check sum, or in pieces
-    board_overflow: int = 0  # the board dropped them, and said so
-    host_overrun: int = 0  # the host's driver had no room for their bytes, and said so
-    ring_overflow: int = 0  # arrived, and the ring was full
+    board_overflow: int = 0  # the board dropped them, and reported it
+    host_overrun: int = 0  # the host's driver had no room for their bytes, and reported it
+    ring_overflow: int = 0  # arrived, and the frame queue was full
 
     @property
     def total(self) -> int:
@@ -28,7 +28,7 @@ class BootCounters:
     boot_id: int
     connections: int = 0
     frames: int = 0
-    lost: FrameLoss = field(default_factory=FrameLoss)  # ring_overflow aside: the ring does not ask whose they were
+    lost: FrameLoss = field(default_factory=FrameLoss)  # without ring_overflow: the queue does not distinguish boots
 
 
 BOOTS_REMEMBERED = 8
@@ -55,7 +55,7 @@ class LinkCounters:
     parts_lost: int = 0  # of frames that did arrive
     frames_incomplete: int = 0
     connections: int = 0
-    host_overruns: int = 0  # times that the host's driver said it had no room
+    host_overruns: int = 0  # reports of the host's driver that it had no room
     clock_outliers: int = 0  # pings that contradicted the others
     clock_restarts: int = 0
     lost: FrameLoss = field(default_factory=FrameLoss)

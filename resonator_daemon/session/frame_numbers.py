@@ -1,4 +1,4 @@
-"""Numbers frames without a break, and tells by which cause the missing ones were lost."""
+"""Numbering of frames without a break, and attribution of the missing ones to a cause."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -47,7 +47,7 @@ class FrameNumbering:
     Parameters
     ----------
     frame_bytes
-        What a whole frame takes on the wire; tells how many of the missing frames arrived damaged.
+        Size of a whole frame on the wire, by which discarded bytes are counted as damaged frames.
     gate_ticks, gate_ns
         Length of a gate on the board's clock and on the host's.
     """
@@ -68,7 +68,7 @@ class FrameNumbering:
         self._resuming = False
 
     def started(self, now_monotonic_ns: int) -> None:
-        """Take note that the board began to count frames from 0."""
+        """Begin a run: the board counts frames from 0."""
         self._started_ns = now_monotonic_ns
         self._next_sequence = 0
         self._discarded_bytes = 0
@@ -79,7 +79,7 @@ class FrameNumbering:
 
     @property
     def settled(self) -> bool:
-        """Whether a run is well under way, and no frame is yet to tell what was lost before it."""
+        """Whether a run is well under way, and no loss waits for the next frame to be counted."""
         undecided = self._discarded_bytes or self._overrun or self._dropped_by_board != self._dropped_counted
         return self._frames_of_run >= _SETTLED_FRAMES and not undecided
 
@@ -94,19 +94,19 @@ class FrameNumbering:
         self._frames_of_run = _SETTLED_FRAMES
 
     def discarded(self, size_bytes: int) -> None:
-        """Take note of damaged bytes; the next frame tells whether frames were among them."""
+        """Add damaged bytes; the next frame shows whether frames were among them."""
         self._discarded_bytes += size_bytes
 
     def dropped_by_board(self, frames_since_start: int) -> None:
-        """Take the board's own count of frames before the next one that it could not send."""
+        """Set the board's own count of frames that it could not send before the next one."""
         self._dropped_by_board = max(frames_since_start, self._dropped_by_board)
 
     def overrun(self) -> None:
-        """Take note that the host's driver lost bytes; the next frame tells whether frames were among them."""
+        """Note a loss by the host's driver; the next frame shows whether frames were among it."""
         self._overrun = True
 
     def continues(self, boot_id: int, board_ticks: int) -> bool:
-        """Tell whether a tick count may belong to the same time line as the last frame's."""
+        """Return whether a tick count may belong to the same time line as the last frame's."""
         return self._last is not None and self._last[0] == boot_id and board_ticks >= self._last[1]
 
     def accept(self, boot_id: int, sequence: int, board_ticks: int, time: Instant) -> Accepted | None:
@@ -138,7 +138,7 @@ class FrameNumbering:
         return Accepted(index, gap, previous)
 
     def accept_following(self, count: int, board_ticks: int, time: Instant) -> None:
-        """Take `count` frames, the last with these ticks, that follow the one before without a break or a doubt."""
+        """Accept `count` frames, the last with these ticks, that follow the one before without a break."""
         if self._last is None or not self._frames_of_run:
             raise ValueError("frames follow an accepted one of their run")
         self._next_index += count
@@ -147,7 +147,7 @@ class FrameNumbering:
         self._frames_of_run += count
 
     def _cannot_be_missing(self, missing: int, time: Instant) -> bool:
-        """Tell whether a run has not had the time for as many frames before its first."""
+        """Return whether a run has not had the time for as many frames before its first."""
         return not self._frames_of_run and missing * self._gate_ns > time.monotonic_ns - self._started_ns + _QUEUED_NS
 
     def _check_spacing(self, missing: int, board_ticks: int) -> None:
@@ -159,21 +159,21 @@ class FrameNumbering:
                 )
 
     def _gates_away(self, boot_id: int, board_ticks: int, time: Instant) -> int:
-        """Tell how many gates an uninterrupted run would have had since the last frame."""
+        """Return how many gates an uninterrupted run would have had since the last frame."""
         if self._last is None:
             return 0
         last_boot_id, last_ticks, last_time = self._last
         by_board = (board_ticks - last_ticks) / self._gate_ticks
         by_host = (time.boottime_ns - last_time.boottime_ns) / self._gate_ns  # counts on while the host sleeps
         unsure = 1 + (last_time.uncertainty_ns + time.uncertainty_ns) / self._gate_ns
-        # The board's ticks are exact, if they went on through the outage: a boot id that came twice does not say so,
-        # a clock that agrees does.
+        # The board's ticks are exact if they went on through the outage. The same boot id does not prove that: it may
+        # come twice. A clock that agrees does.
         agrees = abs(by_board - by_host) < unsure + _CLOCKS_AGREE * abs(by_host)
         return round(by_board if boot_id == last_boot_id and agrees else by_host)
 
     def _causes(self, missing: int) -> FrameLoss:
         overflow = min(missing, self._dropped_by_board - self._dropped_counted)
-        self._dropped_counted = self._dropped_by_board  # what it told is over with this frame, found missing or not
+        self._dropped_counted = self._dropped_by_board  # its report ends with this frame
         left = missing - overflow
         # Fragments too: a frame that arrived in part was damaged, one that never arrived is a gap of the link.
         damaged = min(left, -(-self._discarded_bytes // self._frame_bytes))

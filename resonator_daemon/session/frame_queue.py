@@ -1,4 +1,4 @@
-"""The ring between the reader thread and everything behind it: bounded in bytes, and what does not fit is counted."""
+"""Queue between the reader thread and its consumer: bounded in bytes, what does not fit is counted."""
 
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -9,14 +9,14 @@ from resonator_daemon.session.frames import Arrival, Frame, Gap
 
 
 class FrameQueue:
-    """Arrivals in order; when frames take more than `limit_bytes`, the oldest give way to a gap, news never.
+    """Arrivals in order; when frames take more than `limit_bytes`, the oldest give way to a gap; events are kept.
 
     Parameters
     ----------
     limit_bytes
         Bound of the memory that the frames kept take.
     wake
-        Called, from the writing thread, when news was put in, or a frame that completes a step.
+        Called, from the writing thread, when an event was put in, or a frame that completes a step.
     step_frames
         Frames that are of no use one by one: those whose index, counted from 1, is a multiple of any of these numbers
         complete a step. It may be replaced at any time.
@@ -32,16 +32,16 @@ class FrameQueue:
         self._wake = wake
         self.step_frames = step_frames
         self._lock = Lock()
-        self._ahead: list[Arrival] = []  # news and gaps, of when no frame before those in `_items` is left
+        self._ahead: list[Arrival] = []  # events and gaps, from when no frame before those in `_items` is left
         self._items: deque[tuple[int, Arrival]] = deque()
         self._bytes = 0
         self._overflow = 0
         self.newest: Frame | None = None
 
-    def put(self, news: Arrival) -> None:
+    def put(self, event: Arrival) -> None:
         """Append what is no frame."""
         with self._lock:
-            self._items.append((0, news))
+            self._items.append((0, event))
         self._wake()
 
     def put_frames(self, frames: Sequence[Frame]) -> None:

@@ -1,4 +1,4 @@
-"""Frames from the wire to the ring: put together, given their time and number, and booked."""
+"""Frames from the wire to the frame queue: assembled, given time and number, and counted."""
 
 from collections.abc import Sequence
 
@@ -18,10 +18,10 @@ _FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
 
 
 class FrameReceiver:
-    """Takes the frames of one connection; the numbers, the ring and the account outlive it.
+    """Receiver of the frames of one connection; numbering, queue and counters outlive it.
 
-    `last_frame_ns` is the monotonic time at which a frame was taken last, `newest_ticks` the newest tick count that any
-    message of this boot has told.
+    `last_frame_ns` is the monotonic time at which the last frame was received, `newest_ticks` the newest tick count in
+    any message of this boot.
     """
 
     def __init__(self, plate: Plate, numbering: FrameNumbering, queue: FrameQueue, counters: LinkCounters) -> None:
@@ -47,7 +47,7 @@ class FrameReceiver:
     def receive_frames(
         self, frames: Sequence[Frame], clock: BoardClock, boot_id: int, now: HostTime
     ) -> list[tuple[Accepted, Instant]]:
-        """Take frames of a single-tone counter that were read together.
+        """Receive frames of a single-tone counter that were read together.
 
         Returns
         -------
@@ -94,7 +94,7 @@ class FrameReceiver:
     def receive_assembled(
         self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
     ) -> tuple[Accepted, Instant] | None:
-        """Take a channelised frame; return its number and the middle of its gate, None where it cannot be.
+        """Receive a channelised frame; return its number and the middle of its gate, None where it cannot be.
 
         Raises
         ------
@@ -111,7 +111,7 @@ class FrameReceiver:
         return taken
 
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
-        """Take the frame that has begun as it is: no more of it will come. Raises nothing."""
+        """Pass on the frame that has begun as it is: no more of it will come. Raises nothing."""
         taken = []
         for frame in self._assembler.flush():
             try:

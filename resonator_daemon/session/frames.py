@@ -1,4 +1,4 @@
-"""What the acquisition hands on: frames with their time, gaps, and news of board and link."""
+"""What a reader passes on: frames with their time, gaps, and events of board and link."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -117,20 +117,20 @@ class LinkChange:
     state: str
     reason: str
     since_utc_ns: int  # of the state
-    utc_ns: int  # when it was said
+    utc_ns: int  # of this announcement
 
 
 @dataclass(frozen=True, slots=True)
 class Outage:
     """A time without frames that is over: from the middle of the last gate before to that of the first after.
 
-    Both are told by the clock as it is at the end.
+    Both are by the clock as it is at the end.
     """
 
     start_utc_ns: int
     end_utc_ns: int
     frames_lost: int
-    reason: str  # what was said of the link when it began
+    reason: str  # of the link when it began
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ class BoardLogLine:
 
 @dataclass(frozen=True, slots=True)
 class BlinkAnswered:
-    """The board makes itself seen, or says why it does not; None where it does."""
+    """The answer to a request to blink: the reason why the board does not; None where it does."""
 
     refused: str | None
 

@@ -1,4 +1,4 @@
-"""What happens on a link, as events: all that a connection is handed, so that a recording of them can hand it again."""
+"""What happens on a link, as events: all that a connection depends on, so that a recording of them can be replayed."""
 
 import json
 import struct
@@ -35,27 +35,27 @@ class Received(NamedTuple):
 
 
 class TimersRun(NamedTuple):
-    """Timers were looked after; `idle`: nothing had come."""
+    """Timers were run; `idle`: nothing had come."""
 
     now: HostTime
     idle: bool
 
 
 class Sent(NamedTuple):
-    """Bytes went out, made by what was received and tended at `now` or before."""
+    """Bytes went out, which follow from what was received, or from timers, at `now` or before."""
 
     now: HostTime
     data: bytes
 
 
 class Overrun(NamedTuple):
-    """The host's driver said that it lost bytes."""
+    """The host's driver reported lost bytes."""
 
     now: HostTime
 
 
 class StopRequested(NamedTuple):
-    """The reader was told to stop, and is about to tell the board."""
+    """The reader is about to stop the board."""
 
     now: HostTime
 
@@ -90,14 +90,14 @@ class Skipped(NamedTuple):
 
 
 class SnapshotTaken(NamedTuple):
-    """How the link stands before anything that comes at `now` or later; a replay may begin or go on with it."""
+    """State of the link before any event at `now` or later; a replay may begin or go on with it."""
 
     now: HostTime
     snapshot: LinkSnapshot
 
 
 class BlinkRequested(NamedTuple):
-    """The board on the open link was to make itself seen."""
+    """The board on the open link was asked to blink."""
 
     now: HostTime
 
@@ -144,7 +144,7 @@ _KINDS: tuple[type[WireEvent], ...] = (
     BlinkRequested,
     ControlRequested,
 )
-_TOLD = 60  # of what cannot be read
+_SHOWN = 60  # characters of what cannot be read
 _SNAPSHOT = TypeAdapter(LinkSnapshot)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
@@ -203,7 +203,7 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
             return ControlRequested(now, _text(key), _text(request))
         case (_, [int() as events, int() as size_bytes]) if kind is Skipped and _counts(events, size_bytes):
             return Skipped(now, events, size_bytes)
-    raise ValueError(f"{kind.__name__} cannot be read from {body[:_TOLD]!r}")
+    raise ValueError(f"{kind.__name__} cannot be read from {body[:_SHOWN]!r}")
 
 
 def _snapshot(body: bytes) -> LinkSnapshot:
@@ -212,7 +212,7 @@ def _snapshot(body: bytes) -> LinkSnapshot:
     except ValidationError as error:
         raise ValueError(f"Standing cannot be read: {error.errors()[0]['msg']}") from error
     if snapshot.state.state not in ("", *STATES):
-        raise ValueError(f"{snapshot.state.state[:_TOLD]!r} is no state of a link")
+        raise ValueError(f"{snapshot.state.state[:_SHOWN]!r} is no state of a link")
     return snapshot
 
 

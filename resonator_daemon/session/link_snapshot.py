@@ -1,4 +1,4 @@
-"""What later events of a link follow from, so that a recording can begin in the middle of a connection.
+"""Snapshots of a link, with which a recording can begin in the middle of a connection.
 
 Which board counts, the number and time of its last frame, what is known of its clock, and the pings on their way.
 """
@@ -24,7 +24,7 @@ class ConnectionSnapshot(NamedTuple):
     """A connection whose board counts, between two packets and two frames.
 
     `request_number` is that of the last request, `answered_ns` the monotonic time of the last answer, `rate_doubt` what
-    is odd about the board's ticks, `newest_ticks` the newest that any message told.
+    is odd about the board's ticks, `newest_ticks` the newest in any message.
     """
 
     described: Described
@@ -38,7 +38,7 @@ class ConnectionSnapshot(NamedTuple):
 
 
 class LinkSnapshot(NamedTuple):
-    """A link as it stands; `running` None while it is closed, `known` the board of the connection before."""
+    """State of a link; `running` None while it is closed, `known` the board of the connection before."""
 
     state: LinkStateSnapshot
     numbers: NumberingSnapshot

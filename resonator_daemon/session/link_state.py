@@ -1,4 +1,4 @@
-"""What is said of the link: each change of its state once, and each outage when it is over."""
+"""State of a link: each change is announced once, and each outage when it is over."""
 
 import logging
 from collections.abc import Callable
@@ -10,7 +10,7 @@ from resonator_daemon.session.frames import Arrival, LinkChange, Outage
 log = logging.getLogger(__name__)
 
 STATES: Final = frozenset({"waiting", "starting", "online", "stalled", "lost", "refused"})
-"""All that is said of a link."""
+"""All states of a link."""
 
 
 class LinkStateSnapshot(NamedTuple):
@@ -78,19 +78,19 @@ class LinkState:
 
 
 class LinkLog:
-    """Writes to the log what was said of a link: by whoever takes it, since a log may have to be waited for."""
+    """Writes announcements to the log, in the consumer's thread: the reader must not wait for a log."""
 
     def __init__(self) -> None:
         self._state = self._reason = ""
 
-    def write(self, news: LinkChange | Outage) -> None:
-        if isinstance(news, Outage):
-            seconds = (news.end_utc_ns - news.start_utc_ns) * 1e-9
-            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, news.frames_lost, news.reason)
+    def write(self, event: LinkChange | Outage) -> None:
+        if isinstance(event, Outage):
+            seconds = (event.end_utc_ns - event.start_utc_ns) * 1e-9
+            log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason)
             return
-        doubt = news.state == self._state == "online" and len(news.reason) > len(self._reason)
-        if news.state != self._state or doubt:
-            well = news.state in ("starting", "online") and not doubt
+        doubt = event.state == self._state == "online" and len(event.reason) > len(self._reason)
+        if event.state != self._state or doubt:
+            well = event.state in ("starting", "online") and not doubt
             level = logging.INFO if well else logging.WARNING
-            log.log(level, "link %s: %s", news.state, news.reason, extra={"resonatord_link_state": news.state})
-        self._state, self._reason = news.state, news.reason
+            log.log(level, "link %s: %s", event.state, event.reason, extra={"resonatord_link_state": event.state})
+        self._state, self._reason = event.state, event.reason

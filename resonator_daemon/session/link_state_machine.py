@@ -1,4 +1,4 @@
-"""What follows from each event on a link: connections, frames, accounts and states, live and from a recording alike."""
+"""State machine of a link: events to connections, frames, counters and states, live and from a recording."""
 
 import threading
 from collections.abc import Callable
@@ -60,7 +60,7 @@ class LinkStateMachine:
         self._queue = queue
         self._on_event = on_event
         self._numbering = FrameNumbering(plate.frame_bytes, gate_ticks(plate), round(1e9 / plate.counter.frame_rate_hz))
-        self._lock = threading.Lock()  # held while a chunk is taken apart, so that accounts are whole
+        self._lock = threading.Lock()  # held while a chunk is taken apart, so that counters are consistent
         self._counters = LinkCounters()
         self._known: Described | None = None
         self._state = LinkState(queue.put)
@@ -74,7 +74,7 @@ class LinkStateMachine:
         Raises
         ------
         BoardRefusedError, LinkLostError
-            By what was received or tended: `Refused` or `Lost` is to follow, then `Closed`.
+            By bytes or timers: `Refused` or `Lost` is to follow, then `Closed`.
         ValueError
             An event of an open link, and none is open; or `Opened`, and one is.
         """
@@ -124,7 +124,7 @@ class LinkStateMachine:
         return self._opened().data_to_send()
 
     def due_ns(self) -> int:
-        """Return the monotonic time at which something is to be tended."""
+        """Return the monotonic time at which a timer is due."""
         return self._opened().due_ns()
 
     @property

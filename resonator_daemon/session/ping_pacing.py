@@ -25,8 +25,8 @@ class PingPacing:
         self._best_ns = self._best_before_ns = math.inf
         self._since_ns: int | None = None
 
-    def learnt(self, now_monotonic_ns: int, uncertainty_ns: float, count: int) -> None:
-        """Take the uncertainty that will be reached before the next calm ping, and how many exchanges it rests on."""
+    def update(self, now_monotonic_ns: int, uncertainty_ns: float, count: int) -> None:
+        """Set the uncertainty that will be reached before the next calm ping, and how many exchanges it rests on."""
         if self._since_ns is None or now_monotonic_ns - self._since_ns > _REMEMBERED_NS:
             self._best_before_ns, self._best_ns = self._best_ns, math.inf
             self._since_ns = now_monotonic_ns

@@ -1,4 +1,4 @@
-"""Asks whatever is on a link who it is, without configuring it: a board that counts goes on counting."""
+"""Identifies whatever is on a link, without configuring it: a board that counts goes on counting."""
 
 import statistics
 import time
@@ -19,9 +19,9 @@ _POLL_S = 0.01
 
 
 class NoBoardError(Exception):
-    """Nothing on the link gives a board's answers; the text says what came instead.
+    """Nothing on the link gives a board's answers; the text has what came instead.
 
-    `is_a_board` tells whether it spoke this wire all the same: another version of it, or a refusal.
+    `is_a_board`: it uses this protocol all the same, in another version or with a refusal.
     """
 
     def __init__(self, text: str, *, is_a_board: bool = False) -> None:
@@ -42,7 +42,7 @@ class TickRate(NamedTuple):
 
 
 class ProbeResult(NamedTuple):
-    """What a board said of itself; `round_trips_s` in order, `refused_to_blink` None where it was not asked or did."""
+    """What a board answered; `round_trips_s` in order, `refused_to_blink` None where it was not asked or did."""
 
     described: Described
     round_trips_s: tuple[float, ...]

@@ -5,7 +5,7 @@ keep all bounds form a polygon (Duda, Harrus, Haddad and Bernard, "Estimating gl
 1987); a long trip is merely a loose bound. A rate that changes by at most W a second leaves its present line by no more
 than W/2 times the square of the age, so a bound is loosened by that. A parabola and a change of its apex differ by a
 straight line, which moves no point into or out of a convex hull: a bound once dropped can never bind again, and the few
-vertices that are left say what thousands of exchanges said.
+vertices that are left hold what thousands of exchanges gave.
 """
 
 from typing import NamedTuple, Self
@@ -74,8 +74,8 @@ class TickBounds:
         return bounds
 
     def add(self, nominal_ns: int, least_ns: int, most_ns: int) -> bool:
-        """Take the bounds of one exchange; return False, and change nothing, where they contradict the others."""
-        # However long nothing was heard: the loosening of old bounds would in the end allow anything.
+        """Add the bounds of one exchange; return False, and change nothing, where they contradict the others."""
+        # However long the silence: the loosening of old bounds would in the end allow anything.
         floor_at, floor_ns = self._floor[-1]
         ceiling_at, ceiling_ns = self._ceiling[-1]
         if (

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.links import port_holders as room
 from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal, port_holders
 
 OWN_NAME = Path("/proc/self/comm").read_text().strip()
@@ -69,9 +68,8 @@ def test_processes_that_may_not_be_looked_into_are_told_of(
             raise PermissionError
         return real(path)
 
-    monkeypatch.setattr(room, "_PROC", tmp_path)
     monkeypatch.setattr(os, "scandir", scan)
-    assert port_holders(os.ttyname(slave)) == Holders((Holder(8, "minicom", locks=False),), False)
+    assert port_holders(os.ttyname(slave), tmp_path) == Holders((Holder(8, "minicom", locks=False),), False)
 
 
 def test_pseudo_terminals_are_told_from_other_ports(slave: int, tmp_path: Path) -> None:

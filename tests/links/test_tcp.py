@@ -133,11 +133,8 @@ def cut_off(board: socket.socket) -> None:
     board.setsockopt(socket.SOL_SOCKET, SO_ATTACH_FILTER, struct.pack("HxxxxxxP", 1, ctypes.addressof(drop_all)))
 
 
-def test_a_board_that_vanished_is_noticed_by_what_it_does_not_acknowledge(
-    listener: socket.socket, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(tcp_link, "_UNACKNOWLEDGED_MS", 300)
-    link = open_tcp(target(listener))
+def test_a_board_that_vanished_is_noticed_by_what_it_does_not_acknowledge(listener: socket.socket) -> None:
+    link = open_tcp(target(listener), unacknowledged_ms=300)
     board, _ = listener.accept()
     with board:
         cut_off(board)
@@ -169,7 +166,7 @@ def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPat
     instants = iter((0.0, 1.0, 2.5))  # the name took a second, the first address one and a half
     given = []
 
-    def connect(_family: int, _address: object, timeout_s: float) -> socket.socket:
+    def connect(_family: int, _address: object, timeout_s: float, _unacknowledged_ms: int) -> socket.socket:
         given.append(timeout_s)
         raise TimeoutError("timed out")
 
@@ -177,7 +174,7 @@ def test_all_addresses_and_the_name_share_one_time(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(
         tcp_link, "resolve_host", lambda _host, _port, _timeout_s: [(socket.AF_INET, ("192.0.2.1", 5000))] * 2
     )
-    monkeypatch.setattr(tcp_link, "_connect", connect)
+    monkeypatch.setattr(tcp_link, "connect", connect)
     with pytest.raises(LinkUnavailableError, match=r"192\.0\.2\.1: no answer in time; 192"):
         open_tcp(TcpTarget("board.local", 5000))
     assert given == [2.0, 0.5]

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 
-from resonator_daemon.links import tty_settings as port_settings
 from resonator_daemon.links.tty_settings import set_low_latency
 
 TIOCGSERIAL, TIOCSSERIAL = 0x541E, 0x541F
@@ -20,10 +19,8 @@ PATH = "/dev/ttyUSB7"
 
 
 @pytest.fixture
-def timer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def timer(tmp_path: Path) -> Path:
     """The latency timer of the adapter behind PATH, at 16 ms."""
-    monkeypatch.setattr(port_settings, "_SYS_TTY", tmp_path)
-    monkeypatch.setattr(port_settings, "_said", set())
     timer = tmp_path / "ttyUSB7" / "device" / "latency_timer"
     timer.parent.mkdir(parents=True)
     timer.write_text("16\n")
@@ -59,7 +56,7 @@ def test_the_driver_is_asked_for_low_latency_and_for_nothing_else(monkeypatch: p
 def test_a_timer_that_the_driver_left_is_shortened(timer: Path, caplog: pytest.LogCaptureFixture) -> None:
     master, slave = os.openpty()  # has no such flag
     caplog.set_level(logging.INFO)
-    set_low_latency(slave, PATH)
+    set_low_latency(slave, PATH, timer.parents[2])
     os.close(master)
     os.close(slave)
     assert timer.read_text() == "1"
@@ -74,8 +71,8 @@ def test_a_timer_that_may_not_be_shortened_is_said_once_with_the_rule(
 
     monkeypatch.setattr(Path, "write_text", refuse)
     caplog.set_level(logging.INFO)
-    set_low_latency(no_terminal, PATH)
-    set_low_latency(no_terminal, PATH)
+    set_low_latency(no_terminal, PATH, timer.parents[2])
+    set_low_latency(no_terminal, PATH, timer.parents[2])
     (record,) = caplog.records
     assert record.levelno == logging.INFO
     assert f"{PATH} hands bytes on only every 16 ms" in record.getMessage()
@@ -88,6 +85,6 @@ def test_a_timer_that_is_short_or_unreadable_is_left_alone(
 ) -> None:
     timer.write_text(text)
     caplog.set_level(logging.INFO)
-    set_low_latency(no_terminal, PATH)
+    set_low_latency(no_terminal, PATH, timer.parents[2])
     assert timer.read_text() == text
     assert not caplog.records

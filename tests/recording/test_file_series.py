@@ -11,7 +11,7 @@ import pytest
 from recording_bench import PLATE, at, made
 
 from resonator_daemon.recording import file_series as recording_budget
-from resonator_daemon.recording.file_series import NoRoomError, Room, Series
+from resonator_daemon.recording.file_series import DiskSpace, NoRoomError, Series
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.session.link_events import Received
 
@@ -20,7 +20,7 @@ LEFT = Origin(PLATE, "tcp://board:1", name="left")
 
 def test_the_file_before_counts_once_the_next_has_begun(tmp_path: Path) -> None:
     series = Series(tmp_path, "left", budget_bytes=75_000)
-    room = Room(series, lambda *_: None)
+    room = DiskSpace(series, lambda *_: None)
     files = []
     for number in range(2):
         room.begin()
@@ -37,7 +37,7 @@ def test_the_file_before_counts_once_the_next_has_begun(tmp_path: Path) -> None:
 
 def test_a_recording_of_another_daemon_with_this_name_before_its_time_stays(tmp_path: Path) -> None:
     theirs = made(tmp_path, 0, says="right")
-    room = Room(Series(tmp_path, "left", budget_bytes=1), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=1), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     room.keep_budget(own)
     assert theirs.exists()
@@ -49,7 +49,7 @@ def test_recordings_that_somebody_else_removes_meanwhile_are_left_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     old = [made(tmp_path, minute) for minute in range(2)]
-    room = Room(Series(tmp_path, "left", budget_bytes=75_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=75_000), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     listed = Series.files
 
@@ -74,7 +74,7 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
     notes = tmp_path / "left-notes.mcap"
     notes.write_bytes(bytes(20_000))
     (tmp_path / "left-20200101T000000.000Z.mcap").symlink_to(other)
-    room = Room(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=55_000), lambda *line: said.append(line))
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     room.keep_budget(own)
     assert [path.exists() for path in old] == [False, False, True, True]  # what is foreign does not count
@@ -89,7 +89,7 @@ def test_the_oldest_recordings_of_this_name_make_room(tmp_path: Path) -> None:
 
 def test_a_recording_that_another_program_writes_is_not_removed(tmp_path: Path) -> None:
     old = [made(tmp_path, minute) for minute in range(2)]
-    room = Room(Series(tmp_path, "left", budget_bytes=25_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=25_000), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     with old[0].open("rb") as written:
         fcntl.flock(written, fcntl.LOCK_EX)
@@ -106,7 +106,7 @@ def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest
         raise PermissionError(1, "Operation not permitted", str(path))
 
     monkeypatch.setattr(os, "unlink", refuse)
-    room = Room(Series(tmp_path, "left", budget_bytes=1), lambda *line: said.append(line))
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=1), lambda *line: said.append(line))
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     for _ in range(3):
         room.begin()
@@ -118,7 +118,7 @@ def test_what_cannot_be_removed_is_said_once(tmp_path: Path, monkeypatch: pytest
 
 def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=480_000_000))
-    room = Room(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path / "deep" / "er", "left", keep_free_bytes=450_000_000), lambda *_: None)
     room.check(again=False)
     with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(keep_free_mb in \[recording\]"):
         room.check(again=True)
@@ -126,7 +126,7 @@ def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_the_file_that_is_written_counts_once(tmp_path: Path) -> None:
     old = made(tmp_path, 0)
-    room = Room(Series(tmp_path, "left", budget_bytes=80_000), lambda *_: None)
+    room = DiskSpace(Series(tmp_path, "left", budget_bytes=80_000), lambda *_: None)
     own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
     own.write(Received(at(0), Random(1).randbytes(50_000)))
     own.flush()

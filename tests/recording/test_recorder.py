@@ -163,11 +163,10 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path
     assert recorder.skipped_events == 3
 
 
-def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # nothing is written before the end
+def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     events: list[WireEvent] = [Received(at(0), bytes(10_000)), *(Opened(at(number)) for number in range(1, 20))]
-    recorder = record(path, events, queue_bytes=10 * 300)
+    recorder = record(path, events, queue_bytes=10 * 300, batch_s=3600.0)
     kept, _ = read(path)
     assert kept[:-1] == [Skipped(at(1), 1, 10_000), *(Opened(at(number)) for number in range(1, 10))]
     assert isinstance(kept[-1], Skipped)
@@ -348,12 +347,11 @@ def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) 
     assert len(lengths) > 3
 
 
-def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # so that the same is in each chunk
+def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     random = Random(3)
     written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
-    record(path, written)
+    record(path, written, batch_s=3600.0)
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 4
     path.write_bytes(whole)

@@ -48,16 +48,17 @@ def contents(directory: Path) -> list[list[WireEvent]]:
     return [read(path)[0] for path in files]
 
 
+def log_to(lines: list[tuple[int, str]]) -> Callable[[int, str], None]:
+    return lambda level, text: lines.append((level, text))
+
+
 def disk(monkeypatch: pytest.MonkeyPatch, free_bytes: list[int]) -> None:
     monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=free_bytes[-1]))
 
 
-def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # what is put is written at once, in one go
+def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path: Path) -> None:
     series = Series(tmp_path, "left", file_max_ns=1_000_000_000)
-    with Recorder(series, LEFT) as recorder:
+    with Recorder(series, LEFT, batch_s=3600.0) as recorder:
         for ms in range(0, 3000, 100):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), bytes([ms // 100])))
@@ -141,9 +142,8 @@ def test_what_a_file_says_of_itself_is_on_its_way_to_the_disk_at_once(tmp_path: 
     recorder.close()
 
 
-def test_messages_give_way_to_the_link(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)
-    with Recorder(tmp_path / "run.mcap", LEFT, queue_bytes=10_000) as recorder:
+def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
+    with Recorder(tmp_path / "run.mcap", LEFT, queue_bytes=10_000, batch_s=3600.0) as recorder:
         for number in range(20):
             recorder.put_message("forces", number, b'{"count":0}', SCHEMA)
         recorder.put(Received(at(0), bytes(4_000)))
@@ -199,12 +199,11 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumes: bool
 ) -> None:
     monkeypatch.setattr(recording, "FLUSH_S", 0.0)
-    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
     free_bytes = [200]
     disk(monkeypatch, free_bytes)
     said: list[tuple[int, str]] = []
     series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
-    with Recorder(series, LEFT, say=lambda *line: said.append(line)) as recorder:
+    with Recorder(series, LEFT, log_line=log_to(said), retry_s=0.0) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.events == 1)
         free_bytes.append(99)
@@ -236,12 +235,13 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         assert [level for level, _ in said] == [logging.WARNING]
 
 
-def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path) -> None:
     blocked = tmp_path / "disk"
     blocked.touch()
     said: list[tuple[int, str]] = []
-    with Recorder(Series(blocked, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+    with Recorder(
+        Series(blocked, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line), retry_s=0.0
+    ) as recorder:
         assert recorder.failure is not None
         for ms in range(3):
             recorder.put(snapshot(at(ms)))
@@ -254,9 +254,8 @@ def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path, monkeypatch:
     assert len(said) == 2  # however often it was tried
 
 
-def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
-    with Recorder(Series(tmp_path, "left", resumes=True), LEFT) as recorder:
+def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> None:
+    with Recorder(Series(tmp_path, "left", resumes=True), LEFT, retry_s=0.0) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.events == 1)
         assert recorder._file is not None
@@ -290,10 +289,8 @@ def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, m
     def broken(event: WireEvent) -> bytes:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # all of it in one go
     monkeypatch.setattr(recording_writer, "encode", broken)
-    with Recorder(Series(tmp_path, "left"), LEFT) as recorder:
+    with Recorder(Series(tmp_path, "left"), LEFT, retry_s=0.0, batch_s=3600.0) as recorder:
         recorder.put(Opened(at(0)))
         recorder.put(snapshot(at(1)))
     assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
@@ -304,7 +301,7 @@ def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, m
 def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_path: Path, how: str) -> None:
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
-    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+    with Recorder(Series(directory, "left", resumes=True), LEFT, log_line=log_to(said)) as recorder:
         recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         first = recorder.path
@@ -329,13 +326,12 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
     assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
 
 
-def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording, "_RETRY_S", 0.0)
+def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(tmp_path: Path) -> None:
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
-    with Recorder(Series(directory, "left", resumes=True), LEFT, say=lambda *line: said.append(line)) as recorder:
+    with Recorder(
+        Series(directory, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line), retry_s=0.0
+    ) as recorder:
         recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         directory.rename(tmp_path / "elsewhere")
@@ -354,7 +350,7 @@ def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(
 
 def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:
     said: list[tuple[int, str]] = []
-    with Recorder(Series(tmp_path, "left"), LEFT, say=lambda *line: said.append(line)) as recorder:
+    with Recorder(Series(tmp_path, "left"), LEFT, log_line=log_to(said)) as recorder:
         recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
         path = recorder.path
@@ -372,11 +368,10 @@ def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None
     assert [events[0].now for events in contents(tmp_path)] == begun
 
 
-def test_between_tries_there_is_a_pause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "_RETRY_S", 3600.0)
+def test_between_tries_there_is_a_pause(tmp_path: Path) -> None:
     blocked = tmp_path / "disk"
     blocked.touch()
-    with Recorder(Series(blocked, "left", resumes=True), LEFT) as recorder:
+    with Recorder(Series(blocked, "left", resumes=True), LEFT, retry_s=3600.0) as recorder:
         blocked.unlink()
         recorder.put(snapshot(at(1)))
         recorder.put(Received(at(1), b"x"))

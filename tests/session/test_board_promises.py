@@ -5,7 +5,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, Bench, SimulatedBoard, board, online
+from connection_bench import DESCRIPTION, GATE_TICKS, IDENTITY, MS, PLATE, Bench, SimulatedBoard, board, online
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.messages import Configuration, encode_message
@@ -95,13 +95,9 @@ def test_a_description_that_does_not_fit_is_refused(changes: dict[str, object], 
     assert not bench.frames
 
 
-def test_a_plate_calibrated_with_another_board_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = Bench(SimulatedBoard())
-    calibration = bench.connection._plate.calibration
-    plate = bench.connection._plate.model_copy(
-        update={"calibration": calibration.model_copy(update={"unit": "RD-0042"})}
-    )
-    monkeypatch.setattr(bench.connection, "_plate", plate)
+def test_a_plate_calibrated_with_another_board_is_refused() -> None:
+    calibration = PLATE.calibration.model_copy(update={"unit": "RD-0042"})
+    bench = Bench(SimulatedBoard(), plate=PLATE.model_copy(update={"calibration": calibration}))
     with pytest.raises(BoardRefusedError, match="the board is T-1, the plate file was calibrated with RD-0042"):
         bench.run(200)
 

@@ -30,7 +30,7 @@ from resonator_daemon.session.frames import (
     ReaderFailed,
     SingleToneFrame,
 )
-from resonator_daemon.session.link_events import Received
+from resonator_daemon.session.link_events import Received, TimersRun, WireEvent
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -309,6 +309,40 @@ def test_a_link_that_is_gone_again_and_again_is_opened_again_and_again() -> None
     assert link.resets >= 3
     assert it.states[-1] == ("waiting", "unplugged")
     assert not any(isinstance(arrival, ReaderFailed) for arrival in it.arrivals)
+
+
+class Starved:
+    """A link whose bytes come while the reader's thread is kept waiting: each wait ends before them."""
+
+    overruns = 0
+
+    def read(self, timeout_s: float) -> bytes:
+        return b"" if timeout_s > 0.0 else b"x"
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def reset(self) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_reader_that_was_kept_waiting_reads_before_it_takes_the_board_for_silent() -> None:
+    events: list[WireEvent] = []
+    enough = threading.Event()
+
+    def note(event: WireEvent) -> None:
+        events.append(event)
+        if isinstance(event, TimersRun):
+            enough.set()
+
+    with Listener(Opening(Starved), on_event=note):
+        assert enough.wait(DEADLINE_S)
+    timers = [position for position, event in enumerate(events) if isinstance(event, TimersRun)]
+    assert all(isinstance(events[position - 1], Received) for position in timers)
+    assert not any(event.idle for event in events if isinstance(event, TimersRun))
 
 
 def test_a_mistake_of_ours_does_not_end_the_reader_unheard() -> None:

@@ -15,7 +15,7 @@ def leaving_times(pacing: PingPacing, count: int, start_ns: int = 12_345_678_901
 
 def calm() -> PingPacing:
     pacing = PingPacing()
-    pacing.learnt(0, 50_000.0, 20)
+    pacing.update(0, 50_000.0, 20)
     return pacing
 
 
@@ -39,9 +39,9 @@ def test_it_begins_at_a_hundred_a_second_and_calms_down_to_one() -> None:
 
 def test_having_learnt_it_asks_half_as_often() -> None:
     pacing = PingPacing()
-    pacing.learnt(S, 5e5, 799)
+    pacing.update(S, 5e5, 799)
     assert pacing.next_ns(0) == PingPacing().next_ns(0)
-    pacing.learnt(2 * S, 6.1e5, 800)  # above what it could: pings help
+    pacing.update(2 * S, 6.1e5, 800)  # above what it could: pings help
     assert pacing.next_ns(0) - PingPacing().next_ns(0) == 10 * MS
 
 
@@ -52,26 +52,26 @@ def rapid(pacing: PingPacing) -> bool:
 def test_above_100_us_it_is_rapid() -> None:
     pacing = calm()
     assert not rapid(pacing)
-    pacing.learnt(S, 101_000.0, 1000)
+    pacing.update(S, 101_000.0, 1000)
     assert rapid(pacing)
-    pacing.learnt(2 * S, 99_000.0, 1000)
+    pacing.update(2 * S, 99_000.0, 1000)
     assert not rapid(pacing)
 
 
 def test_what_a_link_cannot_do_is_not_asked_of_it() -> None:
     pacing = PingPacing()
     for number in range(1, 1000):
-        pacing.learnt(number * 10 * MS, 2e6, number)
+        pacing.update(number * 10 * MS, 2e6, number)
         assert rapid(pacing) == (number < 800)
-    pacing.learnt(11 * S, 2.5e6, 1000)  # but what it could a moment ago
+    pacing.update(11 * S, 2.5e6, 1000)  # but what it could a moment ago
     assert rapid(pacing)
 
 
 def test_what_a_link_could_long_ago_is_forgotten() -> None:
     pacing = calm()
-    pacing.learnt(25 * S, 2e6, 1000)
+    pacing.update(25 * S, 2e6, 1000)
     assert rapid(pacing)
-    pacing.learnt(31 * S, 2e6, 1000)
+    pacing.update(31 * S, 2e6, 1000)
     assert rapid(pacing)
-    pacing.learnt(62 * S, 2e6, 1000)
+    pacing.update(62 * S, 2e6, 1000)
     assert not rapid(pacing)

@@ -1,9 +1,11 @@
 """Every byte and frame in its place under each fault, and over the wrap of frame numbers; more of it in `make soak`."""
 
+from typing import Any
+
 import pytest
 from wire_accounts import CASES, Case, run
 
-from resonator_daemon.session import frame_numbers as numbering
+from resonator_daemon.session.frame_numbers import Accepted, FrameNumbering
 from simulators.faults import FaultPlan
 
 
@@ -13,10 +15,13 @@ def test_accounts_are_exact(case: Case) -> None:
 
 
 def test_a_frame_in_the_wrong_place_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    as_counted = numbering.FrameNumbering._causes
+    as_counted = FrameNumbering.accept
 
-    def one_too_few(it: numbering.FrameNumbering, missing: int) -> numbering.FrameLoss:
-        return as_counted(it, max(0, missing - 1))
+    def one_too_far(it: FrameNumbering, boot_id: int, sequence: int, *rest: Any) -> Accepted | None:
+        accepted = as_counted(it, boot_id, sequence, *rest)
+        if accepted is not None and accepted.gap is not None:
+            accepted.index += 1
+        return accepted
 
-    monkeypatch.setattr(numbering.FrameNumbering, "_causes", one_too_few)
+    monkeypatch.setattr(FrameNumbering, "accept", one_too_far)
     assert run(Case("bit errors", FaultPlan(bit_error_rate=3e-5)), 2000, seed=5)

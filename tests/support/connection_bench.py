@@ -10,7 +10,7 @@ from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import Described
 from firmware_protocol.messages import CounterKind, Description, Identity
 from firmware_protocol.states import BoardState
-from resonator_daemon.plate import load_plate
+from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import LinkCounters
@@ -86,8 +86,9 @@ class SimulatedBoard:
 class Bench:
     """One daemon's end over any number of connections, and the time."""
 
-    def __init__(self, board: SimulatedBoard, delay_ns: int = 0, step_ns: int = STEP_NS) -> None:
+    def __init__(self, board: SimulatedBoard, delay_ns: int = 0, step_ns: int = STEP_NS, plate: Plate = PLATE) -> None:
         self.board = board
+        self.plate = plate
         self.delay_ns = delay_ns  # from board to host
         self.step_ns = step_ns
         self.now_ns = 10_000 * MS
@@ -104,7 +105,7 @@ class Bench:
     def open(self) -> None:
         self._on_the_way: deque[tuple[int, bytes]] = deque()
         self.connection = Connection(
-            PLATE, self.known, self.numbering, self.queue, self.total, self.state, self.host_time()
+            self.plate, self.known, self.numbering, self.queue, self.total, self.state, self.host_time()
         )
 
     def close(self) -> None:

@@ -17,9 +17,9 @@ from resonator_daemon.toml_files.urls import split_url
 
 CONNECT_TIMEOUT_S = 3.0
 
-# A peer that vanished without a word, as with its power, is told by the kernel after four seconds.
+# The kernel reports a peer that vanished, as with its power, after four seconds.
 _IDLE_S, _PROBE_S, _PROBES = 1, 1, 3
-_UNACKNOWLEDGED_MS = 4000
+UNACKNOWLEDGED_MS = 4000
 
 
 @dataclass(frozen=True)
@@ -55,8 +55,17 @@ class TcpTarget(LinkTarget):
         )
 
 
-def open_tcp(target: TcpTarget, timeout_s: float = CONNECT_TIMEOUT_S) -> FileDescriptorLink:
-    """Connect; `timeout_s` is for the name and all its addresses together.
+def open_tcp(
+    target: TcpTarget, timeout_s: float = CONNECT_TIMEOUT_S, unacknowledged_ms: int = UNACKNOWLEDGED_MS
+) -> FileDescriptorLink:
+    """Connect.
+
+    Parameters
+    ----------
+    timeout_s
+        For the name and all its addresses together.
+    unacknowledged_ms
+        After which the link is lost when the peer acknowledges nothing.
 
     Raises
     ------
@@ -68,7 +77,7 @@ def open_tcp(target: TcpTarget, timeout_s: float = CONNECT_TIMEOUT_S) -> FileDes
     try:
         for family, address in resolve_host(target.host, target.port, timeout_s):
             try:
-                connection = _connect(family, address, deadline - time.monotonic())
+                connection = connect(family, address, deadline - time.monotonic(), unacknowledged_ms)
             except OSError as error:
                 reasons.append(f"{address[0]!s}: {_reason(error)}")
             else:
@@ -78,7 +87,9 @@ def open_tcp(target: TcpTarget, timeout_s: float = CONNECT_TIMEOUT_S) -> FileDes
     raise LinkUnavailableError(f"{target} does not answer ({'; '.join(reasons)})")
 
 
-def _connect(family: int, address: tuple[str | int | bytes, ...], timeout_s: float) -> socket.socket:
+def connect(
+    family: int, address: tuple[str | int | bytes, ...], timeout_s: float, unacknowledged_ms: int
+) -> socket.socket:
     connection = socket.socket(family, socket.SOCK_STREAM)
     try:
         connection.settimeout(max(timeout_s, 1e-3))
@@ -88,7 +99,7 @@ def _connect(family: int, address: tuple[str | int | bytes, ...], timeout_s: flo
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, _IDLE_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, _PROBE_S)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, _PROBES)
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, _UNACKNOWLEDGED_MS)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, unacknowledged_ms)
         connection.setblocking(False)
     except OSError:
         connection.close()
