@@ -123,7 +123,7 @@ class Board:
         self.plugged_in = True
         self.heard = False  # frames of this boot have arrived
         self._reader = PerfectReader()
-        self.arriving = self._estimator.found  # the frames that must arrive
+        self.arriving = self._reader.found  # the frames that must arrive
         self.sent = self.dropped = self.duplicated = 0
         self.boot(0)
 
@@ -174,8 +174,8 @@ class Board:
         if outgoing.is_frame:
             self.sent += 1
             self.duplicated += len(harm.frame_sequences_duplicated) if harm else 0
-            self._estimator.knows(outgoing.data, self.boot_id, ticks)
-        self._estimator.read(data)
+            self._reader.knows(outgoing.data, self.boot_id, ticks)
+        self._reader.read(data)
         return data
 
     @property

@@ -27,7 +27,7 @@ DEADLINE_S = 60.0
 RUN = "; ".join(
     (
         "from resonator_daemon.recording import recorder",
-        "recorder._RETRY_S = 0.5",
+        "recorder.RETRY_S = 0.5",
         "from resonator_daemon.commands import main",
         "raise SystemExit(main())",
     )

@@ -64,9 +64,9 @@ class Recorder:
     log_line
         Receives level and text of lines for the log, in the thread that writes.
     batch_s
-        How often what waits is written.
+        How often what waits is written; None: `BATCH_S`.
     retry_s
-        When a new file is tried after a failure, where the series resumes.
+        When a new file is tried after a failure, where the series resumes; None: `RETRY_S`.
 
     Raises
     ------
@@ -81,16 +81,16 @@ class Recorder:
         *,
         queue_bytes: int = QUEUE_BYTES,
         log_line: LogLine = discard_line,
-        batch_s: float = BATCH_S,
-        retry_s: float = RETRY_S,
+        batch_s: float | None = None,
+        retry_s: float | None = None,
     ) -> None:
         self._place = place
         self._origin = origin
         self._disk_space = DiskSpace(place, log_line) if isinstance(place, Series) else None
         self._resumes = isinstance(place, Series) and place.resumes
         self._log_line = log_line
-        self._batch_s = batch_s
-        self._retry_after_s = retry_s
+        self._batch_s = BATCH_S if batch_s is None else batch_s
+        self._retry_after_s = RETRY_S if retry_s is None else retry_s
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
         self._items: deque[Item] = deque()

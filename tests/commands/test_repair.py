@@ -34,7 +34,7 @@ def at(ms: int) -> HostTime:
 @pytest.fixture
 def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[WireEvent]]:
     """A whole recording of some chunks, and its events."""
-    monkeypatch.setattr(recording, "_BATCH_S", 3600.0)  # so that the same is in each chunk
+    monkeypatch.setattr(recording, "BATCH_S", 3600.0)  # so that the same is in each chunk
     random = Random(1)
     path = tmp_path / "run.mcap"
     events: list[WireEvent] = [Received(at(ms), random.randbytes(60_000)) for ms in range(30)]

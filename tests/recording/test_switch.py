@@ -300,7 +300,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 ) -> None:
     making, made = threading.Event(), threading.Event()
 
-    def slowly(path: Path, origin: Origin, *, say: object) -> Recorder:
+    def slowly(path: Path, origin: Origin, *, log_line: object) -> Recorder:
         making.set()
         assert made.wait(DEADLINE_S)
         return Recorder(path, origin)
