@@ -21,14 +21,19 @@ PATH_BYTES_MAX: Final = 107  # sun_path of sockaddr_un has room for so many and 
 _MODE: Final = 0o660
 _BACKLOG: Final = 128
 _TOGETHER: Final = 25  # connections, then a pause: 500 a second at most, about a tenth of a core
-_PAUSE_S: Final = 0.05
-_SEND_S: Final = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
 _FRESH_S: Final = 0.1  # those who ask within it get the same answer
-_AGAIN_S: Final = 5.0
-_LOOK_S: Final = 5.0  # how long a removed socket may go unnoticed
 _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
 
 log = logging.getLogger(__name__)
+
+
+class StatusTimes(NamedTuple):
+    """Time limits and pauses of a status server, in seconds."""
+
+    retry_s: float = 5.0  # after a failure
+    check_s: float = 5.0  # for which a removed socket may go unnoticed
+    send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
+    pause_s: float = 0.05
 
 
 class StatusServer:
@@ -40,9 +45,11 @@ class StatusServer:
         Of the socket. A file beside it, `status.lock`, is locked meanwhile and stays.
     make
         Makes the answer; called on the event loop's thread, at most ten times a second.
+    times
     """
 
-    def __init__(self, path: Path, make: Callable[[], Status]) -> None:
+    def __init__(self, path: Path, make: Callable[[], Status], times: StatusTimes | None = None) -> None:
+        self._times = times or StatusTimes()
         self._path = path
         self._make = make
         self._answer = b""
@@ -58,7 +65,7 @@ class StatusServer:
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
                 self._log_change(f"`resonatord status` does not see this daemon: {_sentence(error)}")
-                await asyncio.sleep(_AGAIN_S)
+                await asyncio.sleep(self._times.retry_s)
 
     async def _answer_all(self, listening: "_Listening") -> None:
         """Answer until nobody finds the socket any more, or another daemon could take its place."""
@@ -66,7 +73,7 @@ class StatusServer:
         answered = 0
         while True:
             try:
-                async with asyncio.timeout(_LOOK_S):
+                async with asyncio.timeout(self._times.check_s):
                     client, _ = await loop.sock_accept(listening.own)
             except TimeoutError:
                 if not listening.in_place():
@@ -76,10 +83,10 @@ class StatusServer:
                 self._log_change(None)
                 answer = self._fresh_answer(loop.time())
                 with contextlib.suppress(OSError):  # TimeoutError is one: who does not read is left
-                    async with asyncio.timeout(_SEND_S):
+                    async with asyncio.timeout(self._times.send_s):
                         await loop.sock_sendall(client, answer)
             answered += 1
-            await asyncio.sleep(_PAUSE_S if answered % _TOGETHER == 0 else 0)
+            await asyncio.sleep(self._times.pause_s if answered % _TOGETHER == 0 else 0)
 
     def _fresh_answer(self, now_s: float) -> bytes:
         if now_s - self._answer_s >= _FRESH_S:

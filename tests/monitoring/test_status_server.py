@@ -16,9 +16,8 @@ from pathlib import Path
 import pytest
 import status_samples
 
-from resonator_daemon.monitoring import status_server
 from resonator_daemon.monitoring.status import Status
-from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer
+from resonator_daemon.monitoring.status_server import PATH_BYTES_MAX, StatusServer, StatusTimes
 
 DEADLINE_S = 20.0
 
@@ -29,8 +28,10 @@ def path(tmp_path: Path) -> Path:
 
 
 @asynccontextmanager
-async def serving(path: Path, make: Callable[[], Status] = status_samples.status) -> AsyncIterator[None]:
-    task = asyncio.create_task(StatusServer(path, make).run())
+async def serving(
+    path: Path, make: Callable[[], Status] = status_samples.status, **times: float
+) -> AsyncIterator[None]:
+    task = asyncio.create_task(StatusServer(path, make, StatusTimes(**times)).run())
     try:
         yield
     finally:
@@ -100,14 +101,13 @@ asyncio.run(StatusServer(Path(sys.argv[1]), lambda: status_samples.status(instan
 
 
 async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_ends(
-    path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(status_server, "_AGAIN_S", 0.01)
     tests = Path(__file__).parents[1] / "support"
     with subprocess.Popen([sys.executable, "-c", OTHER_DAEMON, str(path), str(tests)]) as other:
         try:
             await until(lambda: path.exists() and listens(path))
-            async with serving(path):
+            async with serving(path, retry_s=0.01):
                 await until(lambda: bool(caplog.records))
                 for _ in range(10):
                     await asyncio.sleep(0.01)  # tries again, and says nothing new
@@ -124,13 +124,12 @@ async def test_a_living_daemons_socket_is_not_taken_and_becomes_free_when_it_end
 
 @pytest.mark.parametrize("beyond", [0, 1])
 async def test_a_path_longer_than_sockets_take_is_said_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, beyond: int
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, beyond: int
 ) -> None:
-    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
     room = PATH_BYTES_MAX - len(os.fsencode(tmp_path)) - len("//status.sock")
     path = tmp_path / ("é" * (room // 2) + "e" * (room % 2 + beyond)) / "status.sock"
     assert len(os.fsencode(path)) == PATH_BYTES_MAX + beyond
-    async with serving(path):
+    async with serving(path, retry_s=0.001):
         if not beyond:
             await until(lambda: path.exists() and listens(path))
         await until(lambda: bool(caplog.records) or not beyond)
@@ -142,12 +141,11 @@ async def test_a_path_longer_than_sockets_take_is_said_once(
 
 @pytest.mark.parametrize("in_the_way", ["run", "run/status.sock"])
 async def test_a_file_in_the_way_is_left_alone_and_said_once(
-    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, in_the_way: str
+    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, in_the_way: str
 ) -> None:
-    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
     (tmp_path / in_the_way).parent.mkdir(exist_ok=True)
     (tmp_path / in_the_way).write_text("kept")
-    async with serving(path):
+    async with serving(path, retry_s=0.001):
         await until(lambda: bool(caplog.records))
         for _ in range(10):
             await asyncio.sleep(0.002)
@@ -161,15 +159,14 @@ async def test_a_file_in_the_way_is_left_alone_and_said_once(
 
 @pytest.mark.parametrize("target", ["nowhere", "other.sock"])
 async def test_a_link_in_the_sockets_place_is_left_alone_and_said(
-    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, target: str
+    tmp_path: Path, path: Path, caplog: pytest.LogCaptureFixture, target: str
 ) -> None:
     """The daemon makes none: what somebody has put there on purpose is theirs to remove."""
-    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
     path.parent.mkdir()
     path.symlink_to(tmp_path / target)
     with socket.socket(socket.AF_UNIX) as other:
         other.bind(str(tmp_path / "other.sock"))
-        async with serving(path):
+        async with serving(path, retry_s=0.001):
             await until(lambda: bool(caplog.records))
             assert f"{path} is in the way and no socket; remove it" in caplog.text
             assert path.is_symlink()
@@ -192,10 +189,9 @@ async def test_those_who_hang_keep_nobody_waiting(path: Path) -> None:
                 client.close()
 
 
-async def test_one_who_never_reads_a_huge_answer_is_left(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(status_server, "_SEND_S", 0.05)
+async def test_one_who_never_reads_a_huge_answer_is_left(path: Path) -> None:
     huge = status_samples.status(version="x" * 3_000_000)
-    async with serving(path, lambda: huge):
+    async with serving(path, lambda: huge, send_s=0.05):
         await until(lambda: listens(path))
         with socket.socket(socket.AF_UNIX) as hanging:
             hanging.connect(str(path))
@@ -203,10 +199,7 @@ async def test_one_who_never_reads_a_huge_answer_is_left(path: Path, monkeypatch
     assert json.loads(answer)["version"] == huge.version
 
 
-async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(status_server, "_PAUSE_S", 0.001)
+async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(path: Path) -> None:
     made = 0
 
     def make() -> Status:
@@ -214,7 +207,7 @@ async def test_a_thousand_at_once_all_have_their_answer_and_few_are_made(
         made += 1
         return status_samples.status()
 
-    async with serving(path, make):
+    async with serving(path, make, pause_s=0.001):
         await until(lambda: listens(path))
         loop = asyncio.get_running_loop()
         started_s = loop.time()
@@ -234,7 +227,6 @@ async def test_without_room_for_another_connection_it_is_said_once_and_goes_on(
     path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     caplog.set_level(logging.INFO)
-    monkeypatch.setattr(status_server, "_AGAIN_S", 0.001)
     loop = asyncio.get_running_loop()
     accept, refusals = loop.sock_accept, iter(range(5))
 
@@ -244,7 +236,7 @@ async def test_without_room_for_another_connection_it_is_said_once_and_goes_on(
         return await accept(listening)
 
     monkeypatch.setattr(loop, "sock_accept", sock_accept)
-    async with serving(path):
+    async with serving(path, retry_s=0.001):
         await until(lambda: next(refusals, None) is None)
         await until(lambda: path.exists() and listens(path))
         assert (await ask(path)).endswith(b"}\n")
@@ -267,10 +259,9 @@ async def test_a_fault_of_the_program_is_not_hidden(path: Path) -> None:
 @pytest.mark.undisturbed
 @pytest.mark.parametrize("lost", ["directory", "socket", "lock"])
 async def test_a_socket_or_lock_that_is_removed_is_made_again_and_said_once(
-    path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch, lost: str
+    path: Path, caplog: pytest.LogCaptureFixture, lost: str
 ) -> None:
-    monkeypatch.setattr(status_server, "_LOOK_S", 0.001)
-    async with serving(path):
+    async with serving(path, check_s=0.001):
         await until(lambda: listens(path))
         before = path.stat().st_ino, path.with_suffix(".lock").stat().st_ino
         gone = {"directory": path.parent, "socket": path, "lock": path.with_suffix(".lock")}[lost]
