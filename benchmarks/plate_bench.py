@@ -114,7 +114,7 @@ class PlateBench:
         """
         touches = [event.contact.touch for event in reading.events if event.event == "onset"]
         pressed = {touch.site for touch in touches} | {force.site for force in reading.sites}
-        if not isinstance(self.chain, SingleToneProcessing):
+        if not isinstance(self.processing, SingleToneProcessing):
             touches += [contact.touch for contact in reading.contacts if np.isfinite(contact.touch.force_newton)]
             pressed = {touch.site for touch in touches}
         return {self.site_ids[site] for site in pressed}
