@@ -109,7 +109,10 @@ async def start_emulator(plate: str, folder: Path, *, over_tcp: bool) -> tuple[C
     link = ("--tcp", "127.0.0.1:0") if over_tcp else ("--pty", str(folder / f"{plate}.port"))
     arguments = ("emulate", "--plate", plate, *link, "--truth", str(truth), "--json")
     child = await start_child(f"emulator {plate}", folder, (*_RESONATORD, *arguments), stdout=PIPE)
-    return child, json.loads(await child.first_line())["link"], truth
+    report = json.loads(await child.first_line())
+    if "error" in report:
+        raise UserError(f"emulator {plate}: {report['error']['message']}")
+    return child, report["link"], truth
 
 
 async def start_daemon(plate: str, link: str, broker_url: str, folder: Path) -> Child:

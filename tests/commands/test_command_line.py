@@ -14,14 +14,12 @@ from brokers import Mosquitto
 from command_line import exit_code
 from observer import observe
 
+from resonator_daemon.commands import command_names
 from resonator_daemon.config import load_config
 from resonator_daemon.publishing.asyncapi import document
 
 COMMAND = (sys.executable, "-m", "resonator_daemon")
-VERBS = (
-    *("demo", "run", "emulate", "watch", "check", "calibrate", "tare", "plan", "config"),
-    *("ports", "identify", "record"),
-)
+ALL = tuple(command_names())
 
 
 class Said(NamedTuple):
@@ -57,16 +55,18 @@ def config_path(tmp_path: Path, resonatord: Resonatord) -> Path:
 def test_help_names_every_verb_and_the_exit_codes() -> None:
     run = in_a_process("--help")
     assert run.returncode == 0
-    assert all(f"\n    {verb}" in run.stdout for verb in VERBS)
+    assert all(f"\n    {name.split()[0]}" in run.stdout for name in ALL)
     assert "69" in run.stdout
     assert "78" in run.stdout
 
 
-@pytest.mark.parametrize("verb", VERBS)
-def test_each_verb_explains_itself(verb: str, resonatord: Resonatord) -> None:
-    run = resonatord(verb, "--help")
+@pytest.mark.parametrize("name", ALL)
+def test_each_command_explains_itself(name: str, resonatord: Resonatord) -> None:
+    run = resonatord(*name.split(), "--help")
     assert run.returncode == 0
-    assert "usage: resonatord" in run.stdout
+    assert run.stdout.startswith(f"usage: resonatord {name} [-h]")
+    assert f"Example: resonatord {name} " in f"{' '.join(run.stdout.split())} " or name == "install"  # by sudo
+    assert ("--json" in run.stdout) == (name not in ("decode", "run"))
 
 
 def test_usage_errors_exit_with_2(resonatord: Resonatord) -> None:

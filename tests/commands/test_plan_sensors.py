@@ -94,10 +94,3 @@ def test_a_terminal_without_a_sign_for_degrees_is_no_error() -> None:
     assert run.returncode == 0
     assert run.stderr == ""
     assert "only along 0? and 90?" in " ".join(run.stdout.split())
-
-
-def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
-    assert exit_code("plan", "sensors", "--help") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    for word in ("sigma_xx", "half-space", "1 mm stripes", "resonatord plan sensors --set", "four depths"):
-        assert word in said
