@@ -45,9 +45,10 @@ class TruthOutput:
         self._flush()
 
     def close(self) -> None:
-        if self._fd is not None:
+        try:
             self._flush()
-        self._let_go()
+        finally:
+            self._let_go()
 
     def _reader_fd(self) -> int | None:
         if self._fd is None:

@@ -145,4 +145,3 @@ def test_a_disk_that_takes_nothing_more_is_said_in_a_sentence() -> None:
         output.write("x\n")
     with pytest.raises(OSError, match="No space left"):
         output.close()
-    output._let_go()
