@@ -33,6 +33,20 @@ def test_loads_are_those_of_places_that_are_touched(decoder: ContactDecoder) -> 
     assert decoder.net_load(np.zeros(0, np.intp), (0.0, 0.0)) is None
 
 
+def test_a_blob_that_two_contacts_touch_is_divided_between_them(decoder: ContactDecoder) -> None:
+    centres_m = (-8e-4, 0.0), (8e-4, 0.0)
+    frame = noisy(press(centre_m=centres_m[0]) + press(centre_m=centres_m[1]), np.random.default_rng(0))
+    decoder.reset()
+    decoder.decode(frame)
+    under = [np.flatnonzero(np.hypot(*(SKIN.site_positions_m - centre_m).T) < 6e-4) for centre_m in centres_m]
+    whole, *parts = decoder.net_loads([np.concatenate(under)], (0.0, 0.0)) + decoder.net_loads(under, (0.0, 0.0))
+    assert whole is not None
+    assert whole.force_newton[2] == pytest.approx(2.0, rel=0.02)
+    for part in parts:
+        assert part is not None
+        assert part.force_newton[2] == pytest.approx(1.0, rel=0.1)
+
+
 def test_it_needs_a_decoder_that_tells_its_sites() -> None:
     fourier = FourierDecoder(SKIN.half_space, SHAPE, PITCH_M, SKIN.depth_m, 1e-3)
     with pytest.raises(ValueError, match="linear_decoder is a FourierDecoder, must be an OpenPlaneDecoder"):
