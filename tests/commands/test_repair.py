@@ -11,7 +11,7 @@ from emulation import emulated
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from resonator_daemon import cli
+from resonator_daemon.commands import main
 from resonator_daemon.daemon.link_recording import RecordOptions, record
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
@@ -144,7 +144,7 @@ def test_a_replay_goes_on_behind_a_damaged_beginning(tmp_path: Path, capsys: pyt
     with open_recording(str(copy)) as it:
         sound = sum(isinstance(event, Received) for event in it.events())
     capsys.readouterr()
-    assert cli.main(["replay", str(copy), "--to", str(tmp_path / "out.jsonl"), "--json"]) == ExitCode.FAILED
+    assert main(["replay", str(copy), "--to", str(tmp_path / "out.jsonl"), "--json"]) == ExitCode.FAILED
     told = json.loads(capsys.readouterr().out)
     assert told["frames"] > 500
     assert told["differences"] < sound / 2  # what came between the damage and the next standing
@@ -192,7 +192,7 @@ def test_no_bit_that_flips_makes_an_event(made: tuple[Path, list[WireEvent]], tm
 
 def test_a_whole_file_is_not_copied(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
     path, written = made
-    assert cli.main(["repair", str(path), "--json"]) == 0
+    assert main(["repair", str(path), "--json"]) == 0
     out, err = capsys.readouterr()
     assert err == f"{path} is whole: nothing to repair\n"
     told = json.loads(out)
@@ -203,17 +203,17 @@ def test_a_whole_file_is_not_copied(made: tuple[Path, list[WireEvent]], capsys: 
 def test_what_was_cut_is_said(made: tuple[Path, list[WireEvent]], capsys: pytest.CaptureFixture[str]) -> None:
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])
-    assert cli.main(["repair", str(path)]) == 0
+    assert main(["repair", str(path)]) == 0
     copy = path.with_name("run-repaired.mcap")
     out, err = capsys.readouterr()
     assert out == ""
     left_out = "its end is missing, and its last 7 bytes are left out"
     assert err == f"{path}: {left_out}; {copy} has 31 events up to 2026-09-10T00:26:41.030Z\n"
-    assert cli.main(["repair", str(path), "--json"]) == 1  # the copy is there
+    assert main(["repair", str(path), "--json"]) == 1  # the copy is there
     out, err = capsys.readouterr()
     assert err == f"resonatord: {copy} is there already, and nothing is overwritten; name another file with --output\n"
     assert json.loads(out)["error"]["code"] == "not_repaired"
-    assert cli.main(["repair", str(path), "--output", str(path)]) == 1
+    assert main(["repair", str(path), "--output", str(path)]) == 1
     assert "is there already" in capsys.readouterr().err
 
 
@@ -240,7 +240,7 @@ def test_what_cannot_be_repaired_is_said(made: tuple[Path, list[WireEvent]], tmp
 
 @pytest.mark.parametrize("name", [".", "./", "", "/"])
 def test_a_place_without_a_name_is_no_recording(capsys: pytest.CaptureFixture[str], name: str) -> None:
-    assert cli.main(["repair", name]) == 69
+    assert main(["repair", name]) == 69
     assert capsys.readouterr().err == f"resonatord: recording {Path(name)} is no regular file\n"
 
 
@@ -280,7 +280,7 @@ def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: 
     path, copy = tmp_path / "run.mcap", tmp_path / "copy.mcap"
     messages = [("wire", CLOSED), ("wire", b"\xff" * 20), ("marks", b"null"), ("wire", CLOSED)]
     raw_recording(path, messages, plate=b"a = 1", settings=b"\xff")
-    assert cli.main(["repair", str(path), "--output", str(copy)]) == 0
+    assert main(["repair", str(path), "--output", str(copy)]) == 0
     events, damage = read(copy)
     assert damage is None
     assert [type(event) for event in events] == [Closed, Skipped, Closed]
@@ -294,7 +294,7 @@ def test_what_a_replay_cannot_read_is_left_out_and_told(tmp_path: Path, capsys: 
 def test_without_any_event_there_is_no_copy(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "run.mcap"
     raw_recording(path, [("wire", b"?")])
-    assert cli.main(["repair", str(path)]) == 1
+    assert main(["repair", str(path)]) == 1
     assert capsys.readouterr().err == f"resonatord: {path} has no event that can be read; no copy is made\n"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -371,7 +371,7 @@ def test_a_damaged_index_is_made_anew(
             found_by_index(path)
     assert read(path) == (written, None)
     copy = tmp_path / "copy.mcap"
-    assert cli.main(["repair", str(path), "--output", str(copy), "--json"]) == 0
+    assert main(["repair", str(path), "--output", str(copy), "--json"]) == 0
     out, err = capsys.readouterr()
     assert json.loads(out)["index_damaged"]
     assert err.startswith(f"{path}: its index is damaged; {copy} has {len(written)} events up to ")
@@ -408,7 +408,7 @@ def test_a_repair_that_is_interrupted_leaves_nothing(
     path, _ = made
     path.write_bytes(path.read_bytes()[:-1])
     monkeypatch.setattr("resonator_daemon.host.new_file.os.fsync", interrupted)
-    assert cli.main(["repair", str(path)]) == 1
+    assert main(["repair", str(path)]) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: no copy is made\n"
     assert list(path.parent.iterdir()) == [path]
 
@@ -420,7 +420,7 @@ def test_what_a_file_says_does_not_steer_a_terminal(tmp_path: Path, capsys: pyte
         writer.start("resonatord", "")
         writer.add_metadata("recording", {**ORIGIN.metadata, "format": "\x1b[2J"})
         writer.finish()
-    assert cli.main(["repair", str(path)]) == 69
+    assert main(["repair", str(path)]) == 69
     said = capsys.readouterr().err
     assert "two\ufffdlines.mcap has format \ufffd[2J, this version reads" in said
     assert said.removesuffix("\n").isprintable()

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import pytest
 
-from resonator_daemon import cli
+from resonator_daemon.commands import main
 from resonator_daemon.host.new_file import takes_a_stream
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
@@ -31,7 +31,7 @@ def test_a_name_that_is_taken_is_no_matter_of_the_configuration(
     monkeypatch.chdir(tmp_path)
     Path("taken.csv").write_text("mine")
     verb, *options = arguments
-    assert cli.main([verb, str(CORPUS / "touches" / "recording.mcap"), *options, "--json"]) == 78
+    assert main([verb, str(CORPUS / "touches" / "recording.mcap"), *options, "--json"]) == 78
     assert json.loads(capsys.readouterr().out)["error"]["code"] == "output"
     assert Path("taken.csv").read_text() == "mine"
 
@@ -52,12 +52,12 @@ def test_a_pipe_and_a_device_take_what_a_file_would(
     verb, *options = arguments
     command = [verb, str(CORPUS / "touches" / "recording.mcap"), *options]
     file, pipe = tmp_path / "file", tmp_path / "pipe"
-    assert cli.main([*command, str(file)]) == 0
+    assert main([*command, str(file)]) == 0
     os.mkfifo(pipe)
     with tempfile.TemporaryFile() as read:
         reader = subprocess.Popen(["cat", str(pipe)], stdout=read)
         try:
-            assert cli.main([*command, str(pipe)]) == 0
+            assert main([*command, str(pipe)]) == 0
             assert reader.wait(60) == 0
         finally:
             reader.kill()  # where nobody wrote
@@ -76,10 +76,10 @@ def test_a_pipe_and_a_device_take_what_a_file_would(
     null, full = tmp_path / "null", tmp_path / "full"  # links: a mistake removes these, and no device
     null.symlink_to("/dev/null")
     full.symlink_to("/dev/full")
-    assert cli.main([*command, str(null)]) == 0
+    assert main([*command, str(null)]) == 0
     if verb == "export":
         assert capsys.readouterr().err.startswith(f"{null}: {len(content) / 1e3:.0f} kB\n")
-    assert cli.main([*command, str(full)]) == 1
+    assert main([*command, str(full)]) == 1
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["file", "full", "null", "pipe"]
     said = capsys.readouterr().err
     assert "No space left on device" in said
@@ -90,12 +90,12 @@ def test_a_device_that_nothing_was_written_to_stays(tmp_path: Path) -> None:
     null = tmp_path / "null"
     null.symlink_to("/dev/null")  # a mistake removes the link, not the device
     recording = str(CORPUS / "touches" / "recording.mcap")
-    assert cli.main(["replay", recording, "--from", "100", "--to", str(null)]) == 1
+    assert main(["replay", recording, "--from", "100", "--to", str(null)]) == 1
     assert null.is_symlink()
 
 
 def test_many_tables_do_not_go_to_one_pipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pipe = tmp_path / "out.csv"
     os.mkfifo(pipe)
-    assert cli.main(["export", str(CORPUS / "touches" / "recording.mcap"), "--output", str(pipe)]) == 2
+    assert main(["export", str(CORPUS / "touches" / "recording.mcap"), "--output", str(pipe)]) == 2
     assert f"--output {pipe} takes one table of csv, not 6; choose it by --topics" in capsys.readouterr().err

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.forces.force_tones import SIGMA_HZ, ForceTones
+from resonator_daemon.forces.force_tones import ForceTones
+from resonator_daemon.tones.tone_merging import SIGMA_HZ
 
 # Tones in the order of frequency; sites 2, 0, 1, of which 0 and 2 have a thermometer, too.
 SITE = np.array([2, 0, 0, 2, 1])

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from report_makers import configured
-from test_messages import FORCE_PLATE as PLATE
+from test_pipeline_messages import FORCE_PLATE as PLATE
 
 from resonator_daemon.config import Measurement
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline

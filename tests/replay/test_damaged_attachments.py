@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from mcap.writer import Writer
 
-from resonator_daemon import cli
+from resonator_daemon.commands import main
 from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.links.table import parse_link
@@ -24,7 +24,7 @@ FORCE_MAX = b"force_max_newton = "
 
 
 def run(*arguments: object) -> int:
-    return cli.main([str(argument) for argument in arguments])
+    return main([str(argument) for argument in arguments])
 
 
 def flipped(path: Path, place: int, bit: int = 2) -> Path:

@@ -18,7 +18,7 @@ from commanded import commanded, state
 from mcap.reader import make_reader
 from observer import Observer, observe
 
-from resonator_daemon import cli
+from resonator_daemon.commands import main
 from resonator_daemon.publishing.topics import STATE_DAEMON
 from resonator_daemon.recording.reader import FORMAT, PLATE_FILE
 from resonator_daemon.replay.case import read_expected
@@ -29,7 +29,7 @@ COUNTS = read_expected(TOUCHES.parent).summary["messages"]
 
 
 def replay(*arguments: object) -> int:
-    return cli.main(["replay", *map(str, arguments)])
+    return main(["replay", *map(str, arguments)])
 
 
 def lines(path: Path) -> list[dict[str, Any]]:
@@ -103,7 +103,7 @@ def test_a_part_in_which_nothing_is_is_said(
     assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages {words}\n")
     assert list(tmp_path.iterdir()) == []
     arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
-    assert cli.main([*arguments, *map(str, part)]) == 1
+    assert main([*arguments, *map(str, part)]) == 1
     assert capsys.readouterr().err.endswith(f"resonatord: {TOUCHES}: it gives no messages of forces {words}\n")
 
 
@@ -119,7 +119,7 @@ def test_a_part_that_ends_before_it_begins_is_a_matter_of_usage(
         said,
     )
     arguments = ["export", str(TOUCHES), "--output", str(tmp_path / "part.csv"), "--topics", "forces"]
-    assert cli.main([*arguments, *map(str, part)]) == 2
+    assert main([*arguments, *map(str, part)]) == 2
     assert capsys.readouterr().err == said
     assert list(tmp_path.iterdir()) == []
 
