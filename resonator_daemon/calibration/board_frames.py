@@ -10,7 +10,7 @@ from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBu
 from resonator_daemon.config import Config
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.recording.event_replay import replay_of
-from resonator_daemon.session.arrival_loop import ArrivalLoop
+from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
@@ -31,7 +31,9 @@ _TURN_S: Final = 0.2
 def board_frames(config: Config, timeout_s: float) -> Iterator[Iterator[FromBoard]]:
     """Give what the board says of itself, then its frames as they come; SIGTERM and SIGHUP end it like Ctrl-C."""
     replay = replay_of(config.link, config.plate)
-    loop = ArrivalLoop(config.link, config.plate, any_unit=True, replay=replay)  # another board may be calibrated anew
+    loop = BlockingReader(
+        config.link, config.plate, any_unit=True, replay=replay
+    )  # another board may be calibrated anew
     handlers = {number: signal.signal(number, _interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         with loop:
@@ -45,7 +47,7 @@ def _interrupt(*_: object) -> None:
     raise KeyboardInterrupt
 
 
-def _arrivals(loop: ArrivalLoop, timeout_s: float) -> Iterator[FromBoard]:
+def _arrivals(loop: BlockingReader, timeout_s: float) -> Iterator[FromBoard]:
     state = LinkChange("starting", "the link is being opened", 0, 0)
     online = False
     last_s = time.monotonic()

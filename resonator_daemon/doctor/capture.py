@@ -15,7 +15,7 @@ from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.session.arrival_loop import ArrivalLoop
+from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
@@ -108,7 +108,7 @@ def capture_board(target: LinkTarget, plate: Plate, seconds: float, progress: Pr
         What the reader's thread failed with, which is a mistake of ours.
     """
     status = _StatusDecoder()
-    loop = ArrivalLoop(target, plate, any_unit=True, on_event=status.put)  # another unit is reported beside the rest
+    loop = BlockingReader(target, plate, any_unit=True, on_event=status.put)  # another unit is reported beside the rest
     reader = loop.reader
     capture = Capture(plate.counter.frame_rate_hz)
     with Load(host) as load, loop:
@@ -123,7 +123,7 @@ def capture_board(target: LinkTarget, plate: Plate, seconds: float, progress: Pr
     return capture
 
 
-def _capture(loop: ArrivalLoop, capture: Capture, plate: Plate, seconds: float, progress: Progress) -> None:
+def _capture(loop: BlockingReader, capture: Capture, plate: Plate, seconds: float, progress: Progress) -> None:
     reader, sensor = loop.reader, sensor_of(plate)
     frames = reading_frames(1 / plate.counter.frame_rate_hz, FEWEST_FRAMES)
     expected, detector = sensor.expected_tones, None

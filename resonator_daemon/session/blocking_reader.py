@@ -1,4 +1,4 @@
-"""Arrivals of one board for a loop in the caller's own thread."""
+"""Board reader for a loop in the caller's own thread."""
 
 import threading
 from typing import Any, Self
@@ -9,7 +9,7 @@ from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import Arrival
 
 
-class ArrivalLoop:
+class BlockingReader:
     """Reads a board from entry to exit.
 
     Parameters
