@@ -53,7 +53,7 @@ def test_what_is_missing_was_lost_on_the_way_or_never_made() -> None:
 
 
 def test_a_message_of_another_board_is_no_latency() -> None:
-    with pytest.raises(ValueError, match="1 of 2 messages tell of gates that the truth does not have"):
+    with pytest.raises(ValueError, match="1 of 2 messages describe gates that the truth does not have"):
         measure([message(0, 4, 1.0), message(1, 40, 1.0)], truth(30), gates_apart=5)
     with pytest.raises(ValueError, match="no arrivals"):
         measure([], truth(3), gates_apart=1)

@@ -49,7 +49,7 @@ class Followed:
 
     async def tell(self, message: Info) -> None:
         """Send an info, and wait until it has taken effect: frames before that are skipped."""
-        self._info.take(incoming(self._info.topic_filter, encode(message)))
+        self._info.handle(incoming(self._info.topic_filter, encode(message)))
         await until(lambda: not self.plate._changed.is_set())
         await asyncio.sleep(0)
 
@@ -66,7 +66,7 @@ class Followed:
         del self.published[published:]
 
     def send(self, message: Signals) -> None:
-        self._signals.take(incoming(self._signals.topic_filter, encode(message)))
+        self._signals.handle(incoming(self._signals.topic_filter, encode(message)))
 
     async def read(self, message: Signals) -> None:
         """Send a frame until it is decoded, on a busy computer more than once, and wait for its contacts."""
@@ -237,7 +237,7 @@ async def test_signals_of_another_shape_may_follow_their_info_at_once() -> None:
         await followed.read(signals(0))
         skipped = followed.account.skipped
         changed = info(sites=info().sites[:72], grid=None)
-        followed._info.take(incoming(followed._info.topic_filter, encode(changed)))
+        followed._info.handle(incoming(followed._info.topic_filter, encode(changed)))
         followed.send(signals(1, np.zeros((3, len(fewer))), noise_std=noise))
         assert followed.account.skipped == skipped + 1
         await followed.prepare(changed)

@@ -32,13 +32,13 @@ class Shared:
         self.published.append((plate, topic.path, message))
 
     def tell(self, plate: str, message: Info) -> None:
-        self._info.take(incoming(f"resonator/{plate}/info", encode(message)))
+        self._info.handle(incoming(f"resonator/{plate}/info", encode(message)))
 
     def withdraw(self, plate: str) -> None:
-        self._info.take(incoming(f"resonator/{plate}/info", b""))
+        self._info.handle(incoming(f"resonator/{plate}/info", b""))
 
     def send(self, plate: str, message: Signals) -> None:
-        self._signals.take(incoming(f"resonator/{plate}/signals", encode(message)))
+        self._signals.handle(incoming(f"resonator/{plate}/signals", encode(message)))
 
     async def read(self, plate: str, message: Signals) -> tuple[Any, Any]:
         """Send a frame; return what was decoded, and the summary."""
