@@ -34,7 +34,7 @@ WAIT_MAX_NS: Final = 30_000_000  # of a frame while newer ones are there: a rebu
 SOUND_S: Final = 60.0  # of running, after which the back-off starts from the beginning
 _EXIT_S: Final = 1.0  # of a process that has closed its socket
 
-Skipped = Literal["newer_frame", "too_old", "no_noise", "decoder_ended", "undecodable"]
+Skipped = Literal["newer_frame", "too_old", "measured_late", "no_noise", "decoder_ended", "undecodable"]
 Ending = Literal["crashed", "hung"]
 Origin = TypeVar("Origin")
 
@@ -49,7 +49,7 @@ class DecoderSupervisor(Generic[Origin]):
 
     At most one frame is with the process; the next ones wait in order. A frame that has waited for more than 30 ms is
     skipped if there is a newer one.
-    At any instant, frames offered = `decoded` + sum of `skipped` + `waiting`.
+    At any instant, frames measured without fault = `decoded` + sum of `skipped` + `waiting`.
 
     Parameters
     ----------
@@ -130,6 +130,10 @@ class DecoderSupervisor(Generic[Origin]):
         self._waiting.append((origin, Work(frame, time.monotonic_ns())))
         self._skip_old()
         self._send_next()
+
+    def skip_late(self) -> None:
+        """Count a frame that is not offered because it was measured too late."""
+        self.skipped["measured_late"] += 1
 
     def interrupt(self, reason: str) -> None:
         """Release all contacts, because frames have stopped arriving."""

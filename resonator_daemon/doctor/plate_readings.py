@@ -78,8 +78,11 @@ def _pair_noise(gate_hz: Floats, std_hz: Floats) -> Floats:
     Differences of following gates take out what moves slowly, and the oscillator that both channels count.
     """
     tones = range(min(gate_hz.shape[2], _TONES_PAIRED))
-    noise: Floats = np.nanmean([list(_pairs(gate_hz[:, :, tone], std_hz[:, :, tone])) for tone in tones], axis=0)
-    return noise
+    noise = np.array([list(_pairs(gate_hz[:, :, tone], std_hz[:, :, tone])) for tone in tones])
+    known = np.isfinite(noise)
+    with np.errstate(invalid="ignore"):  # a pair without usable gates stays NaN
+        mean: Floats = np.where(known, noise, 0.0).sum(axis=0) / known.sum(axis=0)
+    return mean
 
 
 def _pairs(value: Floats, std: Floats) -> Iterator[float]:

@@ -150,7 +150,7 @@ class LatencyInfo(Message):
 class DecoderProcessInfo(Message):
     """How the process that decodes a skin fares.
 
-    Frames offered to it since the daemon started = `decoded` + sum of `skipped` + `waiting`.
+    Frames that were measured without a fault since the daemon started = `decoded` + sum of `skipped` + `waiting`.
     """
 
     pid: int | None = Field(description="process id; null while it is being started")
@@ -160,7 +160,8 @@ class DecoderProcessInfo(Message):
     decoded: int = Field(description="frames that were decoded")
     skipped: dict[str, int] = Field(
         description="frames that were not, by cause: `newer_frame` (a newer one came first), `too_old` (more than 0.1 s"
-        " when its turn came), `no_noise` (the noise of a channel is not known yet), `decoder_ended`, `undecodable`"
+        " when its turn came), `measured_late` (the daemon was behind), `no_noise` (the noise of a channel is not known"
+        " yet), `decoder_ended`, `undecodable`"
     )
     waiting: int = Field(description="frames that are being decoded, or are next")
     cpu_percent: Float = Field(description=_CPU)

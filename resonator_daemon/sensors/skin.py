@@ -125,7 +125,10 @@ class SkinSensor(Sensor[SkinReading]):
         output.state.update(reading.status, reading.reason, (reading.common_mode,), gate_middle.utc_ns)
         is_decoded = decoding is not None and reading.status == "ok"
         if output.is_late(gate_middle):
-            output.skip(SIGNALS, *(_SURFACE if is_decoded else ()))
+            output.skip(SIGNALS)
+            if decoding is not None and is_decoded:
+                output.skip(*_SURFACE)
+                decoding.skip_late()
             return
         output.publish(SIGNALS, self._signals(reading, gate_middle))
         if decoding is not None and is_decoded:

@@ -42,7 +42,7 @@ class SurfaceDecoding(Protocol[TakenOrigin]):
 
     @property
     def frames_skipped(self) -> int:
-        """Number of frames that were offered and will never be decoded."""
+        """Number of frames that will never be decoded."""
 
     @property
     def frames_late(self) -> int:
@@ -50,6 +50,9 @@ class SurfaceDecoding(Protocol[TakenOrigin]):
 
     def offer(self, origin: TakenOrigin, frame: SurfaceFrame) -> None:
         """Decode a frame, or skip it; never waits."""
+
+    def skip_late(self) -> None:
+        """Count a frame that is not offered because it was measured too late."""
 
     def interrupt(self, reason: str) -> None:
         """Release all contacts, because frames have stopped arriving; never waits."""
@@ -96,6 +99,10 @@ class SequentialDecoding(Generic[Origin]):
             return
         self._origin = origin
         self._stream.decode(frame)
+
+    def skip_late(self) -> None:
+        """Count a frame that is not offered because it was measured too late."""
+        self.frames_skipped += 1
 
     def interrupt(self, reason: str) -> None:
         """Release all contacts, because frames have stopped arriving."""

@@ -18,20 +18,42 @@ from resonator_daemon.session.link_state_machine import LinkStateMachine
 CORPUS = Path(__file__).parents[1] / "corpus"
 
 
-def published(case: str, is_late: Callable[[Instant], bool]) -> list[tuple[str, Any]]:
+class CountedDecoding:
+    """Decoding that counts frames."""
+
+    def __init__(self) -> None:
+        self.offered = self.late = self.frames_late = 0
+
+    def offer(self, _origin: object, _frame: object) -> None:
+        self.offered += 1
+
+    def skip_late(self) -> None:
+        self.late += 1
+
+    def interrupt(self, _reason: str) -> None:
+        pass
+
+
+def published(
+    case: str, is_late: Callable[[Instant], bool], decoding: CountedDecoding | None = None
+) -> list[tuple[str, Any]]:
     """Return topic and message of all that follows from a recording, but for decoding."""
     path = CORPUS / case / "recording.mcap"
     with open_playback(path) as playback:
         config = playback.config
-    undecoded = config.decoding.model_copy(update={"method": "off"})  # late frames of a skin are not decoded
-    config = config.model_copy(update={"decoding": undecoded})
+    if decoding is None:  # late frames of a skin are not decoded
+        config = config.model_copy(update={"decoding": config.decoding.model_copy(update={"method": "off"})})
     messages: list[tuple[str, Any]] = []
 
     def record(topic: Topic[Any], message: Any) -> None:
         messages.append((topic.path, message))
 
     pipeline = BoardPipeline(
-        config, "9f3c", lambda topic, message: messages.append((topic.path, message)), is_late=is_late
+        config,
+        "9f3c",
+        lambda topic, message: messages.append((topic.path, message)),
+        is_late=is_late,
+        make_decoding=lambda _settings, _client: decoding,
     )
     queue = FrameQueue(1 << 30, lambda: None, ())
     with open_recording(str(path)) as recording:
@@ -60,3 +82,13 @@ def test_of_late_windows_nothing_but_states_and_events_comes(case: str, streams:
         assert str(of(third, {topic})) == str(of(every, {topic})[2::3])
     last = [message.lost.skipped_late for topic, message in third if topic in streams][-1]
     assert last == 2 * len(of(third, streams))
+
+
+def test_frames_of_a_skin_are_decoded_or_counted_as_late() -> None:
+    answers = iter(range(10_000))
+    every, third = CountedDecoding(), CountedDecoding()
+    published("skin", lambda _: False, every)
+    messages = published("skin", lambda _: next(answers) % 3 != 2, third)
+    assert third.offered == sum(topic == "signals" and message.status == "ok" for topic, message in messages) > 0
+    assert third.offered + third.late == every.offered
+    assert third.late > every.late == 0
