@@ -1,6 +1,6 @@
 """Calibrate a force plate with known masses, or the decoder's prior to a skin.
 
-Example: resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --sites all
+Example: resonatord calibrate --config left-index.toml --masses-grams 50,200,500 --output left-index-plate.toml
 """
 
 import argparse

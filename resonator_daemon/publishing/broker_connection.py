@@ -85,6 +85,9 @@ class BrokerConnection:
     on_completed
         Called with (messages, refused) when QoS 0 messages are written in full, and when a QoS 1 message is
         acknowledged.
+    on_writable
+        Called when packets that the library had queued by itself, as an acknowledgement, are written and a message
+        can follow.
     on_message
         Called with each received message.
     on_denied
@@ -107,6 +110,7 @@ class BrokerConnection:
         identifier: str | None = None,
         will: Will | None = None,
         on_completed: OnCompleted | None = None,
+        on_writable: Callable[[], None] | None = None,
         on_message: OnMessage | None = None,
         on_denied: OnDenied | None = None,
         times: ConnectionTimes | None = None,
@@ -123,6 +127,7 @@ class BrokerConnection:
         self._progress_s = 0.0
         self._subscribing: dict[int, tuple[str, asyncio.Future[str | None]]] = {}
         self._on_completed = on_completed
+        self._on_writable = on_writable
         self._on_message = on_message
         self._on_denied = on_denied
         self._sending = False
@@ -330,7 +335,12 @@ class BrokerConnection:
 
     def _write_on(self) -> None:
         self._progress_s = self._loop.time()
+        self._write_queued()
+
+    def _write_queued(self) -> None:
         self._flush()
+        if self._on_writable is not None and self.writable:
+            self._on_writable()
 
     def _flush(self) -> None:
         """Write the rest of streams first, then the packets that the library has queued."""
@@ -361,7 +371,7 @@ class BrokerConnection:
     def _write_wanted(self, *_: object) -> None:
         """Write what the library has queued by itself; `connect` does so for CONNECT, which a thread has queued."""
         if self._socket is not None and not self._sending:
-            self._loop.call_soon(self._flush)
+            self._loop.call_soon(self._write_queued)
 
     def _closing(self, _client: object, _userdata: object, connection: Any) -> None:
         """Stop watching the socket, which the library closes next."""

@@ -292,6 +292,7 @@ class Publisher:
                 properties=properties,
             ),
             on_completed=self._outbox.published,
+            on_writable=self._outbox.pump_soon,
             on_message=self._received if self._subscriptions else None,
             on_denied=self._denied_by_broker,
             times=self._times,

@@ -17,7 +17,7 @@ from resonator_daemon.publishing.broker_connection import ConnectionTimes
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.publisher import Publisher
+from resonator_daemon.publishing.publisher import Publisher, Subscription
 
 ONLINE = Messages.state("online", "all is well")
 
@@ -45,6 +45,19 @@ async def test_order_within_a_topic_is_kept(broker) -> None:
         await observer.until(lambda: len(observer.heard) == 200)
     for topic in ("health", "contacts/event"):
         assert [message["seq"] for message in observer.payloads(f"resonator/left/{topic}")] == list(range(100))
+
+
+async def test_a_message_published_upon_a_received_one_follows_its_acknowledgement(broker) -> None:
+    def answer(_: object) -> None:
+        left.publish(LEFT, topics.STATE_LINK, ONLINE)
+
+    question = Subscription("question", 1, answer)
+    async with observe(broker.url) as observer, publishing(broker.url, subscriptions=(question,)) as left:
+        await until(lambda: left.connected and left.account.waiting == 0)
+        async with aiomqtt.Client("127.0.0.1", Mqtt(url=broker.url).port) as client:
+            await client.publish("question", b"", 1)
+        await observer.until_last("resonator/left/state/link", state="online")
+        await until(lambda: left.account.waiting == 0)
 
 
 async def test_close_says_stopped_after_everything_that_was_waiting(broker) -> None:
