@@ -365,7 +365,9 @@ async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, Gr
     record = Greeted()
 
     async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        packet = await reader.read(1000)
+        if not (packet := await reader.read(1000)):  # the attempt was given up before its CONNECT
+            writer.close()
+            return
         record.flags.append((packet[8], "robot" if b"\x00\x05robot" in packet else TO_NOBODY))
         writer.write(answer(packet[8]))
         writer.close()
