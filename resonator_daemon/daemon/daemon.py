@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Coroutine, Mapping
 from importlib.metadata import version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from resonator_daemon.config import Config, plate_name
 from resonator_daemon.daemon.arrival_loop import ArrivalLoop
@@ -21,7 +21,6 @@ from resonator_daemon.daemon.config_store import ConfigStore
 from resonator_daemon.daemon.plate_publisher import PlatePublisher
 from resonator_daemon.daemon.recorded_messages import RecordedMessages
 from resonator_daemon.daemon.recording_commands import RecordingCommands, as_json_text, recording_info
-from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError, UserError
 from resonator_daemon.host.journal import tag_log
 from resonator_daemon.host.places import runtime_directory
@@ -42,8 +41,6 @@ from resonator_daemon.publishing.topics import HEALTH, STATE_DAEMON, STATE_LINK,
 from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.switch import RecordingSwitch
 from resonator_daemon.sensors.base import Sensor
-from resonator_daemon.sensors.surface_decoding import SurfaceClient
-from resonator_daemon.sensors.surface_stream import SurfaceSettings
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import LinkCounters
@@ -55,6 +52,11 @@ from resonator_daemon.session.frames import (
     Frame,
     ReaderFailed,
 )
+
+if TYPE_CHECKING:
+    from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
+    from resonator_daemon.sensors.surface_decoding import SurfaceClient
+    from resonator_daemon.sensors.surface_stream import SurfaceSettings
 
 log = logging.getLogger(__name__)
 
@@ -318,7 +320,9 @@ class Service:
         self._end()
         self._daemon.become(Condition.REFUSED, "; ".join(refused.problems), time.time_ns())
 
-    def _make_decoder(self, settings: SurfaceSettings, client: SurfaceClient[Any]) -> DecoderSupervisor[Any]:
+    def _make_decoder(self, settings: "SurfaceSettings", client: "SurfaceClient[Any]") -> "DecoderSupervisor[Any]":
+        from resonator_daemon.decoder_process.supervisor import DecoderSupervisor  # here: only a skin needs it
+
         self._decoder = DecoderSupervisor(self._in_use.config.name or self._file_stem, settings, client)
         return self._decoder
 

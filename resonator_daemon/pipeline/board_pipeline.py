@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from resonator_daemon.config import Config
 from resonator_daemon.forces.readings import ForceReading, SkinReading
@@ -15,7 +16,6 @@ from resonator_daemon.sensors.calendar import DAY_NS, utc_day
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput, Publish
 from resonator_daemon.sensors.sensor_state import SensorState
-from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frames import (
@@ -30,6 +30,9 @@ from resonator_daemon.session.frames import (
     Outage,
     SingleToneFrame,
 )
+
+if TYPE_CHECKING:
+    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 
 log = logging.getLogger(__name__)
 
@@ -54,7 +57,7 @@ class BoardPipeline:
     call_later
         Of the event loop; None if time passes by what arrives and by `pass_time` alone.
     make_decoding
-        Makes what decodes the frames of a skin.
+        Makes what decodes the frames of a skin; None if each is decoded at once.
     is_late
         Returns whether a message about a window that ends at this instant is too late to be published. Always False
         for recordings, which have no age.
@@ -84,7 +87,7 @@ class BoardPipeline:
         publish: Publish,
         publish_losses: Callable[[], tuple[int, int]] = lambda: (0, 0),
         call_later: CallLater | None = None,
-        make_decoding: MakeSurfaceDecoding = SequentialDecoding,
+        make_decoding: "MakeSurfaceDecoding | None" = None,
         is_late: Callable[[Instant], bool] = lambda _: False,
     ) -> None:
         self._plate = config.plate

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Decoding, Measurement
@@ -11,10 +11,12 @@ from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import BoardOnline, Frame
 from resonator_daemon.tones.tone_detector import ToneDetector
+
+if TYPE_CHECKING:
+    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 
 Reading = TypeVar("Reading", ForceReading, SkinReading)
 
@@ -89,7 +91,7 @@ class Sensor(ABC, Generic[Reading]):
         """Return a detector of readings over `frames`; the board counts each tone against `oscillator_hz` (t,)."""
 
     @abstractmethod
-    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+    def connect(self, output: MessageOutput, make_decoding: "MakeSurfaceDecoding | None") -> None:
         """Set where messages go, and what decodes, if anything is decoded."""
 
     @property

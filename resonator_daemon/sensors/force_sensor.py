@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.config import Measurement
@@ -12,10 +12,12 @@ from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, 
 from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.output import MessageOutput
-from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline, Frame
+
+if TYPE_CHECKING:
+    from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding
 
 
 class ForceProcessing(Protocol):
@@ -75,7 +77,7 @@ class ForceSensor(Sensor[ForceReading]):
     def make_processing(self, oscillator_hz: Floats) -> ForceProcessing:
         """Return what processes the records of a board that counts each tone against `oscillator_hz` (t,)."""
 
-    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+    def connect(self, output: MessageOutput, make_decoding: "MakeSurfaceDecoding | None") -> None:
         self._output = output
         self._messages = ForceMessages(self.plate, output)
 

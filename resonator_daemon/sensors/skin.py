@@ -16,7 +16,7 @@ from resonator_daemon.sensors.base import Sensor
 from resonator_daemon.sensors.expected_tones import ExpectedTones, all_tones
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.skin_processing import SkinProcessing
-from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SurfaceDecoding
+from resonator_daemon.sensors.surface_decoding import MakeSurfaceDecoding, SequentialDecoding, SurfaceDecoding
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.compatibility import oscillator_hz
@@ -64,7 +64,7 @@ class SkinSensor(Sensor[SkinReading]):
     def tone_detector(self, frames: int, oscillator_hz: Floats) -> ToneDetector:
         return MultitoneDetector(frames, 1 / self.plate.counter.frame_rate_hz, oscillator_hz)
 
-    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding) -> None:
+    def connect(self, output: MessageOutput, make_decoding: MakeSurfaceDecoding | None) -> None:
         self._output = output
         plate, decoding, skin = self.plate, self.decoding, self.plate.required_skin
         if decoding.method == "off":
@@ -88,7 +88,7 @@ class SkinSensor(Sensor[SkinReading]):
             plate.grid.pitch_m if plate.grid else None,
             uncertainty=decoding.uncertainty,
         )
-        self._decoding = make_decoding(settings, self)
+        self._decoding = (make_decoding or SequentialDecoding)(settings, self)
 
     @property
     def ready(self) -> bool:

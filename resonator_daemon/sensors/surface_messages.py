@@ -1,15 +1,12 @@
 """What was decoded of a skin to payloads: the same words wherever it is decoded."""
 
 import math
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
-from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
-from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.publishing.headers import MeasuredFields
 from resonator_daemon.publishing.payloads import (
     Contact,
@@ -22,6 +19,11 @@ from resonator_daemon.publishing.payloads import (
     Patch,
     Status,
 )
+
+if TYPE_CHECKING:
+    from resonator_daemon.decoding.decoded import Decoded as DecodedFrame
+    from resonator_daemon.decoding.skin_contacts import SkinContact, SkinEvent
+    from resonator_daemon.decoding.skin_decoder import SurfaceReading
 
 _NS = 1_000_000_000
 _ON_GRID = 3  # dimensions of a map: component, y, x
@@ -99,7 +101,7 @@ class SurfaceMessages:
         self._uncertainty = uncertainty
         self._since_utc_ns: dict[int, int] = {}  # onsets of the present contacts, by id
 
-    def decoded(self, header: MeasuredFields, frame: DecodedFrame) -> Decoded:
+    def decoded(self, header: MeasuredFields, frame: "DecodedFrame") -> Decoded:
         return Decoded(
             **header,
             traction_pascal=frame.traction_pascal,
@@ -109,7 +111,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def summary(self, header: MeasuredFields, surface: SurfaceReading, *, numbered: bool = True) -> DecodedSummary:
+    def summary(self, header: MeasuredFields, surface: "SurfaceReading", *, numbered: bool = True) -> DecodedSummary:
         """Return the summary; `numbered`: contacts are followed, and have ids."""
         frame = surface.decoded
         return DecodedSummary(
@@ -123,7 +125,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def contacts(self, header: MeasuredFields, surface: SurfaceReading) -> Contacts:
+    def contacts(self, header: MeasuredFields, surface: "SurfaceReading") -> Contacts:
         return Contacts(
             **header,
             status=Status(str(surface.decoded.status)),
@@ -131,7 +133,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def event(self, header: MeasuredFields, event: SkinEvent) -> ContactEvent:
+    def event(self, header: MeasuredFields, event: "SkinEvent") -> ContactEvent:
         contact, slip = self._contact(event.contact, header["t_ns"]), _slip(event.contact)
         if event.event == "release":
             del self._since_utc_ns[event.contact.id]
@@ -148,7 +150,7 @@ class SurfaceMessages:
             decoder_id=self._decoder_id,
         )
 
-    def _contact(self, contact: SkinContact, middle_ns: int) -> ContactFields:
+    def _contact(self, contact: "SkinContact", middle_ns: int) -> ContactFields:
         patch = contact.patch
         nearest = int(np.hypot(*(self._site_positions_m - patch.centroid_m).T).argmin())
         since_ns = self._since_utc_ns.setdefault(contact.id, middle_ns)
@@ -171,7 +173,7 @@ class SurfaceMessages:
         )
 
 
-def _patch(contact: SkinContact, number: int | None) -> Patch:
+def _patch(contact: "SkinContact", number: int | None) -> Patch:
     patch = contact.patch
     return Patch(
         id=number,
@@ -189,7 +191,7 @@ def _patch(contact: SkinContact, number: int | None) -> Patch:
     )
 
 
-def _slip(contact: SkinContact) -> _SlipFields:
+def _slip(contact: "SkinContact") -> _SlipFields:
     """Say what the fit tells of slip; a friction coefficient only where that is known to a quarter."""
     slip = contact.slip
     if slip is None:

@@ -218,10 +218,9 @@ async def test_what_is_measured_is_recorded_from_the_reload_on_that_wants_it(
         service = Service(ConfigStore(path, bench.folder / "last-good"))
         async with bench.running(service):
             await heard.until_count("resonator/hand/forces", 20)
-            assert not service._recorded.derived
             path.write_text(path.read_text() + "derived = true\n")
             service.reload()
-            await heard.until(lambda: service._recorded.derived)
+            await heard.until(lambda: heard.payloads("resonator/hand/health")[-1]["recording"]["files"] == 2)
             await heard.until_count("resonator/hand/forces", len(heard.payloads("resonator/hand/forces")) + 20)
         topics = set()
         for file in (tmp_path / "runs").glob("*.mcap"):

@@ -1,6 +1,8 @@
 """What a plate file says, as the arguments of measurement: in the order of the sites, with what it leaves out."""
 
 import math
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -31,6 +33,15 @@ def oscillator_hz(plate: str) -> np.ndarray:
 )
 def test_each_plate_is_one_kind_of_sensor(plate: str, kind: type) -> None:
     assert type(sensor_of(load_plate(plate))) is kind
+
+
+def test_a_daemon_of_captured_tones_loads_no_scipy() -> None:
+    code = (
+        "import sys, resonator_daemon.daemon.daemon; from resonator_daemon.plate import load_plate;"
+        "from resonator_daemon.sensors.kinds import sensor_of; sensor_of(load_plate('quartz16'));"
+        "sys.exit('scipy' in sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_windows_and_steps_are_counted_in_gates() -> None:
