@@ -13,9 +13,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from resonator_daemon.exporting.run import Output
-from resonator_daemon.exporting.target import TOPICS
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.config import Config
+from resonator_daemon.exporting.formats import FORMATS, format_class
+from resonator_daemon.exporting.output import Output, Recorded
+from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Contacts, Forces
 from resonator_daemon.publishing.topics import CONTACTS, FORCES
@@ -36,7 +37,7 @@ def main() -> None:
         print(json.dumps(measure(form, int(minutes))))
         return
     print("format    minutes  peak RSS MB  seconds  file MB")
-    for form in TOPICS:
+    for form in FORMATS:
         for minutes in options.minutes:
             command = [sys.executable, __file__, "--one", form, str(minutes)]
             told = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
@@ -48,10 +49,10 @@ def main() -> None:
 def measure(form: str, minutes: int) -> dict[str, float]:
     """Return what it took, in a process of its own: the peak is that of its whole life."""
     with tempfile.TemporaryDirectory() as folder:
-        output = make(form, Path(folder), load_plate("quartz16"))
+        output = make(form, Path(folder))
         begun_s = time.monotonic()
         for moment in moments(minutes * _STEPS_PER_MINUTE):
-            output.take(moment)
+            output.add(moment)
         files = output.close()
         return {
             "seconds": time.monotonic() - begun_s,
@@ -73,27 +74,13 @@ def moments(steps: int) -> Iterator[Moment]:
         yield Moment(HostTime(now["t_ns"], 0, 0), messages)
 
 
-def make(form: str, folder: Path, plate: Plate) -> Output:
-    from resonator_daemon.exporting.csv_file import CsvFormat
-    from resonator_daemon.exporting.mcap_file import McapOutput
-    from resonator_daemon.exporting.npz_file import NpzFormat
-    from resonator_daemon.exporting.table_output import TableOutput
-
-    def place(topic: str) -> Path:
-        return folder / topic
-
-    if form == "mcap":
-        return McapOutput(folder / "out", TOPICS[form], plate, "hand", _METADATA, {})
-    if form == "ros2":
-        from resonator_daemon.exporting.ros2_file import Ros2Output
-
-        return Ros2Output(folder / "out", TOPICS[form], plate, "hand", _METADATA)
-    if form == "parquet":
-        from resonator_daemon.exporting.parquet_file import ParquetFormat
-
-        return TableOutput(ParquetFormat(place, _METADATA), TOPICS[form], plate)
-    tables = CsvFormat(place) if form == "csv" else NpzFormat(folder / "out", _METADATA)
-    return TableOutput(tables, TOPICS[form], plate)
+def make(form: str, folder: Path) -> Output:
+    """Return a begun output, in a folder."""
+    kind = format_class(form)
+    config = Config(plate=load_plate("quartz16"), link="tcp://127.0.0.1:1", name="hand")
+    output = kind(folder / f"out.{form}", kind.available, Recorded(config, _METADATA))
+    output.begin()
+    return output
 
 
 if __name__ == "__main__":

@@ -46,8 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.config import load_config
-    from resonator_daemon.exporting.run import export
-    from resonator_daemon.exporting.target import make_target
+    from resonator_daemon.exporting.run import export, make_target
     from resonator_daemon.host.new_file import interruptible, takes_a_stream
     from resonator_daemon.links.link import LinkUnavailableError
 

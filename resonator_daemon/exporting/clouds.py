@@ -8,13 +8,9 @@ from numpy.typing import NDArray
 from resonator_daemon.exporting.columns import AXES, with_axis
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.payloads import Decoded, Forces, Message, Signals
-from resonator_daemon.publishing.topics import DECODED, FORCES, SIGNALS
 
 Points = NDArray[np.void]
 """Structured, (n,): x, y and z in metres as float32, and values named with their units; z points into the plate."""
-
-WITH_CLOUD: Final = (FORCES.path, SIGNALS.path, DECODED.path)
-"""Paths of the topics that have clouds."""
 
 _OF_FORCES: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
 _OF_SIGNALS: Final = ("p_n", "eps_xz", "eps_yz")  # the rows of `signals`

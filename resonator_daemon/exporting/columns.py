@@ -57,7 +57,9 @@ class Source:
     get: Get
 
 
-def sources(model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = ()) -> Iterator[Source]:
+def sources(
+    model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = (), within: tuple[str, ...] = ()
+) -> Iterator[Source]:
     """Give the columns of a kind of message: parts within it with their key before theirs, vectors by component.
 
     Parameters
@@ -66,6 +68,8 @@ def sources(model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = (
         Goes before each name.
     skip
         Keys to be left out.
+    within
+        Keys that lead to the part that is of this kind.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def sources(model: type[Message], *, prefix: str = "", skip: tuple[str, ...] = (
     """
     for key, field in model.model_fields.items():
         if key not in skip:
-            yield from _of_field(prefix + key, key, _annotation(field), field.description or "")
+            yield from _of_field(prefix + key, (*within, key), _annotation(field), field.description or "")
 
 
 def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
@@ -84,7 +88,7 @@ def array_sources(message: Message, keys: tuple[str, ...]) -> Iterator[Source]:
         if array is not None:
             description = type(message).model_fields[key].description or ""
             column = Column(key, "float32 array", True, array.shape, description, unit_of(key) or "")
-            yield Source(column, _attribute(key))
+            yield Source(column, _follow(key))
 
 
 def with_axis(name: str, axis: str) -> str:
@@ -96,20 +100,18 @@ def with_axis(name: str, axis: str) -> str:
     return f"{name}_{axis}"
 
 
-def _of_field(name: str, key: str, annotation: Any, description: str) -> Iterator[Source]:
+def _of_field(name: str, keys: tuple[str, ...], annotation: Any, description: str) -> Iterator[Source]:
     bare, optional = _without_none(annotation)
+    unit = unit_of(keys[-1]) or ""
     if isinstance(bare, type) and issubclass(bare, Message):
-        for inner in sources(bare, prefix=f"{name}_"):
-            nullable = inner.column.nullable or optional
-            yield Source(replace(inner.column, nullable=nullable), _within(key, inner.get))
+        for inner in sources(bare, prefix=f"{name}_", within=keys):
+            yield replace(inner, column=replace(inner.column, nullable=inner.column.nullable or optional))
     elif get_origin(bare) is tuple and Ellipsis not in get_args(bare):
         for index, axis in enumerate(AXES[: len(get_args(bare))]):
-            column = Column(
-                with_axis(name, axis), "float64", optional, (), f"{axis}: {description}", unit_of(key) or ""
-            )
-            yield Source(column, _component(key, index))
+            column = Column(with_axis(name, axis), "float64", optional, (), f"{axis}: {description}", unit)
+            yield Source(column, _follow(*keys, index))
     else:
-        yield Source(Column(name, _kind(name, bare), optional, (), description, unit_of(key) or ""), _attribute(key))
+        yield Source(Column(name, _kind(name, bare), optional, (), description, unit), _follow(*keys))
 
 
 def _annotation(field: FieldInfo) -> Any:
@@ -125,10 +127,9 @@ def _without_none(annotation: Any) -> tuple[Any, bool]:
 
 
 def _kind(name: str, annotation: Any) -> Kind:
-    metadata: tuple[Any, ...] = ()
+    metadata: list[Any] = []
     if get_origin(annotation) is Annotated:
-        annotation, *rest = get_args(annotation)
-        metadata = tuple(rest)
+        annotation, *metadata = get_args(annotation)
     if get_origin(annotation) is Literal or (isinstance(annotation, type) and issubclass(annotation, StrEnum)):
         return "text"
     if annotation is int and any(isinstance(part, PlainSerializer) for part in metadata):
@@ -139,25 +140,15 @@ def _kind(name: str, annotation: Any) -> Kind:
     return kinds[annotation]
 
 
-def _attribute(key: str) -> Get:
+def _follow(*steps: str | int) -> Get:
+    """Return a function that follows attributes and indices from a message; None where one on the way is None."""
+
     def get(part: Any) -> Value:
-        value: Value = getattr(part, key)
+        for step in steps:
+            if part is None:
+                return None
+            part = part[step] if isinstance(step, int) else getattr(part, step)
+        value: Value = part
         return value
-
-    return get
-
-
-def _component(key: str, index: int) -> Get:
-    def get(part: Any) -> Value:
-        vector = getattr(part, key)
-        return None if vector is None else float(vector[index])
-
-    return get
-
-
-def _within(key: str, get_inner: Get) -> Get:
-    def get(part: Any) -> Value:
-        inner = getattr(part, key)
-        return None if inner is None else get_inner(inner)
 
     return get

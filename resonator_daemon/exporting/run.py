@@ -3,20 +3,17 @@
 import hashlib
 import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NoReturn, Protocol
+from typing import Any, NamedTuple
 
 from resonator_daemon.config import Config
-from resonator_daemon.config.text import plate_text, settings_text
-from resonator_daemon.errors import ExitCode, UserError
-from resonator_daemon.exporting.formats import CSV, MCAP, NPZ, PARQUET
-from resonator_daemon.exporting.target import Target
+from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.exporting.formats import FORMATS, ROS2, format_class
+from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.publishing.units import UNITS
-from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, Playback
 from resonator_daemon.replay.source import open_playback
@@ -24,31 +21,53 @@ from resonator_daemon.replay.span import Span, find_span
 
 
 class ExportFailedError(UserError):
-    """What is read could not be written."""
+    """The files could not be written."""
 
     exit_code = ExitCode.FAILED
     code = "output"
 
 
-class Output(Protocol):
-    """Takes what follows from a recording.
+class Target(NamedTuple):
+    """Named output, name of the format, and paths of the topics to be exported."""
 
-    Attributes
+    output: Path
+    form: str
+    topics: tuple[str, ...]
+
+
+def make_target(output: Path, form: str | None, topics: str | None) -> Target:
+    """Return what is to be written where.
+
+    Parameters
     ----------
-    rows : Mapping
-        How many of what was taken, by topic.
+    output
+        As it was given.
+    form
+        One of `FORMATS`; None: by the ending of `output`.
+    topics
+        Paths of topics with commas between them; None: all that the format can have.
+
+    Raises
+    ------
+    UsageError
+        They do not go together.
     """
-
-    @property
-    def rows(self) -> Mapping[str, int]: ...
-    def take(self, moment: Moment) -> None: ...
-    def close(self) -> Mapping[str, int]:
-        """Make the files whole; returns the size in bytes of each."""
-        ...
-
-    def discard(self) -> None:
-        """Remove what there is of the files."""
-        ...
+    if str(output) == "-":
+        raise UsageError(
+            "--output - would be stdout, and files are written; name one (resonatord replay --to - prints)"
+        )
+    endings = {f".{name}": name for name in FORMATS if name != ROS2}
+    if form is None and output.suffix not in endings:
+        known = ", ".join(endings)
+        raise UsageError(f"--output {str(output)!r} ends in none of {known}; name such a file, or give --format")
+    form = form or endings[output.suffix]
+    kind = format_class(form)
+    chosen = kind.available if topics is None else tuple(dict.fromkeys(topics.split(",")))
+    if unknown := [topic for topic in chosen if topic not in kind.available]:
+        raise UsageError(f"--topics {', '.join(map(repr, unknown))}: {form} takes {', '.join(kind.available)}")
+    if kind.file_per_topic and len(chosen) > 1 and takes_a_stream(output):
+        raise UsageError(f"--output {output} takes one table of {form}, not {len(chosen)}; choose it by --topics")
+    return Target(output, form, chosen)
 
 
 def export(
@@ -71,15 +90,17 @@ def export(
         The file is no recording.
     """
     begun_s = time.monotonic()
+    kind = format_class(target.form)
     for topic in target.topics:
-        check_new(target.place(topic))
+        check_new(kind.place(target.output, target.topics, topic))
     span = find_span(path, start, end)
-    with open_playback(path, config) as playback:
-        output, files = _written(path, playback, target, span, shown=show_progress)
+    with open_playback(path, config) as playback, Progress(path, shown=show_progress) as progress:
+        output = kind(target.output, target.topics, Recorded(playback.config, _metadata(path, playback.config)))
+        files = _write(output, target.output, _part(playback, span, progress))
         summary = {
             "file": str(path),
             "format": target.form,
-            "files": dict(files),
+            "files": files,
             "rows": dict(output.rows),
             "frames": playback.counters.frames,
             "differences": playback.differences,
@@ -89,85 +110,43 @@ def export(
         return summary, _what_is_wrong(playback, output, target, span)
 
 
-def _written(
-    path: Path, playback: Playback, target: Target, span: Span, *, shown: bool
-) -> tuple[Output, Mapping[str, int]]:
-    with _said(target.output):
-        output = _output(path, playback.config, target)
-        try:
-            with Progress(path, shown=shown) as progress:
-                for moment in _part(playback, span):
-                    progress.at(playback.read_bytes)
-                    output.take(moment)
-            return output, output.close()
-        except BaseException:
-            output.discard()
+def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, int]:
+    """Write all moments; return the size in bytes of each file."""
+    try:
+        output.begin()
+        for moment in moments:
+            output.add(moment)
+        return output.close()
+    except BaseException as error:
+        output.discard()
+        if not isinstance(error, OSError):
             raise
+        removed = "" if takes_a_stream(path) else "; what was written of it is removed"
+        raise ExportFailedError(f"{path} cannot be written: {error.strerror or error}{removed}") from error
 
 
-def _part(playback: Playback, span: Span) -> Iterator[Moment]:
+def _part(playback: Playback, span: Span, progress: Progress) -> Iterator[Moment]:
     for moment in playback.moments():
+        progress.at(playback.read_bytes)
         if span.is_over(moment.now):
             return
         if not span.is_before(moment.now):
             yield moment
 
 
-@contextmanager
-def _said(output: Path) -> Iterator[None]:
-    """Report a full disk in one line."""
-    try:
-        yield
-    except OSError as error:
-        _fail(output, error)
-
-
-def _fail(output: Path, error: OSError) -> NoReturn:
-    removed = "" if takes_a_stream(output) else "; what was written of it is removed"
-    raise ExportFailedError(f"{output} cannot be written: {error.strerror or error}{removed}") from error
-
-
-def _output(path: Path, config: Config, target: Target) -> Output:
-    plate, name = config.plate, config.name or config.plate.name
-    metadata = {
+def _metadata(path: Path, config: Config) -> dict[str, str]:
+    plate = config.plate
+    with path.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return {
         "resonatord_version": version("resonatord"),
         "source": path.name,
-        "source_sha256": _sha256(path),
-        "name": name,
+        "source_sha256": sha256,
+        "name": config.name or plate.name,
         "plate": plate.name,
         "calibration_id": plate.calibration.id or "",
         "units": json.dumps(UNITS),
     }
-    # Each needs libraries that the others can do without.
-    if target.form == MCAP:
-        from resonator_daemon.exporting.mcap_file import McapOutput
-
-        texts = {PLATE_FILE: plate_text(plate), SETTINGS_FILE: settings_text(config)}
-        return McapOutput(target.output, target.topics, plate, name, metadata, texts)
-    if target.form in (CSV, NPZ, PARQUET):
-        return _tables(config, target, metadata)
-    from resonator_daemon.exporting.ros2_file import Ros2Output
-
-    return Ros2Output(target.output, target.topics, plate, name, metadata)
-
-
-def _tables(config: Config, target: Target, metadata: Mapping[str, str]) -> Output:
-    from resonator_daemon.exporting.table_output import TableFormat, TableOutput
-
-    made: TableFormat
-    if target.form == CSV:
-        from resonator_daemon.exporting.csv_file import CsvFormat
-
-        made = CsvFormat(target.place)
-    elif target.form == NPZ:
-        from resonator_daemon.exporting.npz_file import NpzFormat
-
-        made = NpzFormat(target.output, metadata)
-    else:
-        from resonator_daemon.exporting.parquet_file import ParquetFormat
-
-        made = ParquetFormat(target.place, metadata)
-    return TableOutput(made, target.topics, config.plate)
 
 
 def _what_is_wrong(playback: Playback, output: Output, target: Target, span: Span) -> Sequence[str]:
@@ -181,8 +160,3 @@ def _what_is_wrong(playback: Playback, output: Output, target: Target, span: Spa
     if not output.rows:
         wrong.append(f"it gives no messages of {', '.join(target.topics)}{span.words}")
     return wrong
-
-
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,16 +1,17 @@
-"""Writes tables to files of their format as they come, a batch of rows at a time."""
+"""Base of the formats that are tables: turns messages into rows, and writes these in batches."""
 
 import math
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from typing import Any, Final, Protocol
 
 from resonator_daemon.exporting.columns import Column, Value
+from resonator_daemon.exporting.output import Output
 from resonator_daemon.exporting.tables import Table, make_table
-from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
-from resonator_daemon.replay.recorded_pipeline import Moment
 
-_BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
+BATCH_BYTES: Final = 8 << 20  # of numbers; Python holds them in about four times as much
 _SCALAR_BYTES: Final = 8
 
 Batch = Sequence[Sequence[Value]]
@@ -18,92 +19,60 @@ Batch = Sequence[Sequence[Value]]
 
 
 class TableFile(Protocol):
-    """Takes the rows of one table."""
+    """The file, or part of a file, that has one table."""
 
     def write(self, batch: Batch) -> None: ...
 
 
-class TableFormat(Protocol):
-    """Makes files of tables."""
-
-    def open_table(self, topic: Topic[Any], columns: Sequence[Column]) -> TableFile: ...
-    def close(self) -> Mapping[str, int]:
-        """Make the files whole; returns the size in bytes of each."""
-        ...
-
-    def discard(self) -> None:
-        """Remove what there is of them."""
-        ...
-
-
-class TableOutput:
-    """Turns the messages of chosen topics into rows, and hands these on.
-
-    Parameters
-    ----------
-    output
-        Takes them.
-    topics
-        Paths of those to be exported.
-    plate
-        Of the recording.
+class TableOutput(Output):
+    """Output of tables, one for each topic.
 
     Attributes
     ----------
-    rows : dict
-        How many, by topic.
+    batch_bytes : int
+        Size of the numbers that are written at once.
     """
 
-    def __init__(self, output: TableFormat, topics: Sequence[str], plate: Plate) -> None:
-        self._output = output
-        self._topics = frozenset(topics)
-        self._plate = plate
-        self._open: dict[str, _Open] = {}
+    batch_bytes = BATCH_BYTES
 
-    @property
-    def rows(self) -> dict[str, int]:
-        return {path: table.rows for path, table in self._open.items()}
+    def begin(self) -> None:
+        self._open: dict[str, _OpenTable] = {}
 
-    def take(self, moment: Moment) -> None:
-        for topic, message in moment.messages:
-            if topic.path not in self._topics:
-                continue
-            if topic.path not in self._open:
-                table = make_table(topic, self._plate, message)
-                self._open[topic.path] = _Open(table, self._output.open_table(topic, table.columns))
-            self._open[topic.path].take(message)
+    @abstractmethod
+    def open_table(self, topic: str, columns: Sequence[Column]) -> TableFile:
+        """Begin the table of a topic."""
 
-    def close(self) -> Mapping[str, int]:
+    def put(self, topic: Topic[Any], message: Message, now_ns: int) -> None:
+        path = topic.path
+        if path not in self._open:
+            table = make_table(topic, self._recorded.plate, message)
+            self._open[path] = _OpenTable(table, self.open_table(path, table.columns), self.batch_bytes)
+        self.rows[path] += self._open[path].add(message)
+
+    def finish(self) -> None:
         for table in self._open.values():
             table.flush()
-        return self._output.close()
-
-    def discard(self) -> None:
-        self._output.discard()
 
 
-class _Open:
+class _OpenTable:
     """A table that is being written."""
 
-    def __init__(self, table: Table, file: TableFile) -> None:
+    def __init__(self, table: Table, file: TableFile, batch_bytes: int) -> None:
         self._table = table
         self._file = file
-        row_bytes = sum(_bytes(column) for column in table.columns)
-        self._batch_rows = max(1, _BATCH_BYTES // row_bytes)
+        row_bytes = sum(4 * math.prod(column.shape) if column.shape else _SCALAR_BYTES for column in table.columns)
+        self._batch_rows = max(1, batch_bytes // row_bytes)
         self._waiting: list[Sequence[Value]] = []
-        self.rows = 0
 
-    def take(self, message: Any) -> None:
-        self._waiting += self._table.rows(message)
+    def add(self, message: Message) -> int:
+        """Add the rows of a message; return how many."""
+        rows = list(self._table.rows(message))
+        self._waiting += rows
         if len(self._waiting) >= self._batch_rows:
             self.flush()
+        return len(rows)
 
     def flush(self) -> None:
         if self._waiting:
-            self.rows += len(self._waiting)
             self._file.write(list(zip(*self._waiting, strict=True)))
             self._waiting.clear()
-
-
-def _bytes(column: Column) -> int:
-    return 4 * math.prod(column.shape) if column.shape else _SCALAR_BYTES

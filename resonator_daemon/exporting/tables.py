@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, Final, cast
 
 from resonator_daemon.exporting.columns import Column, Source, Value, array_sources, sources
@@ -36,6 +37,7 @@ from resonator_daemon.publishing.units import NO_UNIT
 _NOTHING_PRESSES: Final = "; missing where nothing presses on the site"
 
 Row = Sequence[Value]
+_MakeTable = Callable[[Plate, Message], "Table"]
 
 
 class Table:
@@ -87,7 +89,7 @@ def _forces(plate: Plate, first: Message) -> Table:
         *sources(Forces, skip=("sites", "beats", "compensation")),
         *(_beats(channel) for channel in channels),
         *(_common_mode(channel) for channel in channels),
-        *(_inside(source) for source in sources(Compensation, prefix="compensation_", skip=("common_mode",))),
+        *sources(Compensation, prefix="compensation_", skip=("common_mode",), within=("compensation",)),
     ]
     return Table([*values, *(source for site in plate.site_ids for source in _of_site(int(site)))])
 
@@ -120,53 +122,29 @@ def _common_mode(channel: int) -> Source:
     return Source(Column(name, "float64", True, (), description, NO_UNIT), get)
 
 
-def _inside(source: Source) -> Source:
-    return Source(source.column, lambda message: source.get(message.compensation))
+def _plain(model: type[Message], items: str = "", item: type[Message] | None = None) -> _MakeTable:
+    """Return what makes the table of a kind of message, with a row for each of its items if it has many."""
+    per_message = list(sources(model, skip=(items,)))
+    if item is None:
+        return lambda _plate, _first: Table(per_message)
+    per_item = list(sources(item, prefix=f"{item.__name__.lower()}_"))
+    return lambda _plate, _first: Table(per_message, per_item, attrgetter(items))
 
 
-def _contacts(_plate: Plate, _first: Message) -> Table:
-    return Table(
-        list(sources(Contacts, skip=("contacts",))),
-        list(sources(Contact, prefix="contact_")),
-        lambda message: message.contacts,
-    )
+def _with_arrays(model: type[Message], *keys: str) -> _MakeTable:
+    """Return what makes the table of a kind of message with arrays, whose shapes are those of the first message."""
+    return lambda _plate, first: Table([*sources(model, skip=keys), *array_sources(first, keys)])
 
 
-def _summaries(_plate: Plate, _first: Message) -> Table:
-    return Table(
-        list(sources(DecodedSummary, skip=("patches",))),
-        list(sources(Patch, prefix="patch_")),
-        lambda message: message.patches,
-    )
-
-
-def _signals(_plate: Plate, first: Message) -> Table:
-    keys = ("signals", "noise_std")
-    return Table([*sources(Signals, skip=keys), *array_sources(first, keys)])
-
-
-def _decoded(_plate: Plate, first: Message) -> Table:
-    keys = ("traction_pascal", "traction_std_pascal", "displacement_m")
-    return Table([*sources(Decoded, skip=keys), *array_sources(first, keys)])
-
-
-def _events(_plate: Plate, _first: Message) -> Table:
-    return Table(list(sources(ContactEvent)))
-
-
-def _states(_plate: Plate, _first: Message) -> Table:
-    return Table(list(sources(State)))
-
-
-_MAKE: Final[Mapping[str, Callable[[Plate, Message], Table]]] = {
+_MAKE: Final[Mapping[str, _MakeTable]] = {
     FORCES.path: _forces,
-    CONTACTS.path: _contacts,
-    CONTACT_EVENT.path: _events,
-    SIGNALS.path: _signals,
-    DECODED.path: _decoded,
-    DECODED_SUMMARY.path: _summaries,
-    STATE_LINK.path: _states,
-    STATE_SENSOR.path: _states,
+    CONTACTS.path: _plain(Contacts, "contacts", Contact),
+    CONTACT_EVENT.path: _plain(ContactEvent),
+    SIGNALS.path: _with_arrays(Signals, "signals", "noise_std"),
+    DECODED.path: _with_arrays(Decoded, "traction_pascal", "traction_std_pascal", "displacement_m"),
+    DECODED_SUMMARY.path: _plain(DecodedSummary, "patches", Patch),
+    STATE_LINK.path: _plain(State),
+    STATE_SENSOR.path: _plain(State),
 }
 WITH_TABLE: Final = tuple(_MAKE)
 """Paths of the topics that have a table."""

@@ -1,12 +1,12 @@
 """Recordings of the corpus, played once for all tests, and their moments handed to what writes files."""
 
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from resonator_daemon.config import Config
-from resonator_daemon.exporting.run import Output
+from resonator_daemon.exporting.formats import format_class
+from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.source import open_playback
 
@@ -16,7 +16,7 @@ METADATA = {"plate": "quartz16", "source_sha256": "00ff"}
 
 class Played(NamedTuple):
     config: Config
-    moments: Sequence[Moment]
+    moments: list[Moment]
 
     def messages(self, path: str) -> list[Any]:
         return [message for moment in self.moments for topic, message in moment.messages if topic.path == path]
@@ -32,7 +32,12 @@ def played(case: str) -> Played:
         return Played(playback.config, list(playback.moments()))
 
 
-def write(output: Output, moments: Sequence[Moment]) -> None:
-    for moment in moments:
-        output.take(moment)
+def write(form: str, path: Path, case: str, *more: Moment, times: int = 1) -> Output:
+    """Write the moments of a case so many times, and more of them, in a format."""
+    kind = format_class(form)
+    output = kind(path, kind.available, Recorded(played(case).config, METADATA))
+    output.begin()
+    for moment in (*times * played(case).moments, *more):
+        output.add(moment)
     output.close()
+    return output

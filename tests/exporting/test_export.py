@@ -177,8 +177,7 @@ def test_a_missing_library_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setitem(sys.modules, library, None)
-    for module in ("parquet_file", "ros2_file", "ros2_messages"):
-        monkeypatch.delitem(sys.modules, f"resonator_daemon.exporting.{module}", raising=False)
+    monkeypatch.delitem(sys.modules, f"resonator_daemon.exporting.formats.{form}", raising=False)
     assert export(recording("touches"), *output(tmp_path, form)) == 78
     assert capsys.readouterr().err.endswith(f"resonatord: {remedy}\n")
     assert list(tmp_path.iterdir()) == []

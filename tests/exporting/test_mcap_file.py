@@ -12,8 +12,7 @@ from export_bench import METADATA, played, write
 from jsonschema import Draft202012Validator
 from mcap.reader import make_reader
 
-from resonator_daemon.exporting.mcap_file import McapOutput
-from resonator_daemon.exporting.target import TOPICS
+from resonator_daemon.config.text import plate_text, settings_text
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.session.host_time import HostTime
@@ -23,8 +22,7 @@ FORMS = {3: "<u2", 7: "<f4", 8: "<f8"}
 
 def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, Any]]]:
     """Return records and payloads by channel, each payload found as its schema says."""
-    output = McapOutput(path, TOPICS["mcap"], played(case).config.plate, "left", METADATA, {"plate.toml": "a = 1"})
-    write(output, [*played(case).moments, *more])
+    write("mcap", path, case, *more)
     found: dict[str, list[tuple[Any, Any]]] = defaultdict(list)
     validators: dict[int, Draft202012Validator] = {}
     with path.open("rb") as file:
@@ -38,7 +36,11 @@ def written(case: str, path: Path, *more: Moment) -> dict[str, list[tuple[Any, A
             payload = json.loads(message.data)
             validators[schema.id].validate(payload)
             found[channel.topic].append((message, payload))
-        assert [(one.name, one.data) for one in reader.iter_attachments()] == [("plate.toml", b"a = 1")]
+        config = played(case).config
+        assert [(one.name, one.data.decode()) for one in reader.iter_attachments()] == [
+            ("plate.toml", plate_text(config.plate)),
+            ("settings.toml", settings_text(config)),
+        ]
         assert {one.name: one.metadata for one in reader.iter_metadata()} == {"resonatord": METADATA}
         summary = reader.get_summary()
     assert summary is not None
@@ -77,7 +79,7 @@ def test_forces_are_points_at_the_sites(tmp_path: Path) -> None:
     listed = 0
     for (_, cloud), message in zip(clouds, played("slide").messages("forces"), strict=True):
         sec, nsec = divmod(message.t_ns, 10**9)
-        assert (cloud["timestamp"], cloud["frame_id"]) == ({"sec": sec, "nsec": nsec}, "left")
+        assert (cloud["timestamp"], cloud["frame_id"]) == ({"sec": sec, "nsec": nsec}, "left-index")
         found = points(cloud)
         assert found["site"].tolist() == [force.site for force in message.sites]
         assert [[x, y] for x, y in zip(found["x"], found["y"], strict=True)] == [place[f.site] for f in message.sites]

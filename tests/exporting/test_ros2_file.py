@@ -6,20 +6,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from export_bench import METADATA, played, write
+from export_bench import played, write
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 
-from resonator_daemon.exporting.ros2_file import Ros2Output
-from resonator_daemon.exporting.ros2_messages import ros_name
-from resonator_daemon.exporting.target import TOPICS
+from resonator_daemon.exporting.formats.ros2 import ros_name
 
 NUMPY = {4: "<u2", 7: "<f4", 8: "<f8"}
 
 
 def written(case: str, path: Path) -> dict[str, list[Any]]:
-    write(Ros2Output(path, TOPICS["ros2"], played(case).config.plate, "left-index", METADATA), played(case).moments)
+    write("ros2", path, case)
     found: dict[str, list[Any]] = defaultdict(list)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])

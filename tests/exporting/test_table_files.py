@@ -12,20 +12,18 @@ import pytest
 from export_bench import METADATA, Played, played, write
 
 from resonator_daemon.exporting.columns import Column
-from resonator_daemon.exporting.csv_file import CsvFormat
-from resonator_daemon.exporting.npz_file import NpzFormat
-from resonator_daemon.exporting.parquet_file import ParquetFormat
+from resonator_daemon.exporting.formats import parquet as parquet_format
+from resonator_daemon.exporting.output import Recorded
 from resonator_daemon.exporting.table_output import TableOutput
-from resonator_daemon.exporting.tables import WITH_TABLE
-from resonator_daemon.publishing.topics import DECODED
 from resonator_daemon.publishing.units import NO_UNIT, unit_of
 
 OF_SITE = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton")
 CASES = ("touches", "comb", "slide", "skin")
 
 
-def place(folder: Path, suffix: str) -> Any:
-    return lambda topic: folder / f"{topic.replace('/', '-')}{suffix}"
+@pytest.fixture(autouse=True)
+def many_batches(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(TableOutput, "batch_bytes", 40_000)
 
 
 def same(one: Any, other: Any) -> bool:
@@ -33,20 +31,15 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other or (one != one and other != other))
 
 
-def parquet(case: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Played, dict[str, Any]]:
-    monkeypatch.setattr("resonator_daemon.exporting.table_output._BATCH_BYTES", 40_000)  # many row groups
-    played_case = played(case)
-    output = TableOutput(ParquetFormat(place(folder, ".parquet"), METADATA), WITH_TABLE, played_case.config.plate)
-    write(output, played_case.moments)
-    read = {path: place(folder, ".parquet")(path) for path in WITH_TABLE}
-    return played_case, {path: pq.read_table(file) for path, file in read.items() if file.exists()}
+def parquet(case: str, folder: Path) -> tuple[Played, dict[str, Any]]:
+    output = write("parquet", folder / "out.parquet", case)
+    read = {path: folder / f"out-{path.replace('/', '-')}.parquet" for path in output.rows}
+    return played(case), {path: pq.read_table(file) for path, file in read.items()}
 
 
 @pytest.mark.parametrize("case", ["touches", "comb", "slide"])
-def test_forces_in_parquet_are_those_that_are_published(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    played_case, tables = parquet(case, tmp_path, monkeypatch)
+def test_forces_in_parquet_are_those_that_are_published(case: str, tmp_path: Path) -> None:
+    played_case, tables = parquet(case, tmp_path)
     messages, rows = played_case.messages("forces"), tables["forces"].to_pylist()
     assert len(rows) == len(messages)
     touched = 0
@@ -66,14 +59,12 @@ def test_forces_in_parquet_are_those_that_are_published(
                 value = row[f"site_{site}_{key}"]
                 assert same(value, getattr(listed[site], key)) if site in listed else value is None
     assert touched > 20
-    assert pq.ParquetFile(tmp_path / "forces.parquet").num_row_groups > 1
+    assert pq.ParquetFile(tmp_path / "out-forces.parquet").num_row_groups > 1
 
 
 @pytest.mark.parametrize("case", ["comb", "slide", "skin"])
-def test_contacts_have_a_row_each_and_messages_without_any_have_one(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    played_case, tables = parquet(case, tmp_path, monkeypatch)
+def test_contacts_have_a_row_each_and_messages_without_any_have_one(case: str, tmp_path: Path) -> None:
+    played_case, tables = parquet(case, tmp_path)
     rows = iter(tables["contacts"].to_pylist())
     for message in played_case.messages("contacts"):
         for contact in message.contacts:
@@ -95,8 +86,8 @@ def test_contacts_have_a_row_each_and_messages_without_any_have_one(
     ]
 
 
-def test_maps_of_a_skin_in_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    played_case, tables = parquet("skin", tmp_path, monkeypatch)
+def test_maps_of_a_skin_in_parquet(tmp_path: Path) -> None:
+    played_case, tables = parquet("skin", tmp_path)
     for path, key in (("decoded", "traction_pascal"), ("signals", "noise_std"), ("decoded", "traction_std_pascal")):
         field = tables[path].schema.field(key)
         shape = json.loads(field.metadata[b"shape"])
@@ -116,8 +107,8 @@ def test_maps_of_a_skin_in_parquet(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("case", ["touches", "skin"])
-def test_every_number_has_its_unit_in_its_name(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, tables = parquet(case, tmp_path, monkeypatch)
+def test_every_number_has_its_unit_in_its_name(case: str, tmp_path: Path) -> None:
+    _, tables = parquet(case, tmp_path)
     for table in tables.values():
         assert table.schema.metadata.items() >= {b"plate": b"quartz16", b"source_sha256": b"00ff"}.items()
         for field in table.schema:
@@ -130,12 +121,9 @@ def test_every_number_has_its_unit_in_its_name(case: str, tmp_path: Path, monkey
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_numpy_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    played_case, tables = parquet(case, tmp_path, monkeypatch)
-    write(
-        TableOutput(NpzFormat(tmp_path / "all.npz", METADATA), WITH_TABLE, played_case.config.plate),
-        played_case.moments,
-    )
+def test_numpy_has_what_parquet_has(case: str, tmp_path: Path) -> None:
+    _, tables = parquet(case, tmp_path)
+    write("npz", tmp_path / "all.npz", case)
     with np.load(tmp_path / "all.npz", allow_pickle=False) as archive:
         assert archive["metadata/plate"] == "quartz16"
         seen = {"metadata/plate", "metadata/source_sha256"}
@@ -162,11 +150,12 @@ def test_numpy_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.parametrize("case", ["slide", "comb"])
-def test_csv_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    played_case, tables = parquet(case, tmp_path, monkeypatch)
-    write(TableOutput(CsvFormat(place(tmp_path, ".csv")), WITH_TABLE, played_case.config.plate), played_case.moments)
-    for path, table in tables.items():
-        with place(tmp_path, ".csv")(path).open(newline="", encoding="utf-8") as file:
+def test_csv_has_what_parquet_has(case: str, tmp_path: Path) -> None:
+    played_case, tables = parquet(case, tmp_path)
+    output = write("csv", tmp_path / "out.csv", case)
+    for path in output.rows:
+        table = tables[path]
+        with (tmp_path / f"out-{path.replace('/', '-')}.csv").open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
         assert len(rows) == table.num_rows
         for row, values in zip(rows, table.to_pylist(), strict=True):
@@ -178,22 +167,17 @@ def test_csv_has_what_parquet_has(case: str, tmp_path: Path, monkeypatch: pytest
                     assert text == ("true" if value else "false")
                 else:
                     assert same(type(value)(text), value)
-    assert any("nan" in row for row in (tmp_path / "contacts.csv").read_text().splitlines())
+    assert any("nan" in row for row in (tmp_path / "out-contacts.csv").read_text().splitlines())
     at = [tables["forces"].schema.names.index(name) for name in ("t_ns", "board_ticks")]
-    read = np.loadtxt(tmp_path / "forces.csv", np.uint64, delimiter=",", quotechar='"', skiprows=1, usecols=at)
+    read = np.loadtxt(tmp_path / "out-forces.csv", np.uint64, delimiter=",", quotechar='"', skiprows=1, usecols=at)
     assert read.tolist() == [[message.t_ns, message.board_ticks] for message in played_case.messages("forces")]
 
 
-def test_topics_that_nobody_asked_for_have_no_files(tmp_path: Path) -> None:
-    output = TableOutput(CsvFormat(place(tmp_path, ".csv")), ["contacts/event"], played("touches").config.plate)
-    write(output, played("touches").moments)
-    assert [file.name for file in tmp_path.iterdir()] == ["contacts-event.csv"]
-    assert output.rows == {"contacts/event": 6}
-
-
 def test_an_array_that_is_missing_is_null_in_parquet(tmp_path: Path) -> None:
-    made = ParquetFormat(place(tmp_path, ".parquet"), METADATA)
-    table = made.open_table(DECODED, [Column("traction_pascal", "float32 array", True, (2, 2))])
+    path = tmp_path / "decoded.parquet"
+    output = parquet_format.Format(path, ("decoded",), Recorded(played("skin").config, METADATA))
+    output.begin()
+    table = output.open_table("decoded", [Column("traction_pascal", "float32 array", True, (2, 2))])
     table.write([[np.arange(4, dtype=np.float32).reshape(2, 2), None]])
-    made.close()
-    assert pq.read_table(tmp_path / "decoded.parquet")["traction_pascal"].to_pylist() == [[0.0, 1.0, 2.0, 3.0], None]
+    output.close()
+    assert pq.read_table(path)["traction_pascal"].to_pylist() == [[0.0, 1.0, 2.0, 3.0], None]

@@ -2,18 +2,15 @@
 
 import json
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.exporting.columns import Column, Value
-from resonator_daemon.exporting.table_output import Batch
-from resonator_daemon.host.new_file import NewFile
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.exporting.table_output import Batch, TableOutput
 
 try:
     import pyarrow as pa
@@ -30,60 +27,46 @@ _TYPES: Final = {
 }
 
 
-class ParquetFormat:
+class Format(TableOutput):
     """Files with a type, unit and description for each column, compressed by zstd.
 
     What is missing is null, a number that is not known is NaN. Arrays are lists of fixed size, row by row; the column's
     metadata have their shape.
-
-    Parameters
-    ----------
-    place
-        Gives the file of a topic.
-    metadata
-        Of each file.
     """
 
-    def __init__(self, place: Callable[[str], Path], metadata: Mapping[str, str]) -> None:
-        self._place = place
-        self._metadata = metadata
-        self._new: list[NewFile] = []
-        self._files: list[_ParquetFile] = []
+    file_per_topic = True
 
-    def open_table(self, topic: Topic[Any], columns: Sequence[Column]) -> "_ParquetFile":
-        new = NewFile(self._place(topic.path))
-        self._new.append(new)
-        file = _ParquetFile(new, columns, {**self._metadata, "topic": topic.path})
-        self._files.append(file)
-        return file
+    def begin(self) -> None:
+        super().begin()
+        self._tables: list[_ParquetFile] = []
 
-    def close(self) -> Mapping[str, int]:
-        for file in self._files:
-            file.close()
-        return {str(new.path): new.keep() for new in self._new}
+    def open_table(self, topic: str, columns: Sequence[Column]) -> "_ParquetFile":
+        metadata = {**self._recorded.metadata, "topic": topic}
+        schema = pa.schema([_field(column) for column in columns], metadata=metadata)
+        table = _ParquetFile(pq.ParquetWriter(self._new_file(topic).file, schema, compression="zstd"), schema)
+        self._tables.append(table)
+        return table
+
+    def finish(self) -> None:
+        super().finish()
+        for table in self._tables:
+            table.writer.close()
 
     def discard(self) -> None:
-        for file in self._files:
-            file.discard()
-        for new in self._new:
-            new.discard()
+        for table in self._tables:
+            with suppress(OSError):  # it would try when it is collected, and have no file
+                table.writer.close()
+        super().discard()
 
 
 class _ParquetFile:
-    def __init__(self, new: NewFile, columns: Sequence[Column], metadata: Mapping[str, str]) -> None:
-        self._schema = pa.schema([_field(column) for column in columns], metadata=dict(metadata))
-        self._writer = pq.ParquetWriter(new.file, self._schema, compression="zstd")
+    def __init__(self, writer: Any, schema: Any) -> None:
+        self.writer = writer
+        self._schema = schema
 
     def write(self, batch: Batch) -> None:
         arrays = [_array(values, field.type) for values, field in zip(batch, self._schema, strict=True)]
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
-
-    def close(self) -> None:
-        self._writer.close()
-
-    def discard(self) -> None:
-        with suppress(OSError):  # it would try when it is collected, and have no file
-            self._writer.close()
+        self.writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
 
 def _field(column: Column) -> Any:

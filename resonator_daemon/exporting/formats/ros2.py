@@ -1,0 +1,168 @@
+"""A recording as an MCAP file that `ros2 bag` and viewers of ROS read: messages in CDR; no ROS is needed."""
+
+import re
+from collections.abc import Iterator
+from types import MappingProxyType
+from typing import Any, Final
+
+import numpy as np
+
+from resonator_daemon.errors import UserError
+from resonator_daemon.exporting.clouds import Clouds, Points
+from resonator_daemon.exporting.mcap_output import McapOutput, cloud_fields, severity, state_text
+from resonator_daemon.publishing.payloads import Contact, ContactEvent, Contacts, DecodedSummary, State
+from resonator_daemon.publishing.topics import Topic
+
+try:
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+except ImportError as error:
+    raise UserError("messages of ROS 2 need rosbags: pip install rosbags") from error
+
+_CONTACT, _CONTACTS, _EVENT = (f"resonator_msgs/msg/{name}" for name in ("Contact", "Contacts", "ContactEvent"))
+_WRENCH: Final = "geometry_msgs/msg/WrenchStamped"
+_CLOUD: Final = "sensor_msgs/msg/PointCloud2"
+_DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+
+# Keys of a contact that are numbers, in the order of the message, and their description there.
+_NUMBERS: Final = ("force_newton", "noise_newton", "systematic_newton", "hidden_newton", "peak_newton", "duration_s")
+_DEFINITIONS: Final = {
+    _CONTACT: (
+        "uint64 id",
+        "uint32 site",
+        "float64[2] position_m",
+        "float64[2] position_std_m",
+        *(f"float64 {key}" for key in _NUMBERS),
+        "float64 at_least_newton",
+        "builtin_interfaces/Time since",
+        "string status",
+        "string reason",
+    ),
+    _CONTACTS: ("std_msgs/Header header", "string status", "string reason", f"{_CONTACT}[] contacts"),
+    _EVENT: (
+        "std_msgs/Header header",
+        "string event",
+        "string reason",
+        "float64 slip_margin",
+        "float64 slip_margin_std",
+        "float64 friction_coefficient",
+        f"{_CONTACT} contact",
+    ),
+}
+_DATATYPES: Final = {"<u2": 4, "<f4": 7, "<f8": 8}  # UINT16, FLOAT32, FLOAT64 of sensor_msgs/PointField
+
+
+class Format(McapOutput):
+    """What ROS has kinds of messages for, under `/NAME/...`, and contacts in a kind that comes with the file.
+
+    Coordinates are the plate's, whose frame has its name: x to the right, z into the plate; metres.
+    """
+
+    profile = "ros2"
+    schema_encoding = "ros2msg"
+    message_encoding = "cdr"
+    channel_metadata = MappingProxyType({"offered_qos_profiles": ""})
+
+    def begin(self) -> None:
+        super().begin()
+        self._frame_id = ros_name(self._recorded.name)
+        self.prefix = f"/{self._frame_id}/"
+        self._clouds = Clouds(self._recorded.plate)
+        self._store = get_typestore(Stores.ROS2_JAZZY)
+        for kind, lines in _DEFINITIONS.items():
+            self._store.register(get_types_from_msg("\n".join(lines), kind))
+
+    def put(self, topic: Topic[Any], message: Any, now_ns: int) -> None:
+        for path, kind, fields in self._messages(topic.path, message):
+            header = self._make("std_msgs/msg/Header", stamp=self._time(message.t_ns), frame_id=self._frame_id)
+            data = bytes(self._store.serialize_cdr(self._make(kind, header=header, **fields), kind))
+            definition = self._store.generate_msgdef(kind, ros_version=2)[0] if kind not in self._schemas else ""
+            self.write(path, kind, definition, data, now_ns, message.t_ns)
+
+    def _messages(self, path: str, message: Any) -> Iterator[tuple[str, str, dict[str, Any]]]:
+        """Yield path, kind and fields of what a message becomes; nothing for kinds that ROS has no use for."""
+        match message:
+            case Contacts():
+                contacts = message.contacts
+                of_each = [self._contact(contact) for contact in contacts]
+                yield path, _CONTACTS, {"status": str(message.status), "reason": message.reason, "contacts": of_each}
+                if not self._recorded.plate.decodable:
+                    forces = [(0.0, 0.0, contact.force_newton) for contact in contacts]
+                    yield "wrench", _WRENCH, self._wrench(forces, [_moment(contact) for contact in contacts])
+            case DecodedSummary():
+                patches = message.patches
+                forces = [patch.force_newton for patch in patches]
+                yield "wrench", _WRENCH, self._wrench(forces, [patch.moment_newton_m for patch in patches])
+            case ContactEvent():
+                keys = ("slip_margin", "slip_margin_std", "friction_coefficient")
+                fields = {key: getattr(message.contact, key) for key in keys}
+                fields |= {"event": str(message.event), "reason": message.reason}
+                yield path, _EVENT, {**fields, "contact": self._contact(message.contact)}
+            case State():
+                yield "diagnostics", _DIAGNOSTICS, {"status": [self._diagnostic_status(path, message)]}
+            case _:
+                if (points := self._clouds.points(message)) is not None:
+                    yield f"{path}/cloud", _CLOUD, self._cloud(points)
+
+    def _make(self, kind: str, **fields: Any) -> Any:
+        return self._store.types[kind](**fields)
+
+    def _time(self, t_ns: int) -> Any:
+        sec, nanosec = divmod(t_ns, 10**9)
+        return self._make("builtin_interfaces/msg/Time", sec=sec, nanosec=nanosec)
+
+    def _contact(self, contact: Contact) -> Any:
+        at_least = contact.at_least_newton
+        return self._make(
+            _CONTACT,
+            id=contact.id,
+            site=contact.site,
+            position_m=np.array(contact.position_m),
+            position_std_m=np.array(contact.position_std_m),
+            **{key: getattr(contact, key) for key in _NUMBERS},
+            at_least_newton=np.nan if at_least is None else at_least,
+            since=self._time(contact.since_t_ns),
+            status=str(contact.status),
+            reason=contact.reason,
+        )
+
+    def _wrench(self, forces: list[Any], moments: list[Any]) -> dict[str, Any]:
+        """Return the sum of all contacts about the origin; NaN where that of one is not known."""
+        force, torque = (
+            self._make("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, np.sum(parts, axis=0)), strict=True)))
+            for parts in ([(0.0, 0.0, 0.0), *forces], [(0.0, 0.0, 0.0), *moments])
+        )
+        return {"wrench": self._make("geometry_msgs/msg/Wrench", force=force, torque=torque)}
+
+    def _cloud(self, points: Points) -> dict[str, Any]:
+        fields = cloud_fields(points, _DATATYPES, "datatype")
+        return {
+            "height": 1,
+            "width": len(points),
+            "fields": [self._make("sensor_msgs/msg/PointField", count=1, **field) for field in fields],
+            "is_bigendian": False,
+            "point_step": points.dtype.itemsize,
+            "row_step": points.nbytes,
+            "data": np.frombuffer(points.tobytes(), np.uint8),
+            "is_dense": not any(np.isnan(points[name]).any() for name in points.dtype.names or ()),
+        }
+
+    def _diagnostic_status(self, path: str, message: State) -> Any:
+        return self._make(
+            "diagnostic_msgs/msg/DiagnosticStatus",
+            level=severity(message.state),
+            name=f"{self._frame_id}: {path}",
+            message=state_text(message),
+            hardware_id=message.board_boot_id or "",
+            values=[],
+        )
+
+
+def ros_name(text: str) -> str:
+    """Return the text as a name that ROS takes: letters, digits and underscores, no digit first."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return name if re.match(r"[A-Za-z]", name) else f"plate_{name}"
+
+
+def _moment(contact: Contact) -> tuple[float, float, float]:
+    x, y = contact.position_m
+    return y * contact.force_newton, -x * contact.force_newton, 0.0
