@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Collection, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Final
+from typing import Any
 from urllib.parse import quote
 
 from resonator_daemon.config import Config
@@ -15,19 +15,6 @@ from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher, Subscription
 from resonator_daemon.publishing.topics import JSON, SCHEMA_PATH, STATE_DAEMON, TOPICS, Topic, full_topic
-
-NOTHING_MADE: Final = MessageAccount(
-    made=0,
-    restored=0,
-    resent=0,
-    recovered=0,
-    acknowledged=0,
-    handed_to_socket=0,
-    dropped={},
-    unknown_at_disconnect=0,
-    waiting=0,
-    spooled=0,
-)
 
 MakeOffline = Callable[[str], State]
 
@@ -69,7 +56,7 @@ class PlatePublisher:
     @property
     def account(self) -> MessageAccount:
         """Where the messages went."""
-        return self._publisher.account if self._publisher else NOTHING_MADE
+        return self._publisher.account if self._publisher else MessageAccount()
 
     @property
     def losses(self) -> tuple[int, int]:

@@ -20,7 +20,6 @@ SOCKET_NAME: Final = "status.sock"
 PATH_BYTES_MAX: Final = 107  # sun_path of sockaddr_un has room for so many and a zero
 _MODE: Final = 0o660
 _BACKLOG: Final = 128
-_TOGETHER: Final = 25  # connections, then a pause: 500 a second at most, about a tenth of a core
 _FRESH_S: Final = 0.1  # those who ask within it get the same answer
 _CREDENTIALS: Final = struct.Struct("3i")  # pid, uid, gid of SO_PEERCRED
 
@@ -33,7 +32,6 @@ class StatusTimes(NamedTuple):
     retry_s: float = 5.0  # after a failure
     check_s: float = 5.0  # for which a removed socket may go unnoticed
     send_s: float = 1.0  # an answer of usual size goes into the socket's buffer at once, whoever reads it or not
-    pause_s: float = 0.05
 
 
 class StatusServer:
@@ -52,8 +50,8 @@ class StatusServer:
         self._times = times or StatusTimes()
         self._path = path
         self._make = make
-        self._answer = b""
-        self._answer_s = -_FRESH_S
+        self._made = b""
+        self._made_s = -_FRESH_S
         self._problem: str | None = None
 
     async def run(self) -> None:
@@ -61,37 +59,32 @@ class StatusServer:
         while True:
             try:
                 with self._listening() as listening:
-                    await self._answer_all(listening)
+                    await self._serve(listening)
                 log.warning("%s or its lock was removed or replaced: made again", self._path)
             except OSError as error:
                 self._log_change(f"`resonatord status` does not see this daemon: {_sentence(error)}")
                 await asyncio.sleep(self._times.retry_s)
 
-    async def _answer_all(self, listening: "_Listening") -> None:
+    async def _serve(self, listening: "_Listening") -> None:
         """Answer until nobody finds the socket any more, or another daemon could take its place."""
-        loop = asyncio.get_running_loop()
-        answered = 0
-        while True:
-            try:
-                async with asyncio.timeout(self._times.check_s):
-                    client, _ = await loop.sock_accept(listening.own)
-            except TimeoutError:
-                if not listening.in_place():
-                    return
-                continue
-            with client:
-                self._log_change(None)
-                answer = self._fresh_answer(loop.time())
-                with contextlib.suppress(OSError):  # TimeoutError is one: who does not read is left
-                    async with asyncio.timeout(self._times.send_s):
-                        await loop.sock_sendall(client, answer)
-            answered += 1
-            await asyncio.sleep(self._times.pause_s if answered % _TOGETHER == 0 else 0)
+        server = await asyncio.start_unix_server(self._answer, sock=listening.own, backlog=_BACKLOG)
+        self._log_change(None)
+        try:
+            while listening.in_place():  # noqa: ASYNC110 - a file has no event
+                await asyncio.sleep(self._times.check_s)
+        finally:
+            server.close()
 
-    def _fresh_answer(self, now_s: float) -> bytes:
-        if now_s - self._answer_s >= _FRESH_S:
-            self._answer, self._answer_s = encode(self._make()) + b"\n", now_s
-        return self._answer
+    async def _answer(self, _reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        now_s = asyncio.get_running_loop().time()
+        if now_s - self._made_s >= _FRESH_S:
+            self._made, self._made_s = encode(self._make()) + b"\n", now_s
+        writer.write(self._made)
+        writer.close()
+        with contextlib.suppress(OSError):  # TimeoutError is one: who does not read is left
+            async with asyncio.timeout(self._times.send_s):
+                await writer.wait_closed()
+        writer.transport.abort()
 
     @contextlib.contextmanager
     def _listening(self) -> Iterator["_Listening"]:
@@ -104,12 +97,10 @@ class StatusServer:
         make_private(self._path.parent)
         with _alone(self._path) as lock, socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listening:
             _remove_socket(self._path)  # left by a daemon that was killed: ours is the lock
-            listening.setblocking(False)
             listening.bind(os.fspath(self._path))
             made = _Listening(listening, {path: _identity(path) for path in (self._path, lock)})
             try:
                 self._path.chmod(_MODE)
-                listening.listen(_BACKLOG)
                 yield made
             finally:
                 if made.in_place():

@@ -119,16 +119,18 @@ class MessageAccount(Message):
     At any instant made = acknowledged + handed_to_socket + sum of dropped + unknown_at_disconnect + waiting.
     """
 
-    made: int = Field(description="all of them, those of the next three lines included")
-    restored: int = Field(description="retained messages sent again after a reconnection")
-    resent: int = Field(description="events whose acknowledgement was outstanding when a connection ended, sent again")
-    recovered: int = Field(description="events that an earlier run of the daemon had left in the spool")
-    acknowledged: int = Field(description="QoS 1: the broker said so")
-    handed_to_socket: int = Field(description="QoS 0: written to the connection in full")
-    dropped: dict[str, int] = Field(description="never handed over, by cause")
-    unknown_at_disconnect: int = Field(description="on their way when the connection ended")
-    waiting: int = Field(description="queued, on disk, or on their way")
-    spooled: int = Field(description="of those waiting: on disk")
+    made: int = Field(0, description="all of them, those of the next three lines included")
+    restored: int = Field(0, description="retained messages sent again after a reconnection")
+    resent: int = Field(
+        0, description="events whose acknowledgement was outstanding when a connection ended, sent again"
+    )
+    recovered: int = Field(0, description="events that an earlier run of the daemon had left in the spool")
+    acknowledged: int = Field(0, description="QoS 1: the broker said so")
+    handed_to_socket: int = Field(0, description="QoS 0: written to the connection in full")
+    dropped: dict[str, int] = Field({}, description="never handed over, by cause")
+    unknown_at_disconnect: int = Field(0, description="on their way when the connection ended")
+    waiting: int = Field(0, description="queued, on disk, or on their way")
+    spooled: int = Field(0, description="of those waiting: on disk")
 
 
 class BootInfo(Message):

@@ -220,7 +220,9 @@ async def test_what_is_measured_is_recorded_from_the_reload_on_that_wants_it(
             await heard.until_count("resonator/hand/forces", 20)
             path.write_text(path.read_text() + "derived = true\n")
             service.reload()
-            await heard.until(lambda: heard.payloads("resonator/hand/health")[-1]["recording"]["files"] == 2)
+            await heard.until(
+                lambda: any(each["recording"]["files"] == 2 for each in heard.payloads("resonator/hand/health"))
+            )
             await heard.until_count("resonator/hand/forces", len(heard.payloads("resonator/hand/forces")) + 20)
         topics = set()
         for file in (tmp_path / "runs").glob("*.mcap"):

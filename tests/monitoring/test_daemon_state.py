@@ -49,14 +49,11 @@ def test_each_connection_is_numbered_and_dated(state: DaemonState, said: list[Da
     assert again.connected_utc_ns > first.connected_utc_ns
 
 
-def test_its_own_messages_say_nothing_new(state: DaemonState, said: list[DaemonStanding]) -> None:
-    state.receive(incoming("aa", "online"))
-    assert said == []
-
-
 def test_its_own_will_of_an_earlier_connection_is_answered_unless_it_has_ended(
     state: DaemonState, said: list[DaemonStanding]
 ) -> None:
+    state.receive(incoming("aa", "online"))
+    assert said == []
     state.receive(incoming("aa", "offline"))
     assert [standing.condition for standing in said] == [Condition.ONLINE]
     state.end()
@@ -106,13 +103,12 @@ def test_a_will_that_comes_late_is_answered(
     assert len(restored) == 1
 
 
-def test_what_was_retained_may_be_of_the_dead(state: DaemonState, said: list[DaemonStanding]) -> None:
+def test_retained_states_and_earlier_connections_are_no_conflict(
+    state: DaemonState, said: list[DaemonStanding]
+) -> None:
     state.receive(incoming("bb", "online", retained=True))
     state.receive(incoming("bb", "offline", retained=True))
     assert said == []
-
-
-def test_a_new_connection_begins_without_a_conflict(state: DaemonState, said: list[DaemonStanding]) -> None:
     state.receive(incoming("bb", "online"))
     state.connected(2)
     assert said[-1].reason == "measuring"

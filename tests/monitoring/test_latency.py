@@ -17,26 +17,13 @@ def bins(histogram: LatencyHistogram) -> dict[float | None, int]:
 
 
 @pytest.mark.parametrize(
-    ("milliseconds", "bound_ms"), [(-0.1, 0.25), (0.0, 0.25), (0.26, 0.35), (1.999, 2.0), (2.001, 2.8), (999.0, 1000.0)]
+    ("milliseconds", "bound_ms"),
+    [(-0.1, 0.25), (0.25, 0.25), (0.26, 0.35), (1.999, 2.0), (2.0, 2.0), (2.001, 2.8), (999.0, 1000.0), (1001.0, None)],
 )
-def test_a_bin_holds_what_lies_below_its_bound(milliseconds: float, bound_ms: float) -> None:
+def test_a_bin_holds_what_lies_below_its_bound(milliseconds: float, bound_ms: float | None) -> None:
     histogram = LatencyHistogram()
-    histogram.add(milliseconds * 1e-3)
+    histogram.add(milliseconds / 1000)
     assert bins(histogram) == {bound_ms: 1}
-
-
-def test_the_bound_itself_is_within() -> None:
-    histogram = LatencyHistogram()
-    for bound_ms in (0.25, 0.5, 2.0, 4.0):
-        histogram.add(bound_ms / 1000.0)
-    assert bins(histogram) == dict.fromkeys((0.25, 0.5, 2.0, 4.0), 1)
-
-
-def test_what_is_beyond_all_bounds_is_counted_too() -> None:
-    histogram = LatencyHistogram()
-    for seconds in (1.001, 3600.0):
-        histogram.add(seconds)
-    assert bins(histogram) == {None: 2}
 
 
 def test_every_limit_of_the_figures_is_a_bound_and_bounds_rise() -> None:
@@ -58,10 +45,3 @@ def test_a_message_is_as_old_as_the_end_of_its_last_gate(monkeypatch: pytest.Mon
     by_bound = {path: dict(zip(info.bounds_ms, info.counts, strict=False)) for path, info in told.items()}
     assert by_bound["forces"][1.4] == 2 == sum(told["forces"].counts)
     assert by_bound["decoded"][8.0] == 1 == sum(told["decoded"].counts)
-
-
-def test_what_was_told_does_not_change_afterwards() -> None:
-    histogram = LatencyHistogram()
-    told = histogram.info()
-    histogram.add(0.001)
-    assert sum(told.counts) == 0

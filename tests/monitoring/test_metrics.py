@@ -15,7 +15,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from resonator_daemon.monitoring.metrics import StatusCollector
 from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
-from resonator_daemon.publishing.payloads import Condition, LatencyInfo, MessageAccount
+from resonator_daemon.publishing.payloads import Condition, MessageAccount
 
 Key = tuple[str, frozenset[tuple[str, str]]]
 DOCS = Path(__file__).parents[2] / "docs"
@@ -173,14 +173,6 @@ def test_what_is_not_known_is_left_out() -> None:
     assert text_of(None) == ""
 
 
-def test_exactly_one_word_holds_for_each_part() -> None:
-    for word in Condition:
-        found = metrics(status_samples.status(daemon=status_samples.state(word)))
-        holds = {dict(labels)["state"]: value for (name, labels), value in found.items()
-                 if name == "resonatord_state" and ("part", "daemon") in labels}  # fmt: skip
-        assert holds == {str(each): float(each is word) for each in Condition}
-
-
 def test_what_only_grows_is_a_counter_and_nothing_else_is() -> None:
     less = {"waiting": 0, "accepted": 10_001, "other_version": 1000, "own_direction": 100, "discarded": 10}
     account = status_samples.health().messages
@@ -214,16 +206,6 @@ def test_the_strict_parser_of_openmetrics_takes_it_all() -> None:
     families = {family.name: family for family in parse_openmetrics(generate_openmetrics(registry).decode())}
     assert families["resonatord_latency_seconds"].type == "histogram"
     assert families["resonatord_info"].samples[0].labels["name"] == 'a"b\\c\nd'
-
-
-def test_every_histogram_ends_with_all_messages() -> None:
-    histograms = {
-        "decoded": LatencyInfo(bounds_ms=(1.0,), counts=(2, 0)),
-        "forces": LatencyInfo(bounds_ms=(), counts=(5,)),
-    }
-    found = metrics(status_samples.status(health=status_samples.health(latency=histograms)))
-    assert found[of("resonatord_latency_seconds_bucket", topic="decoded", le="+Inf")] == 2
-    assert found[of("resonatord_latency_seconds_bucket", topic="forces", le="+Inf")] == 5
 
 
 def named_in(text: str) -> set[str]:
