@@ -77,7 +77,7 @@ def costs() -> str:
     ticks = exchanges[-1].board_ticks
     began = time.process_time()
     for frame in range(10_000):
-        clock.at(ticks + frame)
+        clock.scale.at(ticks + frame)
     return f"add {add_us:.0f} us, at {(time.process_time() - began) / 10_000 * 1e6:.2f} us"
 
 

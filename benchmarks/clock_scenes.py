@@ -114,9 +114,9 @@ def play(
             due_ns = clock.ping_due_ns(now)
         else:
             look_ns += _LOOK_NS
-            if clock.known:
+            if clock.snapshot() is not None:
                 then = now - _LOOK_BACK_NS
-                said = clock.at(scene.crystal.ticks(then))
+                said = clock.scale.at(scene.crystal.ticks(then))
                 yield Look(then, said.monotonic_ns - then, said)
 
 

@@ -107,7 +107,7 @@ class Stream:
 
 def check_accounts(decoder: PacketDecoder, limit_bytes: int) -> None:
     counts = decoder.counts
-    placed = counts.accepted + counts.other_version + counts.own_direction + counts.discarded + decoder.waiting_bytes
+    placed = counts.accepted + counts.other_version + counts.echo + counts.discarded + decoder.waiting_bytes
     if counts.received != placed:
         raise AssertionError(f"{counts.received} bytes came, {placed} are accounted for")
     if decoder.waiting_bytes > limit_bytes:

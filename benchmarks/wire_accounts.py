@@ -221,7 +221,7 @@ class Receiver:
     def check_bytes(self) -> None:
         now = self.account.copy()
         self.connection.add_to(now)
-        fates = now.bytes_accepted + now.bytes_other_version + now.bytes_own_direction
+        fates = now.bytes_accepted + now.bytes_other_version + now.bytes_echo
         fates += now.bytes_discarded + now.bytes_waiting
         self.books_wrong += not now.bytes_received == self.fed_bytes == fates
 

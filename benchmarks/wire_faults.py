@@ -57,7 +57,7 @@ def main() -> int:
         fates = {
             "accepted": account.bytes_accepted,
             "other version": account.bytes_other_version,
-            "own direction": account.bytes_own_direction,
+            "own direction": account.bytes_echo,
             "discarded": account.bytes_discarded,
             "waiting": account.bytes_waiting,
         }

@@ -70,7 +70,7 @@ class ByteCounts:
     received: int = 0
     accepted: int = 0
     other_version: int = 0
-    own_direction: int = 0
+    echo: int = 0
     discarded: int = 0
 
 
@@ -184,7 +184,7 @@ class PacketDecoder:
                 self.counts.other_version += size_bytes
                 found.append(ForeignVersion(major, message_type, sequence))
             elif message_type & FROM_BOARD != direction:
-                self.counts.own_direction += size_bytes
+                self.counts.echo += size_bytes
             else:
                 accepted_bytes += size_bytes
                 payload = buffer[position + _HEADER_BYTES : after - _CRC.size]

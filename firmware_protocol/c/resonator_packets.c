@@ -44,7 +44,7 @@ static void accept(struct resonator_decoder *decoder, const uint8_t *at, uint32_
     if (packet.major != RESONATOR_PROTOCOL_MAJOR) {
         decoder->counts.other_version += packet_bytes;
     } else if ((packet.type & RESONATOR_FROM_BOARD) != decoder->direction) {
-        decoder->counts.own_direction += packet_bytes;
+        decoder->counts.echo += packet_bytes;
         return;
     } else {
         decoder->counts.accepted += packet_bytes;
@@ -127,7 +127,7 @@ void resonator_decoder_init(struct resonator_decoder *decoder, uint8_t direction
     decoder->counts.received = 0;
     decoder->counts.accepted = 0;
     decoder->counts.other_version = 0;
-    decoder->counts.own_direction = 0;
+    decoder->counts.echo = 0;
     decoder->counts.discarded = 0;
 }
 

@@ -35,7 +35,7 @@ struct resonator_byte_counts {
     uint64_t received;
     uint64_t accepted;
     uint64_t other_version;
-    uint64_t own_direction;
+    uint64_t echo;
     uint64_t discarded;
 };
 

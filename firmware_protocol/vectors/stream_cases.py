@@ -34,7 +34,7 @@ def stream(
     from_board: bool = False,
     max_packet_bytes: int = 64,
     waiting: int = 0,
-    own_direction: int = 0,
+    echo: int = 0,
     other_version: int = 0,
 ) -> Case:
     accepted = sum(28 + len(event["payload"]) // 2 for event in events if event["event"] == "packet")
@@ -42,8 +42,8 @@ def stream(
         "received": len(data),
         "accepted": accepted,
         "other_version": other_version,
-        "own_direction": own_direction,
-        "discarded": len(data) - accepted - other_version - own_direction - waiting,
+        "echo": echo,
+        "discarded": len(data) - accepted - other_version - echo - waiting,
         "waiting": waiting,
     }
     return {
@@ -122,14 +122,14 @@ def streams() -> list[Case]:
             [damage("garbage", 1), foreign(9, 6, 8)],
             other_version=28,
         ),
-        stream("echo", packet(0x86, 3, b"abcdefgh") + ONE, [first], own_direction=36),
-        stream("damage before an echo", b"?!" + packet(0x86, 3), [damage("garbage", 2)], own_direction=28),
+        stream("echo", packet(0x86, 3, b"abcdefgh") + ONE, [first], echo=36),
+        stream("damage before an echo", b"?!" + packet(0x86, 3), [damage("garbage", 2)], echo=28),
         stream(
             "a host hears a board",
             packet(0x86, 9, b"12345678", ticks=1000, boot_id=77) + ONE,
             [found(0x86, 9, b"12345678", ticks=1000, boot_id=77)],
             from_board=True,
             max_packet_bytes=8972,
-            own_direction=28,
+            echo=28,
         ),
     ]

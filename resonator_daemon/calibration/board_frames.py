@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from typing import Final
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError, LinkBusyError
+from resonator_daemon.conditions import Condition
 from resonator_daemon.config import Config
 from resonator_daemon.errors import ConfigurationError, IncompatibleBoardError
 from resonator_daemon.recording.event_replay import replay_of
@@ -48,7 +49,7 @@ def _interrupt(*_: object) -> None:
 
 
 def _arrivals(loop: BlockingReader, timeout_s: float) -> Iterator[FromBoard]:
-    state = LinkChange("starting", "the link is being opened", 0, 0)
+    state = LinkChange(Condition.STARTING, "the link is being opened", 0, 0)
     online = False
     last_s = time.monotonic()
     while True:

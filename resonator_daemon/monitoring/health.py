@@ -104,7 +104,7 @@ class HealthMonitor:
             bytes_by_fate={
                 "accepted": link.bytes_accepted,
                 "other_version": link.bytes_other_version,
-                "own_direction": link.bytes_own_direction,
+                "own_direction": link.bytes_echo,
                 "discarded": link.bytes_discarded,
                 "waiting": link.bytes_waiting,
             },

@@ -5,8 +5,7 @@ readers of JSON hold numbers as doubles, exact only to 2^53.
 """
 
 import math
-from enum import StrEnum
-from typing import Annotated, Any, Final, Self
+from typing import Annotated, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +14,12 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
-    GetJsonSchemaHandler,
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
 )
-from pydantic_core import CoreSchema
+
+from resonator_daemon.conditions import Word
 
 _DECIMAL: Final = {"type": "string", "pattern": "^[0-9]{1,20}$"}
 _UNKNOWN_IS_NULL: Final = {"type": ["number", "null"]}
@@ -60,25 +59,6 @@ Vector3 = tuple[Float, Float, Float]
 Float32Array = Annotated[NDArray[np.float32], PlainValidator(_float32), WithJsonSchema(_NESTED_ROWS)]
 
 
-class Word(StrEnum):
-    """A word of a closed set, with what it means."""
-
-    meaning: str
-
-    def __new__(cls, word: str, meaning: str = "") -> Self:  # a look-up by word gives no meaning
-        member = str.__new__(cls, word)
-        member._value_ = word
-        member.meaning = meaning
-        return member
-
-    @classmethod
-    def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
-        plain = handler.resolve_ref_schema(handler(schema))
-        plain.pop("enum", None)
-        plain["oneOf"] = [{"const": str(word), "description": word.meaning} for word in cls]
-        return plain
-
-
 class Status(Word):
     """What a number is worth; where it is not "ok" and no number is given, this is the reason."""
 
@@ -103,21 +83,6 @@ class Status(Word):
         "pressed_at_start",
         "touched before the untouched plate was known: no force can be given",
     )
-
-
-class Condition(Word):
-    """The words of the states of daemon, link, sensor and decoder."""
-
-    OFFLINE = "offline", "not running: stopped, or gone without a word (last will)"
-    STARTING = "starting", "on the way to online; nothing is wrong yet"
-    ONLINE = "online", "working"
-    WAITING = "waiting", "what it needs (port, board, network, frames) is not there; tried again for ever"
-    STALLED = "stalled", "the link is open and nothing usable comes"
-    LOST = "lost", "was there and went away; tried again for ever"
-    DRIFTING = "drifting", "the baseline moves faster than touches and temperature explain"
-    PRESSED_AT_START = "pressed_at_start", "touched before the untouched plate was known; release it"
-    UNCALIBRATED = "uncalibrated", "the calibration has expired"
-    REFUSED = "refused", "the board or the plate file can never serve this configuration"
 
 
 class Message(BaseModel):

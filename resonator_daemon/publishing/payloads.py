@@ -2,6 +2,7 @@
 
 from typing import Final
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.publishing.measured_payloads import (
     Compensation,
     Contact,
@@ -17,7 +18,6 @@ from resonator_daemon.publishing.measured_payloads import (
     SiteForce,
 )
 from resonator_daemon.publishing.payload_types import (
-    Condition,
     Float,
     Float32Array,
     Header,
@@ -28,7 +28,6 @@ from resonator_daemon.publishing.payload_types import (
     Status,
     Vector2,
     Vector3,
-    Word,
 )
 from resonator_daemon.publishing.state_payloads import (
     BootInfo,
@@ -92,5 +91,4 @@ __all__ = [
     "Status",
     "Vector2",
     "Vector3",
-    "Word",
 ]

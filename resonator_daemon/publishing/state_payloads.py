@@ -4,8 +4,9 @@ from typing import Literal
 
 from pydantic import Field
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.publishing.measured_payloads import Grid
-from resonator_daemon.publishing.payload_types import Condition, Float, Header, Int64, Message
+from resonator_daemon.publishing.payload_types import Float, Header, Int64, Message
 
 _CPU = "of one core, since the last message"
 _MESSAGES = "where each message went"

@@ -5,6 +5,7 @@ import os
 import time
 from collections.abc import Callable
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
@@ -189,7 +190,7 @@ class Replay:
             sentences.append(f"its file is {damage}; all before that was replayed")
         if self.differences:
             sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
-        over = StateAnnounced(self._now, "lost", "; ".join(sentences))
+        over = StateAnnounced(self._now, Condition.LOST, "; ".join(sentences))
         self._machine.apply(over)
         return over
 
@@ -201,7 +202,7 @@ class Replay:
 
     def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
         connection = self._machine.connection
-        if connection is None or connection.follows:
+        if connection is None or connection.pings.follow:
             return
         wanted = connection.data_to_send()
         if wanted != sent:

@@ -1,5 +1,7 @@
 """Messages of a board for people: why it started, and the lines of its log."""
 
+from collections.abc import Mapping
+
 from firmware_protocol.messages import BoardLog, ResetCause
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
@@ -7,6 +9,15 @@ from resonator_daemon.session.frames import BoardLogLine
 
 _LOG_LINES_A_SECOND = 20
 _S = 1_000_000_000
+
+RESET_CAUSES: Mapping[int, str] = {
+    ResetCause.POWER_ON: ", switched on",
+    ResetCause.BROWN_OUT: " after a brown-out: look at its supply",
+    ResetCause.WATCHDOG: ", by its watchdog",
+    ResetCause.SOFTWARE: ", by its software",
+    ResetCause.RESET_PIN: ", by its reset pin",
+}
+"""Why a board started anew, as the end of a sentence; other causes add nothing."""
 
 
 class BoardLogFilter:
@@ -26,20 +37,3 @@ class BoardLogFilter:
             self._queue.put(BoardLogLine(line.level, line.text))
         else:
             self._counters.log_lines_dropped += 1
-
-
-def reset_cause_text(reset_cause: int | None) -> str:
-    """Return why a board started anew, as the end of a sentence."""
-    match reset_cause:
-        case ResetCause.POWER_ON:
-            return ", switched on"
-        case ResetCause.BROWN_OUT:
-            return " after a brown-out: look at its supply"
-        case ResetCause.WATCHDOG:
-            return ", by its watchdog"
-        case ResetCause.SOFTWARE:
-            return ", by its software"
-        case ResetCause.RESET_PIN:
-            return ", by its reset pin"
-        case _:
-            return ""

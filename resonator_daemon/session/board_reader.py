@@ -7,11 +7,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.links.hot_plug import PortWatch
 from resonator_daemon.links.link import Link, LinkLostError, LinkUnavailableError
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.compatibility import BoardRefusedError
+from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import Arrival, BlinkAnswered, ControlRequest, LinkChange, Outage, ReaderFailed
@@ -118,7 +120,7 @@ class BoardReader:
 
     def start(self) -> None:
         if not self.replays:  # a recording has its own first state
-            self._machine.apply(StateAnnounced(read_host_time(), "starting", "the link is being opened"))
+            self._machine.apply(StateAnnounced(read_host_time(), Condition.STARTING, "the link is being opened"))
         self._thread.start()
 
     def stop(self) -> None:
@@ -224,7 +226,7 @@ class BoardReader:
             try:
                 link = self._open()
             except LinkUnavailableError as error:
-                self._machine.apply(StateAnnounced(read_host_time(), "waiting", str(error)))
+                self._machine.apply(StateAnnounced(read_host_time(), Condition.WAITING, str(error)))
             else:
                 try:
                     counted = self._serve(link)
@@ -259,7 +261,7 @@ class BoardReader:
                     self._blink_due = False
                     machine.apply(BlinkRequested(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
-                pieces = self._read(link, machine.due_ns())
+                pieces = self._read(link, machine.opened)
                 now = read_host_time()
                 if not pieces and (data := link.read(0.0)):  # silence ends before a thread that was kept waiting looks
                     pieces = [Received(read_host_time(), data)]
@@ -273,7 +275,7 @@ class BoardReader:
                 if pieces:
                     now = read_host_time()
                 machine.apply(TimersRun(now, idle=not pieces))
-                if pieces and len(pieces[-1].data) < _FEW_BYTES and machine.within_packet:
+                if pieces and len(pieces[-1].data) < _FEW_BYTES and machine.opened.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)
             self._request_stop(link)
@@ -287,7 +289,7 @@ class BoardReader:
         finally:
             self._serving = False
             self._wake_now()
-            was_online = machine.was_online
+            was_online = machine.opened.was_online
             with self._blink_lock:
                 self._link_open = False
                 unasked, self._blink_due = self._blink_due, False
@@ -300,13 +302,13 @@ class BoardReader:
         while self._requests:
             self._machine.apply(ControlRequested(now, *self._requests.popleft()))
 
-    def _read(self, link: Link, due_ns: int) -> list[Received]:
-        """Read until a monotonic time; while an answer is awaited all that is there, each piece with its time."""
+    def _read(self, link: Link, connection: Connection) -> list[Received]:
+        """Read until a timer is due; while an answer is awaited all that is there, each piece with its time."""
         now_ns = time.monotonic_ns()
-        due_ns = min(due_ns, now_ns + _POLL_NS)
+        due_ns = min(connection.due_ns(), now_ns + _POLL_NS)
         newest = self._queue.newest
         sleep_ns = 0
-        if newest is not None and not self._machine.awaits_answer:
+        if newest is not None and not connection.pings.await_answer:
             sleep_ns = self._pacing.sleep_ns(now_ns, newest, self._queue.step_frames, due_ns)
         self._wake_now()
         if sleep_ns:
@@ -318,7 +320,7 @@ class BoardReader:
         pieces: list[Received] = []
         while len(pieces) < _PIECES and (data := link.read(timeout_s)):
             pieces.append(Received(read_host_time(), data))
-            if not self._machine.awaits_answer or len(data) < _FEW_BYTES:
+            if not connection.pings.await_answer or len(data) < _FEW_BYTES:
                 break  # so few are the last of what there was, or a line hands them on one by one
             timeout_s = _QUICK_S
         return pieces
@@ -329,7 +331,7 @@ class BoardReader:
         self._send(link, now)
 
     def _send(self, link: Link, now: HostTime) -> None:
-        if data := self._machine.data_to_send():
+        if data := self._machine.opened.data_to_send():
             self._machine.apply(Sent(now, data))
             link.write(data)
 

@@ -153,10 +153,6 @@ class BoardClock:
         self._line = self._draw(snapshot.origin, self._agreed)
 
     @property
-    def known(self) -> bool:
-        return self._line is not None
-
-    @property
     def rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks ran over the last minute or so; NaN until known to 10 ppm."""
         now = self._line
@@ -267,16 +263,6 @@ class BoardClock:
             rate,
             (lines.most_rate - lines.least_rate) / 2,
         )
-
-    def at(self, board_ticks: int) -> Instant:
-        """Return the instant of a tick count of this boot.
-
-        Raises
-        ------
-        ValueError
-            Before the first exchange.
-        """
-        return self.scale.at(board_ticks)
 
     @property
     def scale(self) -> TickScale:

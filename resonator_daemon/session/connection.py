@@ -7,10 +7,11 @@ from firmware_protocol.layouts import PROTOCOL_MAJOR
 from firmware_protocol.messages import BoardLog, BoardStatus, Configuration, Refusal, RefusalCode
 from firmware_protocol.packets import Damage, ForeignVersion
 from firmware_protocol.states import HostState
+from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.blink import BlinkRequests
-from resonator_daemon.session.board_log import BoardLogFilter, reset_cause_text
+from resonator_daemon.session.board_log import RESET_CAUSES, BoardLogFilter
 from resonator_daemon.session.clock import BoardClock, Exchange, Instant
 from resonator_daemon.session.compatibility import (
     BoardRefusedError,
@@ -49,6 +50,11 @@ class Connection:
     ----------
     known
         The board that was here before, None where none was: no other one is taken in its place.
+
+    Attributes
+    ----------
+    pings
+        Pings on their way.
     """
 
     def __init__(
@@ -70,7 +76,7 @@ class Connection:
         self._gate_ticks = gate_ticks(plate)
         self._session = HostSession()
         self._receiver = FrameReceiver(plate, numbering, queue, counters)
-        self._pings = Pings()
+        self.pings = Pings()
         self._blink = BlinkRequests(queue)
         self._log_lines = BoardLogFilter(queue, counters)
         self._silence_ns = _SILENCE_FRAMES * round(_S / plate.counter.frame_rate_hz) + _SILENCE_NS
@@ -82,7 +88,7 @@ class Connection:
         self._counting = False
         self._answered_ns = opened.monotonic_ns
         self._asleep_ns = opened.boottime_less_monotonic_ns
-        self._rate_doubt = ""  # what is odd about the board's ticks, though it can be read
+        self._rate_doubt: str | None = None  # what is odd about the board's ticks, though it can be read
         self._unanswered = False  # it does not answer, though it sends
         self._damaged_bytes = 0
         self.described: Described | None = None
@@ -114,28 +120,19 @@ class Connection:
         return self._session.data_to_send()
 
     @property
-    def awaits_answer(self) -> bool:
-        """Whether a ping is on its way."""
-        return self._pings.await_answer
-
-    @property
     def within_packet(self) -> bool:
         """Whether the last bytes that were received end in the middle of a packet."""
         return self._session.waiting_bytes > 0
 
-    @property
-    def follows(self) -> bool:
-        """Whether `sent` reports recorded requests, and none are made here."""
-        return self._pings.follow
-
     def snapshot(self) -> ConnectionSnapshot | None:
         """Return the state; None where a replay could not go on from it, as within a packet."""
         session = self._session
-        underway = session.waiting_bytes or self._receiver.frame_begun or self._damaged_bytes != session.bytes.discarded
+        damage = self._damaged_bytes != session.bytes.discarded
+        underway = session.waiting_bytes or self._receiver.assembler.begun or damage
         if self.described is None or not self._counting or underway or session.state is not HostState.RUNNING:
             return None
         clock = self.clock.snapshot() if self.clock is not None else None
-        if clock is None or self._state.state != "online" or not self._numbering.settled:
+        if clock is None or not self._state.online or not self._numbering.settled:
             return None
         return ConnectionSnapshot(
             self.described,
@@ -145,13 +142,13 @@ class Connection:
             self._rate_doubt,
             self._receiver.newest_ticks,
             clock,
-            self._pings.snapshot(),
+            self.pings.snapshot(),
         )
 
     def restore(self, snapshot: ConnectionSnapshot) -> None:
         """Go on in a replay where the recorded connection was; it made the pings, and `sent` reports them."""
         described = self.described = snapshot.described
-        self._pings.restore(snapshot.pings)
+        self.pings.restore(snapshot.pings)
         self._session.restore(described, snapshot.configuration, snapshot.request_number)
         self.clock = BoardClock(described.description.reference_millihertz)
         self.clock.restore(snapshot.clock)
@@ -166,7 +163,7 @@ class Connection:
 
     def sent(self, data: bytes, now: HostTime) -> None:
         """Follow what the recorded connection has sent."""
-        self._pings.sent(self._session, data, now, self._receiver.newest_ticks)
+        self.pings.sent(self._session, data, now, self._receiver.newest_ticks)
 
     def blink(self, now: HostTime) -> None:
         """Ask the board to blink; BlinkAnswered follows in any case."""
@@ -194,15 +191,14 @@ class Connection:
             # A reader that comes late finds much to read, and the frames in it: that is no silence.
             if idle or now_ns - self._receiver.last_frame_ns > self._silence_ns + _STUCK_NS:
                 self._watch_silence(now_ns)
-            if now_ns - self._answered_ns > _UNANSWERED_NS and not self._unanswered and self._state.state == "online":
+            if now_ns - self._answered_ns > _UNANSWERED_NS and not self._unanswered and self._state.online:
                 self._unanswered = True
                 self._announce_online()
         elif now_ns - self._opened_ns > _HANDSHAKE_NS:
             received = self._session.bytes.received
             received_text = f"{received} bytes came and no answer" if received else "not a byte came"
-            self._announce(
-                "stalled", f"no board answers: {received_text}; is it a board of this kind, and the baud rate right?"
-            )
+            remedy = "is it a board of this kind, and the baud rate right?"
+            self._announce(Condition.STALLED, f"no board answers: {received_text}; {remedy}")
             raise LinkLostError("no board answers")
         if not self._session.awaits_answer:
             self._next_ask_ns = now_ns + _ASK_AGAIN_NS
@@ -223,7 +219,7 @@ class Connection:
             dues.append(self._next_ping_ns)
         if self._counting:
             noticed_ns = self._receiver.last_frame_ns + self._silence_ns + 1
-            dues.append(noticed_ns + _REOPEN_NS if self._state.state == "stalled" else noticed_ns)
+            dues.append(noticed_ns + _REOPEN_NS if self._state.state is Condition.STALLED else noticed_ns)
         return min(dues)
 
     def request_stop(self) -> None:
@@ -244,18 +240,18 @@ class Connection:
         counters.bytes_received += session.bytes.received
         counters.bytes_accepted += session.bytes.accepted
         counters.bytes_other_version += session.bytes.other_version
-        counters.bytes_own_direction += session.bytes.own_direction
+        counters.bytes_echo += session.bytes.echo
         counters.bytes_discarded += session.bytes.discarded
         counters.bytes_waiting += session.waiting_bytes
         counters.messages_stale += session.messages.stale
         counters.messages_malformed += session.messages.malformed
-        counters.messages_unknown += session.messages.unknown + self._receiver.unplaced_parts
+        counters.messages_unknown += session.messages.unknown + self._receiver.assembler.unplaced_parts
         outliers, restarts = self._clock_counts
         clock = self.clock
         counters.clock_outliers += outliers + (clock.outliers if clock else 0)
         counters.clock_restarts += restarts + (clock.restarts if clock else 0)
 
-    def _announce(self, state: str, reason: str) -> None:
+    def _announce(self, state: Condition, reason: str) -> None:
         self._state.announce(state, reason, self._now.utc_ns)
 
     def _handle(self, event: HostEvent) -> None:
@@ -290,7 +286,7 @@ class Connection:
         if not frames or self.clock is None or self.described is None:
             return
         boot_id, start = self.described.boot_id, 0
-        while start < len(frames) and self._state.state != "online":  # which is announced after the first frame
+        while start < len(frames) and not self._state.online:  # which is announced after the first frame
             self._note_frames(self._receiver.receive_frames(frames[start : start + 1], self.clock, boot_id, self._now))
             start += 1
         if start < len(frames):
@@ -310,7 +306,7 @@ class Connection:
 
     def _rebooted(self) -> None:
         self._flush_receiver()  # what it holds belongs to the boot, and the clock, before
-        self._announce("lost", "the board started anew")
+        self._announce(Condition.LOST, "the board started anew")
         if self.clock is not None:
             outliers, restarts = self._clock_counts
             self._clock_counts = (outliers + self.clock.outliers, restarts + self.clock.restarts)
@@ -325,7 +321,7 @@ class Connection:
             case RefusalCode.NOT_IN_THIS_STATE if self._counting:
                 raise LinkLostError(f"the board has forgotten its configuration ({refusal.text})")
             case RefusalCode.FAULT:
-                self._announce("stalled", f"the board cannot count: {refusal.text}")
+                self._announce(Condition.STALLED, f"the board cannot count: {refusal.text}")
                 raise LinkLostError(refusal.text)
             case RefusalCode.OTHER_VERSION:
                 raise BoardRefusedError(f"the board does not speak protocol {PROTOCOL_MAJOR}", other_protocol=True)
@@ -346,12 +342,12 @@ class Connection:
         identity = event.identity
         before = self.described or self._known
         if before is not None and before.boot_id != event.boot_id:
-            self._announce("lost", f"the board started anew{reset_cause_text(identity.reset_cause)}")
+            self._announce(Condition.LOST, "the board started anew" + RESET_CAUSES.get(identity.reset_cause, ""))
         self._announce(
-            "starting", f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
+            Condition.STARTING, f"board {identity.serial_number} with firmware {identity.firmware} is being configured"
         )
         self.described = event
-        self._pings.restart()
+        self.pings.restart()
         self._receiver.newest_ticks = 0
         self.clock = BoardClock(event.description.reference_millihertz)
         self._ping(self.clock)
@@ -377,15 +373,15 @@ class Connection:
                 sentences.append(self._rate_doubt)
             if self._unanswered:
                 sentences.append(f"no ping was answered for {_UNANSWERED_NS // _S} s: is the line to the board broken?")
-            self._announce("online", "; ".join(sentences))
+            self._announce(Condition.ONLINE, "; ".join(sentences))
 
     def _ping(self, clock: BoardClock) -> None:
         now_ns = self._now.monotonic_ns
-        self._pings.make(self._session, now_ns, self._receiver.newest_ticks)
+        self.pings.make(self._session, now_ns, self._receiver.newest_ticks)
         self._next_ping_ns = clock.ping_due_ns(now_ns)
 
     def _pong(self, event: Pong) -> None:
-        ping = self._pings.answered(event.opaque)
+        ping = self.pings.answered(event.opaque)
         if ping is None or self.clock is None or self.described is None:
             return
         if event.board_ticks < ping.known_ticks:
@@ -402,19 +398,19 @@ class Connection:
             # Flagged, not refused: tones far from where they should be are rejected by whoever matches them.
             self._rate_doubt = tick_rate_problem(self.described.description, *measured)
         self._unanswered = False
-        if self._state.state == "online":
+        if self._state.online:
             self._announce_online()
         self._next_ping_ns = min(self._next_ping_ns, self.clock.ping_due_ns(now.monotonic_ns))
         # Only now: every frame can be stamped from the first one on.
         if self._session.state is HostState.DESCRIBED:
             self._session.configure(Configuration(self._gate_ticks))
-        elif self._state.state == "stalled":
+        elif self._state.state is Condition.STALLED:
             self._session.resume()
 
     def _note_frames(self, taken: list[tuple[Accepted, Instant]]) -> None:
         for accepted, middle in taken:
             self.was_online = True
-            if self._state.state != "online":
+            if not self._state.online:
                 self._announce_online()
             self._state.frame_received(accepted.previous, middle, accepted.gap.loss.total if accepted.gap else 0)
 
@@ -422,6 +418,6 @@ class Connection:
         silent_ns = now_ns - self._receiver.last_frame_ns
         if silent_ns > self._silence_ns + _REOPEN_NS:
             raise LinkLostError(f"the board was silent for {silent_ns * 1e-9:.1f} s")
-        if silent_ns > self._silence_ns and self._state.state != "stalled":
-            self._announce("stalled", "the port is open and no frame comes")
+        if silent_ns > self._silence_ns and self._state.state is not Condition.STALLED:
+            self._announce(Condition.STALLED, "the port is open and no frame comes")
             self._next_ping_ns = now_ns  # whether it is alive at all: if so it is asked to go on

@@ -38,13 +38,13 @@ BOOTS_REMEMBERED = 8
 class LinkCounters:
     """Where every byte and every frame of the link went; complete at any instant.
 
-    bytes_received = bytes_accepted + bytes_other_version + bytes_own_direction + bytes_discarded + bytes_waiting.
+    bytes_received = bytes_accepted + bytes_other_version + bytes_echo + bytes_discarded + bytes_waiting.
     """
 
     bytes_received: int = 0
     bytes_accepted: int = 0
     bytes_other_version: int = 0
-    bytes_own_direction: int = 0
+    bytes_echo: int = 0
     bytes_discarded: int = 0
     bytes_waiting: int = 0
     messages_stale: int = 0

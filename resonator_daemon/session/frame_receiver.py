@@ -20,29 +20,19 @@ _FRAME_AGE_NS = 30_000_000_000  # far beyond what any buffer on the way can hold
 class FrameReceiver:
     """Receiver of the frames of one connection; numbering, queue and counters outlive it.
 
-    `last_frame_ns` is the monotonic time at which the last frame was received, `newest_ticks` the newest tick count in
-    any message of this boot.
+    `assembler` puts parts of frames together. `last_frame_ns` is the monotonic time at which the last frame was
+    received, `newest_ticks` the newest tick count in any message of this boot.
     """
 
     def __init__(self, plate: Plate, numbering: FrameNumbering, queue: FrameQueue, counters: LinkCounters) -> None:
         self._gate_ticks = gate_ticks(plate)
         self._in_parts = plate.counter.frames_in_parts
-        self._assembler = FrameAssembler(len(plate.tones.f0_hz))
+        self.assembler = FrameAssembler(len(plate.tones.f0_hz))
         self._numbering = numbering
         self._queue = queue
         self._counters = counters
         self.last_frame_ns = 0
         self.newest_ticks = 0
-
-    @property
-    def unplaced_parts(self) -> int:
-        """Parts of frames that had no place in theirs."""
-        return self._assembler.unplaced_parts
-
-    @property
-    def frame_begun(self) -> bool:
-        """Whether a frame has come in part."""
-        return self._assembler.begun
 
     def receive_frames(
         self, frames: Sequence[Frame], clock: BoardClock, boot_id: int, now: HostTime
@@ -89,7 +79,7 @@ class FrameReceiver:
         if not self._in_parts:
             self._counters.messages_malformed += len(parts)
             return []
-        return self._assembler.add(parts)
+        return self.assembler.add(parts)
 
     def receive_assembled(
         self, frame: AssembledFrame, scale: TickScale, boot_id: int, now: HostTime
@@ -113,7 +103,7 @@ class FrameReceiver:
     def flush(self, clock: BoardClock, boot_id: int, now: HostTime) -> list[tuple[Accepted, Instant]]:
         """Pass on the frame that has begun as it is: no more of it will come. Raises nothing."""
         taken = []
-        for frame in self._assembler.flush():
+        for frame in self.assembler.flush():
             try:
                 taken.append(self.receive_assembled(frame, clock.scale, boot_id, now))
             except (BoardRefusedError, LinkLostError):  # its connection, or its boot, is over anyway

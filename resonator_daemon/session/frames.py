@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from firmware_protocol.layouts import SingleToneRecord, single_tone_records
 from firmware_protocol.messages import Configuration, Description, Identity
+from resonator_daemon.conditions import Condition
 from resonator_daemon.session.clock import Instant, TickScale
 from resonator_daemon.session.counters import FrameLoss
 from resonator_daemon.session.frame_assembly import Tones, known_tones, variance_of
@@ -114,7 +115,7 @@ class BoardRefused:
 class LinkChange:
     """The link's state changed, or its reason: waiting, starting, online, stalled, lost or refused."""
 
-    state: str
+    state: Condition
     reason: str
     since_utc_ns: int  # of the state
     utc_ns: int  # of this announcement
@@ -164,8 +165,7 @@ class ReaderFailed:
 
 
 Arrival = (
-    SingleToneFrame
-    | ChannelisedFrame
+    Frame
     | Gap
     | BoardOnline
     | BoardRefused
@@ -182,15 +182,13 @@ def in_blocks(arrivals: Iterable[Arrival], most: int) -> Iterator[Arrival | list
     """Yield arrivals in their order, adjacent frames together, up to `most` of them."""
     block: list[Frame] = []
     for arrival in arrivals:
-        if isinstance(arrival, Frame):
-            if block and (arrival.index != block[-1].index + 1 or len(block) == most):
-                yield block
-                block = []
-            block.append(arrival)
-        else:
-            if block:
-                yield block
-                block = []
+        frame = arrival if isinstance(arrival, Frame) else None
+        if block and (frame is None or frame.index != block[-1].index + 1 or len(block) == most):
+            yield block
+            block = []
+        if frame is None:
             yield arrival
+        else:
+            block.append(frame)
     if block:
         yield block

@@ -2,13 +2,14 @@
 
 import json
 import struct
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple, get_args
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, Strict, TypeAdapter, ValidationError
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_snapshot import LinkSnapshot
-from resonator_daemon.session.link_state import STATES
 
 _HEAD = struct.Struct("<Bq")  # kind, boottime_less_monotonic_ns
 
@@ -17,7 +18,7 @@ class StateAnnounced(NamedTuple):
     """A state of the link was announced while no link was open."""
 
     now: HostTime
-    state: str
+    state: Condition
     reason: str
 
 
@@ -110,6 +111,7 @@ class ControlRequested(NamedTuple):
     request: str
 
 
+# A kind's place is its number in files: new ones are appended.
 WireEvent = (
     StateAnnounced
     | Opened
@@ -127,43 +129,36 @@ WireEvent = (
     | ControlRequested
 )
 
-# A kind's place is its number in files: new ones are appended.
-_KINDS: tuple[type[WireEvent], ...] = (
-    StateAnnounced,
-    Opened,
-    Received,
-    TimersRun,
-    Sent,
-    Overrun,
-    StopRequested,
-    Lost,
-    Refused,
-    Closed,
-    Skipped,
-    SnapshotTaken,
-    BlinkRequested,
-    ControlRequested,
-)
-_SHOWN = 60  # characters of what cannot be read
-_SNAPSHOT = TypeAdapter(LinkSnapshot)
+_KINDS: tuple[type[WireEvent], ...] = get_args(WireEvent)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
+_Text = Annotated[str, Strict()]
+_Count = Annotated[int, Strict(), Field(ge=0, lt=2**63)]
+_SNAPSHOT = TypeAdapter(LinkSnapshot)
+_JSON: Mapping[type[WireEvent], TypeAdapter[Any]] = {  # of what an event has besides its time
+    StateAnnounced: TypeAdapter(tuple[Condition, _Text]),
+    Lost: TypeAdapter(tuple[_Text]),
+    Refused: TypeAdapter(tuple[tuple[_Text, ...], Annotated[bool, Strict()]]),
+    Skipped: TypeAdapter(tuple[_Count, _Count]),
+    ControlRequested: TypeAdapter(tuple[_Text, _Text]),
+}
 
 
 def encode(event: WireEvent) -> bytes:
     """Return the event without its monotonic time and UTC, which travel beside it."""
-    head = _HEAD.pack(_NUMBERS[type(event)], event.now.boottime_less_monotonic_ns)
     match event:
         case Received() | Sent():
-            return head + event.data
+            body = event.data
         case TimersRun():
-            return head + bytes([event.idle])
-        case Opened() | Overrun() | StopRequested() | Closed() | BlinkRequested():
-            return head
+            body = bytes([event.idle])
         case SnapshotTaken():
-            text = json.dumps(_SNAPSHOT.dump_python(event.snapshot, mode="json"), ensure_ascii=False)
-            return head + text.encode(errors="replace")  # reasons may name paths that are no text
-        case StateAnnounced() | Lost() | Refused() | Skipped() | ControlRequested():
-            return head + json.dumps(event[1:], ensure_ascii=False).encode(errors="replace")
+            body = _json_bytes(_SNAPSHOT.dump_python(event.snapshot, mode="json"))
+        case _:
+            body = _json_bytes(event[1:]) if type(event) in _JSON else b""
+    return _HEAD.pack(_NUMBERS[type(event)], event.now.boottime_less_monotonic_ns) + body
+
+
+def _json_bytes(value: Any) -> bytes:
+    return json.dumps(value, ensure_ascii=False).encode(errors="replace")  # reasons may name paths that are no text
 
 
 def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
@@ -184,42 +179,15 @@ def decode(data: bytes, monotonic_ns: int, utc_ns: int) -> WireEvent:
     now = new_tuple(HostTime, (monotonic_ns, utc_ns - monotonic_ns, boottime_less_monotonic_ns))
     if kind is Received:
         return new_tuple(Received, (now, body))
-    if kind is TimersRun:
-        return new_tuple(TimersRun, (now, body == b"\1"))
     if kind is Sent:
         return Sent(now, body)
-    if kind is Opened or kind is Overrun or kind is StopRequested or kind is Closed or kind is BlinkRequested:
-        return kind(now)
-    if kind is SnapshotTaken:
-        return SnapshotTaken(now, _snapshot(body))
-    match kind, json.loads(body):
-        case (_, [str() as state, str() as reason]) if kind is StateAnnounced and state in STATES:
-            return StateAnnounced(now, state, _text(reason))
-        case (_, [str() as reason]) if kind is Lost:
-            return Lost(now, _text(reason))
-        case (_, [list() as problems, bool() as other_protocol]) if kind is Refused:
-            return Refused(now, tuple(_text(str(problem)) for problem in problems), other_protocol)
-        case (_, [str() as key, str() as request]) if kind is ControlRequested:
-            return ControlRequested(now, _text(key), _text(request))
-        case (_, [int() as events, int() as size_bytes]) if kind is Skipped and _counts(events, size_bytes):
-            return Skipped(now, events, size_bytes)
-    raise ValueError(f"{kind.__name__} cannot be read from {body[:_SHOWN]!r}")
-
-
-def _snapshot(body: bytes) -> LinkSnapshot:
+    if kind is TimersRun:
+        return new_tuple(TimersRun, (now, body == b"\1"))
     try:
-        snapshot = _SNAPSHOT.validate_json(body)
+        if kind is SnapshotTaken:
+            return SnapshotTaken(now, _SNAPSHOT.validate_json(body))
+        fields: tuple[Any, ...] = _JSON[kind].validate_json(body) if kind in _JSON else ()
     except ValidationError as error:
-        raise ValueError(f"Standing cannot be read: {error.errors()[0]['msg']}") from error
-    if snapshot.state.state not in ("", *STATES):
-        raise ValueError(f"{snapshot.state.state[:_SHOWN]!r} is no state of a link")
-    return snapshot
-
-
-def _text(text: str) -> str:
-    text.encode()  # a ValueError of half a pair of surrogates, which JSON can hold and nothing else
-    return text
-
-
-def _counts(*numbers: int) -> bool:
-    return all(0 <= number < 2**63 for number in numbers)
+        raise ValueError(f"{kind.__name__} cannot be read: {error.errors()[0]['msg']}") from error
+    event: WireEvent = kind(now, *fields)
+    return event

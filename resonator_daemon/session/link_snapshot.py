@@ -31,7 +31,7 @@ class ConnectionSnapshot(NamedTuple):
     configuration: Configuration
     request_number: int
     answered_ns: int
-    rate_doubt: str
+    rate_doubt: str | None
     newest_ticks: int
     clock: ClockSnapshot
     pings: tuple[Ping, ...]

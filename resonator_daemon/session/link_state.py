@@ -2,21 +2,19 @@
 
 import logging
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, LinkChange, Outage
 
 log = logging.getLogger(__name__)
 
-STATES: Final = frozenset({"waiting", "starting", "online", "stalled", "lost", "refused"})
-"""All states of a link."""
-
 
 class LinkStateSnapshot(NamedTuple):
-    """State of `LinkState`: what was announced last, "" before the first, and the reasons of the present outage."""
+    """State of `LinkState`: what was announced last, None before the first, and the reasons of the present outage."""
 
-    state: str
+    state: Condition | None
     reason: str
     since_utc_ns: int
     outage_reasons: tuple[str, ...]
@@ -33,11 +31,15 @@ class LinkState:
 
     def __init__(self, put: Callable[[Arrival], None]) -> None:
         self._put = put
-        self._present = LinkStateSnapshot("", "", 0, ())
+        self._present = LinkStateSnapshot(None, "", 0, ())
 
     @property
-    def state(self) -> str:
+    def state(self) -> Condition | None:
         return self._present.state
+
+    @property
+    def online(self) -> bool:
+        return self._present.state is Condition.ONLINE
 
     def snapshot(self) -> LinkStateSnapshot:
         return self._present
@@ -45,19 +47,19 @@ class LinkState:
     def restore(self, snapshot: LinkStateSnapshot, utc_ns: int) -> None:
         """Set the state, and announce it if there is one."""
         self._present = snapshot
-        if snapshot.state:
+        if snapshot.state is not None:
             self._put(LinkChange(snapshot.state, snapshot.reason, snapshot.since_utc_ns, utc_ns))
 
-    def announce(self, state: str, reason: str, utc_ns: int) -> None:
+    def announce(self, state: Condition, reason: str, utc_ns: int) -> None:
         """Announce a state, unless it was announced already; a reason alone may change."""
         before = self._present
         if (state, reason) == (before.state, before.reason):
             return
         changed = state != before.state
         reasons = before.outage_reasons
-        if before.state == "online" and changed:
+        if before.state is Condition.ONLINE and changed:
             reasons = (reason,)
-        elif state == "lost" and reasons:
+        elif state is Condition.LOST and reasons:
             if reason.startswith(reasons[-1]):  # the same, with its cause
                 reasons = reasons[:-1]
             reasons = (*reasons, reason)
@@ -81,16 +83,17 @@ class LinkLog:
     """Writes announcements to the log, in the consumer's thread: the reader must not wait for a log."""
 
     def __init__(self) -> None:
-        self._state = self._reason = ""
+        self._last: LinkChange | None = None
 
     def write(self, event: LinkChange | Outage) -> None:
         if isinstance(event, Outage):
             seconds = (event.end_utc_ns - event.start_utc_ns) * 1e-9
             log.info("outage of %.3f s is over, %d frames lost: %s", seconds, event.frames_lost, event.reason)
             return
-        doubt = event.state == self._state == "online" and len(event.reason) > len(self._reason)
-        if event.state != self._state or doubt:
-            well = event.state in ("starting", "online") and not doubt
+        last, self._last = self._last, event
+        before = last.reason if last is not None and event.state is last.state else None
+        doubt = before is not None and event.state is Condition.ONLINE and len(event.reason) > len(before)
+        if before is None or doubt:
+            well = event.state in (Condition.STARTING, Condition.ONLINE) and not doubt
             level = logging.INFO if well else logging.WARNING
             log.log(level, "link %s: %s", event.state, event.reason, extra={"resonatord_link_state": event.state})
-        self._state, self._reason = event.state, event.reason

@@ -4,6 +4,7 @@ import threading
 from collections.abc import Callable
 
 from firmware_protocol.host import Described
+from resonator_daemon.conditions import Condition
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
@@ -84,10 +85,10 @@ class LinkStateMachine:
         match event:
             case Received():
                 with self._lock:
-                    self._opened().receive(event.data, event.now)
+                    self.opened.receive(event.data, event.now)
             case TimersRun():
                 with self._lock:
-                    self._opened().run_timers(event.now, idle=event.idle)
+                    self.opened.run_timers(event.now, idle=event.idle)
             case StateAnnounced():
                 self._state.announce(event.state, event.reason, event.now.utc_ns)
                 self._record_snapshot(event.now)
@@ -95,52 +96,29 @@ class LinkStateMachine:
                 self._open(event.now)
             case Overrun():
                 with self._lock:
-                    self._opened().overrun()
+                    self.opened.overrun()
             case StopRequested():
-                self._opened().request_stop()
+                self.opened.request_stop()
             case Lost():
-                if self._state.state != "stalled":
-                    state = "lost" if self._opened().was_online else "waiting"
+                if self._state.state is not Condition.STALLED:
+                    state = Condition.LOST if self.opened.was_online else Condition.WAITING
                     self._state.announce(state, event.reason, event.now.utc_ns)
             case Refused():
-                self._state.announce("refused", "; ".join(event.problems), event.now.utc_ns)
+                self._state.announce(Condition.REFUSED, "; ".join(event.problems), event.now.utc_ns)
                 self._queue.put(BoardRefused(event.problems, event.other_protocol))
             case Closed():
                 self._close()
                 self._record_snapshot(event.now)
             case Sent():
-                self._opened().sent(event.data, event.now)
+                self.opened.sent(event.data, event.now)
             case BlinkRequested():
-                self._opened().blink(event.now)
+                self.opened.blink(event.now)
             case SnapshotTaken():
                 self.restore(event.snapshot, event.now)
             case ControlRequested():
                 self._queue.put(ControlRequest(event.key, event.request))
             case Skipped():
                 pass
-
-    def data_to_send(self) -> bytes:
-        """Return and clear the bytes that the board must get, at once."""
-        return self._opened().data_to_send()
-
-    def due_ns(self) -> int:
-        """Return the monotonic time at which a timer is due."""
-        return self._opened().due_ns()
-
-    @property
-    def awaits_answer(self) -> bool:
-        """Whether a ping is on its way: the sooner its answer is read, the better the time is known."""
-        return self._opened().awaits_answer
-
-    @property
-    def within_packet(self) -> bool:
-        """Whether the last bytes that were received end in the middle of a packet."""
-        return self._opened().within_packet
-
-    @property
-    def was_online(self) -> bool:
-        """Whether the board has counted since the link was opened."""
-        return self._opened().was_online
 
     def counters(self) -> LinkCounters:
         """Return where every byte and frame went, as of now."""
@@ -156,7 +134,9 @@ class LinkStateMachine:
         """Frames lost since the start, by cause."""
         return self._counters.lost + self._queue.loss
 
-    def _opened(self) -> Connection:
+    @property
+    def opened(self) -> Connection:
+        """The connection of the open link; ValueError where none is open."""
         if self.connection is None:
             raise ValueError("no link is open")
         return self.connection
@@ -195,7 +175,7 @@ class LinkStateMachine:
             self._snapshot_due_ns = now.monotonic_ns + self._snapshot_every_ns
 
     def _close(self) -> None:
-        connection = self._opened()
+        connection = self.opened
         if connection.was_online:
             self._known = connection.described
         with self._lock:

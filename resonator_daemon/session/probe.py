@@ -165,13 +165,13 @@ class _Probe:
 
     def _no_board(self) -> NoBoardError:
         received = self._session.bytes
-        return NoBoardError(self._silence(), is_a_board=received.accepted > 0 and not received.own_direction)
+        return NoBoardError(self._silence(), is_a_board=received.accepted > 0 and not received.echo)
 
     def _silence(self) -> str:
         received = self._session.bytes.received
         if not received:
             return "not a byte came; is the board powered, and is it this port?"
-        if self._session.bytes.own_direction:
+        if self._session.bytes.echo:
             return "only our own requests came back: this is a loop, or a terminal that echoes, and no board"
         if self._session.bytes.accepted:
             return f"packets came ({received} bytes) and no answer to who it is; start the board anew"

@@ -95,7 +95,7 @@ def play(corrupt: Corruption, count: int, seed: int) -> tuple[int, int, int]:
             assert len(found) == BATCH + damaged  # one report of damage for each
         counts = decoder.counts
         assert counts.received == (
-            counts.accepted + counts.other_version + counts.own_direction + counts.discarded + decoder.waiting_bytes
+            counts.accepted + counts.other_version + counts.echo + counts.discarded + decoder.waiting_bytes
         )
     return forged, lost, damaged_in_all
 

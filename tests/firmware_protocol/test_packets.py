@@ -43,7 +43,7 @@ def encoded(packet: Packet) -> bytes:
 
 def check_accounts(decoder: PacketDecoder) -> None:
     counts = decoder.counts
-    parts = counts.accepted + counts.other_version + counts.own_direction + counts.discarded
+    parts = counts.accepted + counts.other_version + counts.echo + counts.discarded
     assert counts.received == parts + decoder.waiting_bytes
 
 
@@ -127,7 +127,7 @@ def test_an_echo_is_no_message() -> None:
     raw = encode_packet(0x01, 1)
     decoder = PacketDecoder(from_board=True)
     assert decoder.feed(raw) == []
-    assert decoder.counts.own_direction == len(raw)
+    assert decoder.counts.echo == len(raw)
 
 
 def test_memory_stays_bounded_whatever_comes() -> None:

@@ -50,7 +50,7 @@ def stop():
     account = reader.counters()
 
 def in_bins(account):
-    return (account.bytes_accepted + account.bytes_other_version + account.bytes_own_direction
+    return (account.bytes_accepted + account.bytes_other_version + account.bytes_echo
             + account.bytes_discarded + account.bytes_waiting)
 """
 

@@ -84,7 +84,7 @@ async def test_every_byte_has_one_fate(machine: Machine) -> None:
         bytes_received=11111,
         bytes_accepted=10000,
         bytes_other_version=1000,
-        bytes_own_direction=100,
+        bytes_echo=100,
         bytes_discarded=10,
         bytes_waiting=1,
     )

@@ -43,8 +43,8 @@ frame_rate_hz = 1000
 )
 
 GATE_MIDDLE = gate_middle(1_000_000)
-ONLINE = LinkChange("online", "", 1, 1)
-UNPLUGGED = LinkChange("lost", "unplugged", 1_788_999_990_000_000_001, 1_788_999_990_000_000_002)
+ONLINE = LinkChange(Condition.ONLINE, "", 1, 1)
+UNPLUGGED = LinkChange(Condition.LOST, "unplugged", 1_788_999_990_000_000_001, 1_788_999_990_000_000_002)
 
 
 @pytest.fixture

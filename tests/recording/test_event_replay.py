@@ -9,6 +9,7 @@ from emulation import emulated
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
+from resonator_daemon.conditions import Condition
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
@@ -136,7 +137,9 @@ def replaying(path: str, woken: threading.Event) -> BoardReader:
 
 def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [StateAnnounced(at(0), "starting", "first"), StateAnnounced(at(300), "waiting", "second")])
+    record(
+        path, [StateAnnounced(at(0), Condition.STARTING, "first"), StateAnnounced(at(300), Condition.WAITING, "second")]
+    )
     woken = threading.Event()
     reader = replaying(str(path), woken)
     reader.start()
@@ -147,9 +150,9 @@ def test_a_reader_replays_instead_of_opening_a_link(tmp_path: Path) -> None:
         arrivals += reader.pop_arrivals()
     reader.stop()
     assert arrivals == [
-        LinkChange("starting", "first", at(0).utc_ns, at(0).utc_ns),
-        LinkChange("waiting", "second", at(300).utc_ns, at(300).utc_ns),
-        LinkChange("lost", f"the recording {path.name} is over", at(300).utc_ns, at(300).utc_ns),
+        LinkChange(Condition.STARTING, "first", at(0).utc_ns, at(0).utc_ns),
+        LinkChange(Condition.WAITING, "second", at(300).utc_ns, at(300).utc_ns),
+        LinkChange(Condition.LOST, f"the recording {path.name} is over", at(300).utc_ns, at(300).utc_ns),
     ]
 
 
@@ -166,13 +169,15 @@ def test_recorded_time_passes_as_fast_as_it_did() -> None:
 
 def test_a_replay_can_be_stopped_in_a_long_silence(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [Opened(at(0)), StateAnnounced(at(0), "stalled", "first"), TimersRun(at(3_600_000), idle=True)])
+    record(
+        path, [Opened(at(0)), StateAnnounced(at(0), Condition.STALLED, "first"), TimersRun(at(3_600_000), idle=True)]
+    )
     woken = threading.Event()
     reader = replaying(str(path), woken)
     reader.start()
     assert woken.wait(DEADLINE_S)
     reader.stop()
-    assert reader.pop_arrivals() == [LinkChange("stalled", "first", at(0).utc_ns, at(0).utc_ns)]
+    assert reader.pop_arrivals() == [LinkChange(Condition.STALLED, "first", at(0).utc_ns, at(0).utc_ns)]
 
 
 def test_a_file_that_cannot_be_replayed_is_said_by_the_reader(tmp_path: Path) -> None:
@@ -243,7 +248,7 @@ def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
     record(
         path,
         [
-            StateAnnounced(at(0), "starting", "the link is being opened"),
+            StateAnnounced(at(0), Condition.STARTING, "the link is being opened"),
             Opened(at(0)),
             Sent(at(0), identify()),
             TimersRun(at(1), idle=True),
@@ -260,7 +265,7 @@ def test_what_went_as_recorded_is_no_difference(tmp_path: Path) -> None:
     arrivals, counters, differences = replayed(path)
     assert differences == 0
     assert (counters.connections, counters.host_overruns) == (2, 1)
-    assert LinkChange("waiting", "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
+    assert LinkChange(Condition.WAITING, "unplugged", at(2).utc_ns, at(2).utc_ns) in arrivals
     assert last_reason(arrivals) == f"the recording {path.name} is over"
 
 
@@ -281,7 +286,7 @@ def test_a_replay_that_is_stopped_leaves_the_link_closed(tmp_path: Path) -> None
 
 def test_a_recording_cut_off_is_replayed_up_to_there(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    record(path, [StateAnnounced(at(0), "starting", "first"), Opened(at(1))])
+    record(path, [StateAnnounced(at(0), Condition.STARTING, "first"), Opened(at(1))])
     path.write_bytes(path.read_bytes()[:-8])  # its last magic
     arrivals, _, differences = replayed(path)
     assert differences == 0

@@ -22,6 +22,7 @@ from mcap.writer import Writer
 from recording_bench import PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
+from resonator_daemon.conditions import Condition
 from resonator_daemon.errors import UserError
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
@@ -49,8 +50,8 @@ from resonator_daemon.session.link_events import (
 )
 
 EVENTS: list[WireEvent] = [
-    StateAnnounced(at(0), "starting", "the link is being opened"),
-    StateAnnounced(at(1), "waiting", "/dev/ttyÿ: no such file — yet"),
+    StateAnnounced(at(0), Condition.STARTING, "the link is being opened"),
+    StateAnnounced(at(1), Condition.WAITING, "/dev/ttyÿ: no such file — yet"),
     Opened(at(2)),
     Sent(at(3), b"\x01\0"),
     Received(HostTime(at(4).monotonic_ns, -(10**9), -(2**62)), bytes(range(256))),

@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from recording_bench import PLATE, at, marks, read, replayed, same, snapshot
 
 from firmware_protocol.messages import Configuration
+from resonator_daemon.conditions import Condition
 from resonator_daemon.errors import UserError
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.table import parse_link
@@ -244,10 +245,10 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     caplog.set_level("INFO")
     path = tmp_path / "run.mcap"
     switch = RecordingSwitch()
-    switch.put(StateAnnounced(at(0), "starting", "first"))
+    switch.put(StateAnnounced(at(0), Condition.STARTING, "first"))
     switch.start(path, ORIGIN)
     times_ns = [switch.mark("the finger slips"), switch.mark("¼ N")]
-    switch.put(StateAnnounced(at(1), "waiting", "second"))
+    switch.put(StateAnnounced(at(1), Condition.WAITING, "second"))
     summary = switch.stop()
     assert summary is not None
     assert (summary.events, summary.events_missing) == (2, 0)

@@ -11,6 +11,7 @@ from listener import check_indices
 from firmware_protocol.layouts import MessageType
 from firmware_protocol.messages import BoardLog, Configuration, Identity, ResetCause
 from firmware_protocol.packets import encode_packet
+from resonator_daemon.conditions import Condition
 from resonator_daemon.links.link import LinkLostError
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
 from resonator_daemon.session.frames import Arrival, BoardLogLine, BoardOnline, Gap, Outage
@@ -176,7 +177,7 @@ def test_a_board_that_does_not_hear_any_more_is_told_of_and_forgotten_pings_are_
     bench.run(30_000)
     assert bench.states[-1][0] == "online"
     assert bench.states[-1][1].endswith("no ping was answered for 10 s: is the line to the board broken?")
-    assert len(bench.connection._pings._on_the_way) < 1000
+    assert len(bench.connection.pings.snapshot()) < 1000
     del bench.board.session.receive
     bench.run(3000)
     assert "no ping" not in bench.states[-1][1]
@@ -271,7 +272,7 @@ def test_a_reboot_is_told_with_its_cause_and_the_host_measures_it() -> None:
 def test_an_outage_with_the_same_boot_goes_on_where_it_was() -> None:
     bench = online()
     bench.close()
-    bench.state.announce("lost", "unplugged (Input/output error)", bench.host_time().utc_ns)
+    bench.state.announce(Condition.LOST, "unplugged (Input/output error)", bench.host_time().utc_ns)
     for _ in range(2000):
         bench.now_ns += MS // 2
         bench.board.step(b"", bench.now_ns)

@@ -120,15 +120,14 @@ def test_one_exchange_is_enough_for_a_bound() -> None:
     crystal = Crystal(80.0)
     clock = BoardClock(REFERENCE_MILLIHERTZ)
     clock.add(Exchange(0, crystal.ticks(1_000_000), 1_100_000), 0)
-    assert clock.known
-    instant = clock.at(crystal.ticks(1_001_000_000))
+    instant = clock.scale.at(crystal.ticks(1_001_000_000))
     assert abs(instant.utc_ns - 1_001_000_000) <= instant.uncertainty_ns <= 800_000
 
 
 def test_uncertainty_grows_with_distance_both_ways() -> None:
     crystal = Crystal(10.0)
     clock, now = settled(crystal)
-    bounds = [clock.at(crystal.ticks(now + ahead * NS)).uncertainty_ns for ahead in (-100, -10, 0, 10, 100)]
+    bounds = [clock.scale.at(crystal.ticks(now + ahead * NS)).uncertainty_ns for ahead in (-100, -10, 0, 10, 100)]
     assert bounds[0] > 2_000_000 < bounds[4]  # 100 s at up to 0.5 ppm a second
     assert bounds[1] > bounds[2] < bounds[3]
 
@@ -136,9 +135,9 @@ def test_uncertainty_grows_with_distance_both_ways() -> None:
 def test_late_answer_is_merely_loose() -> None:
     crystal = Crystal(10.0)
     clock, now = settled(crystal)
-    before = clock.at(crystal.ticks(now))
+    before = clock.scale.at(crystal.ticks(now))
     clock.add(trip(crystal, now, back_ns=50_000_000), UTC_LESS_MONOTONIC_NS)
-    after = clock.at(crystal.ticks(now))
+    after = clock.scale.at(crystal.ticks(now))
     assert abs(after.monotonic_ns - before.monotonic_ns) < 20_000
     assert after.uncertainty_ns < 120_000
     assert clock.outliers == 0
@@ -150,12 +149,12 @@ def test_single_contradiction_is_set_aside_and_doubted_until_the_next(jump_ns: i
     clock, now = settled(crystal)
     jump_ticks = jump_ns // 4
     clock.add(trip(crystal, now, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
-    doubted = clock.at(crystal.ticks(now))
+    doubted = clock.scale.at(crystal.ticks(now))
     assert abs(doubted.monotonic_ns - now) < 100_000
     assert abs(jump_ns) < doubted.uncertainty_ns < abs(jump_ns) * 1.001 + 400_000
     assert clock.ping_due_ns(now) - now < 30_000_000
     clock.add(trip(crystal, now + NS), UTC_LESS_MONOTONIC_NS)
-    assert clock.at(crystal.ticks(now)).uncertainty_ns < 150_000
+    assert clock.scale.at(crystal.ticks(now)).uncertainty_ns < 150_000
     assert (clock.outliers, clock.restarts) == (1, 0)
 
 
@@ -167,7 +166,7 @@ def test_step_of_the_boards_ticks_restarts_and_is_covered_from_the_first_sign(ju
     for number in range(100):
         sent = now + number * 20_000_000
         clock.add(trip(crystal, sent, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
-        instant = clock.at(crystal.ticks(sent) + jump_ticks)
+        instant = clock.scale.at(crystal.ticks(sent) + jump_ticks)
         assert abs(instant.monotonic_ns - sent) <= instant.uncertainty_ns
     assert (clock.outliers, clock.restarts) == (3, 1)
     assert instant.uncertainty_ns < 150_000
@@ -181,7 +180,7 @@ def test_step_after_silence_is_covered_too(ppm: float, jump_ns: int) -> None:
     clock, now = settled(crystal, 20.0)
     sent, jump_ticks = now + 10 * NS, jump_ns // 4
     clock.add(trip(crystal, sent, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
-    instant = clock.at(crystal.ticks(sent) + jump_ticks)
+    instant = clock.scale.at(crystal.ticks(sent) + jump_ticks)
     assert clock.outliers == 1
     assert abs(instant.monotonic_ns - sent) <= instant.uncertainty_ns < 5_500_000
 
@@ -213,7 +212,7 @@ def test_step_told_by_few_answers_among_loose_ones_still_wins() -> None:
         sent = now + number * 20_000_000
         back_ns = 90_000 if number % 10 == 0 else 12_000_000
         clock.add(trip(crystal, sent, back_ns=back_ns, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
-        instant = clock.at(crystal.ticks(sent) + jump_ticks)
+        instant = clock.scale.at(crystal.ticks(sent) + jump_ticks)
         assert abs(instant.monotonic_ns - sent) <= instant.uncertainty_ns
     assert (clock.outliers, clock.restarts) == (3, 1)
     assert instant.uncertainty_ns < 400_000
@@ -222,13 +221,14 @@ def test_step_told_by_few_answers_among_loose_ones_still_wins() -> None:
 def test_answer_before_its_question_is_set_aside() -> None:
     crystal = Crystal(10.0)
     clock, now = settled(crystal)
-    before = clock.at(crystal.ticks(now))
+    before = clock.scale.at(crystal.ticks(now))
     clock.add(Exchange(now, crystal.ticks(now), now - 1), UTC_LESS_MONOTONIC_NS)
-    assert clock.at(crystal.ticks(now)) == before
+    assert clock.scale.at(crystal.ticks(now)) == before
     assert clock.outliers == 1
     fresh = BoardClock(REFERENCE_MILLIHERTZ)
     fresh.add(Exchange(5, 7, 4), 0)
-    assert not fresh.known
+    with pytest.raises(ValueError, match="not known"):
+        fresh.scale.at(7)
 
 
 def test_contradictions_that_contradict_each_other_never_win() -> None:
@@ -239,7 +239,7 @@ def test_contradictions_that_contradict_each_other_never_win() -> None:
         clock.add(trip(crystal, now + number * 20_000_000, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS)
     assert (clock.outliers, clock.restarts) == (50, 0)
     clock.add(trip(crystal, now + NS), UTC_LESS_MONOTONIC_NS)
-    instant = clock.at(crystal.ticks(now + NS))
+    instant = clock.scale.at(crystal.ticks(now + NS))
     assert abs(instant.monotonic_ns - now - NS) <= instant.uncertainty_ns < 200_000
 
 
@@ -250,9 +250,9 @@ def test_step_of_the_wall_clock_moves_utc_once_and_no_sample(step_ns: int) -> No
     ticks = crystal.ticks(now)
     exchange = trip(crystal, now)
     clock.add(exchange, UTC_LESS_MONOTONIC_NS)
-    before = clock.at(ticks)
+    before = clock.scale.at(ticks)
     clock.add(exchange, UTC_LESS_MONOTONIC_NS + step_ns)
-    after = clock.at(ticks)
+    after = clock.scale.at(ticks)
     assert after.utc_ns - before.utc_ns == step_ns
     assert after._replace(utc_ns=before.utc_ns) == before
     assert (clock.outliers, clock.restarts) == (0, 0)
@@ -263,13 +263,13 @@ def test_host_that_slept_knows_the_time_again_at_the_first_ping_and_well_at_the_
     crystal, slept_ns = Crystal(30.0), 3600 * NS
     clock, now = settled(crystal)
     slept_ticks = slept_ns // 4
-    old = clock.at(crystal.ticks(now))
+    old = clock.scale.at(crystal.ticks(now))
     jump_ticks = 0 if fell_asleep == "on the way back" else slept_ticks
     clock.add(
         trip(crystal, now, jump_ticks=jump_ticks), UTC_LESS_MONOTONIC_NS + slept_ns, boottime_less_monotonic_ns=slept_ns
     )
     assert abs(old.monotonic_ns - now) < 100_000
-    first = clock.at(crystal.ticks(now) + slept_ticks)
+    first = clock.scale.at(crystal.ticks(now) + slept_ticks)
     assert abs(first.monotonic_ns - now) <= first.uncertainty_ns
     assert clock.restarts == 1
     later = now + 20_000_000
@@ -278,7 +278,7 @@ def test_host_that_slept_knows_the_time_again_at_the_first_ping_and_well_at_the_
         UTC_LESS_MONOTONIC_NS + slept_ns,
         boottime_less_monotonic_ns=slept_ns,
     )
-    second = clock.at(crystal.ticks(later) + slept_ticks)
+    second = clock.scale.at(crystal.ticks(later) + slept_ticks)
     assert abs(second.monotonic_ns - later) <= second.uncertainty_ns < 200_000
     assert second.utc_ns == second.monotonic_ns + UTC_LESS_MONOTONIC_NS + slept_ns
     assert (clock.outliers, clock.restarts) == (0, 1)
@@ -299,7 +299,7 @@ def test_thirty_days_lose_no_nanosecond() -> None:
         clock.add(trip(crystal, sent, 1000, 1000), UTC_LESS_MONOTONIC_NS)
     newest = month_ns + 60 * NS
     ticks = crystal.ticks(newest)
-    times = [clock.at(ticks + number) for number in range(1000)]
+    times = [clock.scale.at(ticks + number) for number in range(1000)]
     assert abs(times[0].monotonic_ns - newest) <= 20
     spacings = {(b.monotonic_ns - a.monotonic_ns, b.utc_ns - a.utc_ns) for a, b in itertools.pairwise(times)}
     assert spacings <= {(1, 1), (2, 2)}
@@ -309,15 +309,14 @@ def test_thirty_days_lose_no_nanosecond() -> None:
 def test_slow_ticks_are_uncertain_by_one() -> None:
     clock = BoardClock(32_768_000)
     clock.add(Exchange(0, 10, 0), 0)  # somewhere within the tick
-    instant = clock.at(10)
+    instant = clock.scale.at(10)
     assert -30_518 <= instant.monotonic_ns - instant.uncertainty_ns < -30_500
     assert 0 <= instant.monotonic_ns + instant.uncertainty_ns < 10
 
 
 def test_an_unknown_clock_is_not_guessed() -> None:
     clock = BoardClock(REFERENCE_MILLIHERTZ)
-    assert not clock.known
     assert math.isnan(clock.rate_ppm)
     assert clock.rate_beyond_tolerance is None
     with pytest.raises(ValueError, match="not known before the first ping"):
-        clock.at(1)
+        clock.scale.at(1)

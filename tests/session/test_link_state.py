@@ -2,6 +2,7 @@
 
 import pytest
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frames import Arrival, Outage
 from resonator_daemon.session.link_state import LinkState
@@ -15,8 +16,8 @@ BEGUN_NS = 1_789_000_000 * S
 def test_an_outage_is_as_long_as_it_was_though_the_clock_was_set_meanwhile(set_s: int, slept_s: int) -> None:
     said: list[Arrival] = []
     link = LinkState(said.append)
-    link.announce("online", "it counts", BEGUN_NS)
-    link.announce("lost", "unplugged", BEGUN_NS + S)
+    link.announce(Condition.ONLINE, "it counts", BEGUN_NS)
+    link.announce(Condition.LOST, "unplugged", BEGUN_NS + S)
     before = Instant(BEGUN_NS, 100, 5 * S, 5 * S)
     end_ns = BEGUN_NS + (4 + slept_s + set_s) * S
     link.frame_received(before, Instant(end_ns, 100, 9 * S, (9 + slept_s) * S), 4000)

@@ -59,7 +59,7 @@ def gaps(arrivals: list[Arrival]) -> list[Gap]:
 
 
 def check_bytes(counters: LinkCounters) -> None:
-    by_fate = counters.bytes_accepted + counters.bytes_other_version + counters.bytes_own_direction
+    by_fate = counters.bytes_accepted + counters.bytes_other_version + counters.bytes_echo
     assert counters.bytes_received == by_fate + counters.bytes_discarded + counters.bytes_waiting
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from mcap.reader import make_reader
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.event_replay import replay
 from resonator_daemon.recording.file_series import Series
@@ -79,7 +80,7 @@ def snapshot(now: HostTime) -> SnapshotTaken:
     """How a link stands that was never open."""
     told: list[WireEvent] = []
     LinkStateMachine(PLATE, FrameQueue(FRAME_QUEUE_BYTES, lambda: None), told.append).apply(
-        StateAnnounced(now, "waiting", "no port")
+        StateAnnounced(now, Condition.WAITING, "no port")
     )
     assert isinstance(told[-1], SnapshotTaken)
     return told[-1]

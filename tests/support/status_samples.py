@@ -78,7 +78,7 @@ def health(**changed: Any) -> Health:
         "bytes_by_fate": {
             "accepted": 10_000,
             "other_version": 1000,
-            "own_direction": 100,
+            "echo": 100,
             "discarded": 10,
             "waiting": 1,
         },

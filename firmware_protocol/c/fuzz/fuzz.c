@@ -126,7 +126,7 @@ static void check_decoder(const struct resonator_decoder *decoder, uint64_t rece
 {
     const struct resonator_byte_counts *counts = &decoder->counts;
     demand(counts->received == received, "received bytes are miscounted");
-    demand(counts->received == counts->accepted + counts->other_version + counts->own_direction + counts->discarded +
+    demand(counts->received == counts->accepted + counts->other_version + counts->echo + counts->discarded +
                                    decoder->waiting_bytes,
            "bytes do not add up");
     demand(decoder->waiting_bytes < decoder->capacity_bytes, "more waits than a packet has");
@@ -241,11 +241,11 @@ int main(int count, char **words)
         check_decoder(&sent, taken_total);
         demand(sent.counts.discarded == forgotten, "the board sent what is no packet");
     }
-    demand(sent.counts.own_direction == 0 && sent.counts.other_version == 0, "the board sent what is not a board's");
+    demand(sent.counts.echo == 0 && sent.counts.other_version == 0, "the board sent what is not a board's");
     printf("inputs %" PRIu64 ", bytes in %" PRIu64 " (accepted %" PRIu64 ", other version %" PRIu64 ", echo %" PRIu64
            ", discarded %" PRIu64 "), packets %" PRIu64 ", damages %" PRIu64 " of %" PRIu64 " bytes\n",
            inputs, received, board.decoder.counts.accepted, board.decoder.counts.other_version,
-           board.decoder.counts.own_direction, board.decoder.counts.discarded, packets_seen, damages_seen,
+           board.decoder.counts.echo, board.decoder.counts.discarded, packets_seen, damages_seen,
            damaged_bytes_seen);
     printf("runs %" PRIu32 ", bytes out %" PRIu64 " (sound %" PRIu64 ", of packets that begin() cut %" PRIu64
            "), dropped: frames %" PRIu64 ", parts %" PRIu64 ", answers %" PRIu64 "\n",

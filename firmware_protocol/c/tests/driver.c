@@ -254,7 +254,7 @@ static void print_counts(void)
 {
     const struct resonator_byte_counts *counts = &decoder->counts;
     printf("counts %" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 " %" PRIu64 " %u\n", counts->received,
-           counts->accepted, counts->other_version, counts->own_direction, counts->discarded, decoder->waiting_bytes);
+           counts->accepted, counts->other_version, counts->echo, counts->discarded, decoder->waiting_bytes);
 }
 
 static void print_state(void)
