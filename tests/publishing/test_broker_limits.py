@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 from brokers import Mosquitto
 from mqtt_helpers import LEFT, Messages, publishing, scripted_broker, until
-from relay import relay
 
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.broker_limits import FORGET_S, LargestMessages
@@ -132,20 +131,6 @@ async def test_a_broker_that_ends_the_connection_upon_a_large_stream_is_not_aske
     assert caplog.text.count("ends the connection upon") == 1
 
 
-async def test_a_broker_that_dies_twice_after_large_messages_it_took_is_not_suspected(
-    mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    async with relay(mosquitto.url) as way, publishing(way.url) as left:
-        left.retain(f"{LEFT}/schema", b"x" * 90_000, topics.JSON)
-        for _ in range(3):
-            await until(lambda: left.account.waiting == 0 and left.connected)
-            way.cut()  # to be back at once
-            await until(lambda: not left.connected)
-        await until(lambda: left.account.acknowledged == 4)
-        assert left.account.dropped == {}
-    assert "ends the connection" not in caplog.text
-
-
 def ending(largest: LargestMessages, at_s: float, *, at_once: bool = True) -> object:
     largest.connected(at_once=at_once)
     largest.sent(300, "small", at_s, awaited=True)
@@ -214,12 +199,3 @@ async def test_a_broker_that_would_refuse_the_last_will_is_served_without(
         await until(lambda: left.account.waiting == 0)
         assert left.account.dropped == {}
     await broker.kill()
-
-
-def test_another_broker_may_take_more() -> None:
-    largest = LargestMessages()
-    for at_s in (1.0, 2.0):
-        ending(largest, at_s)
-    assert largest.bytes_max(2.0) < 10_000_000
-    largest.connected(at_once=False)
-    assert largest.bytes_max(2.0) > 10_000_000

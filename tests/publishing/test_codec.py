@@ -111,16 +111,6 @@ def test_decoded_keeps_its_axes_apart(shape: tuple[int, ...]) -> None:
     assert plain["grid"] == {"origin_m": [-0.0062, -0.0062], "pitch_m": 4e-4}
 
 
-def test_what_the_decoder_was_not_asked_for_is_null() -> None:
-    array = np.zeros((3, 2, 2))
-    message = decoded((3, 2, 2)).model_copy(update={"traction_std_pascal": None, "displacement_m": None, "grid": None})
-    payload = encode(message)
-    assert payload.count(b"\xf6") == 5  # board_ticks and decoder_id, too
-    read = decode(Decoded, payload)
-    np.testing.assert_array_equal(read.traction_pascal, array + np.arange(12.0).reshape(3, 2, 2))
-    assert read.traction_std_pascal is read.displacement_m is read.grid is None
-
-
 def test_payloads_in_other_buffers_are_read() -> None:
     payload = SIGNALS + ARRAY
     for kind in (bytearray, memoryview):
@@ -129,21 +119,10 @@ def test_payloads_in_other_buffers_are_read() -> None:
         decode(Signals, memoryview(payload + b"\x00"))  # type: ignore[arg-type]
 
 
-def test_the_rest_of_a_message_after_a_whole_one_is_refused() -> None:
-    payload = encode(decoded((3, 2, 2)))
-    with pytest.raises(ValueError, match=f"{len(payload)} bytes after"):
-        decode(Decoded, payload + payload)
-
-
 @pytest.mark.parametrize("shape", [(3,), (4, 4), (1, 3, 4, 4)])
 def test_arrays_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match=r"must be an array of shape \(3, n\) or \(3, ny, nx\)"):
         signals(np.zeros(shape))
-
-
-def test_signals_and_their_noise_have_one_shape() -> None:
-    with pytest.raises(ValueError, match=r"noise_std has shape \(3, 2\), must be that of signals, \(3, 4\)"):
-        Signals(**HEADER, board_ticks=1, signals=np.zeros((3, 4)), noise_std=np.zeros((3, 2)), status="ok")
 
 
 def test_arrays_of_one_message_have_one_shape() -> None:

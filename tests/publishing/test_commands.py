@@ -101,11 +101,6 @@ async def test_a_command_is_answered_below_rsp(bench: Bench) -> None:
     assert not bench.sent[0].retained
 
 
-async def test_nothing_is_as_good_as_an_empty_object(bench: Bench) -> None:
-    (said,) = await bench.ask(incoming(payload=b""))
-    assert said["ok"] is True
-
-
 async def test_a_handler_gets_a_checked_request(bench: Bench) -> None:
     (said,) = await bench.ask(incoming("mark", b'{"text": "touched by hand"}'))
     assert bench.asked == [Mark(text="touched by hand")]
@@ -131,11 +126,6 @@ async def test_a_request_that_is_not_the_verbs_is_refused_with_every_finding(
     assert said["error"]["code"] == "payload"
     assert sentence in said["error"]["message"]
     assert bench.asked == []
-
-
-async def test_a_verb_without_keys_takes_none(bench: Bench) -> None:
-    (said,) = await bench.ask(incoming(payload=b'{"why": "warm"}'))
-    assert said["error"]["message"] == "why: unknown key; there are none"
 
 
 async def test_what_changes_something_needs_permission(bench: Bench) -> None:
@@ -289,15 +279,6 @@ async def test_what_takes_too_long_is_answered_once_and_left_to_end(bench: Bench
     assert not bench.board.cancelled()
 
 
-async def test_a_failure_after_its_time_is_said_in_the_log(bench: Bench, caplog: pytest.LogCaptureFixture) -> None:
-    bench.make(allowed=("identify",), deferred_s=0.0)
-    await bench.ask(incoming("identify"))
-    await until(lambda: bool(bench.sent))
-    bench.board.set_exception(OSError("disk gone"))
-    await bench.settle()
-    assert [record.getMessage() for record in caplog.records] == ["command identify, too late for an answer: disk gone"]
-
-
 async def test_those_that_wait_are_bounded_also_when_their_answers_are_late(bench: Bench) -> None:
     for _ in range(WAITING_MAX + 1):
         bench.now_s += 1.0
@@ -333,23 +314,6 @@ async def test_a_command_after_close_is_not_obeyed(bench: Bench) -> None:
     assert bench.commands.counts == {"unanswered": 1}
 
 
-async def test_a_command_that_comes_while_another_is_given_up_is_not_obeyed(bench: Bench) -> None:
-    async def slow_to_end(request: Identify) -> IdentifyAnswer:
-        try:
-            await bench.board
-        finally:
-            bench.commands.receive(incoming())
-            await asyncio.sleep(0)
-        return IdentifyAnswer()
-
-    bench.handlers["identify"] = slow_to_end
-    await bench.ask(incoming("identify"))
-    await bench.commands.close()
-    await bench.settle()
-    assert bench.sent == bench.asked == []
-    assert bench.commands.counts == {"unanswered": 2}
-
-
 def failing(error: Exception) -> Callable[[Tare], Answer]:
     def handler(_: Tare) -> Answer:
         raise error
@@ -374,15 +338,6 @@ async def test_a_handler_that_fails_is_logged_once_and_ends_nothing(
     bench.board.set_exception(TimeoutError("its own"))
     await bench.ask(incoming("identify"))
     assert bench.codes[-1] == "failed"
-
-
-async def test_an_answer_that_json_cannot_hold_is_a_failure_and_no_more(
-    bench: Bench, caplog: pytest.LogCaptureFixture
-) -> None:
-    bench.handlers["ping"] = lambda _: Pong(t_ns=1, daemon_boot_id="\ud800", uptime_s=0.0)
-    await bench.ask(incoming())
-    assert bench.codes == ["failed"]
-    assert len(caplog.records) == 1
 
 
 async def test_a_refusal_takes_any_text_and_is_bounded(bench: Bench) -> None:

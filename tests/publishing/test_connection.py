@@ -1,14 +1,13 @@
 """Connecting: version, socket options, and one line of log per change, whatever is wrong with the broker."""
 
 import asyncio
-import hashlib
 import logging
 import socket
-from base64 import b64encode
 from pathlib import Path
 
 import pytest
 from brokers import Mosquitto
+from mosquitto_passwords import password_line
 from mqtt_helpers import LEFT, QUICK, Messages, publishing, scripted_broker, until
 
 from resonator_daemon.config import Mqtt
@@ -18,13 +17,6 @@ from resonator_daemon.publishing.broker_connection import MQTT_5, BrokerConnecti
 
 def said(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage().partition(": ")[2] for record in caplog.records]
-
-
-def hashed(password: str) -> str:
-    """As mosquitto_passwd writes it: PBKDF2 with SHA-512."""
-    salt = b"twelve bytes"
-    digest = hashlib.pbkdf2_hmac("sha512", password.encode(), salt, 101)
-    return f"$7$101${b64encode(salt).decode()}${b64encode(digest).decode()}"
 
 
 def broker_attempts(monkeypatch: pytest.MonkeyPatch) -> list[object]:
@@ -38,13 +30,6 @@ def broker_attempts(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
     monkeypatch.setattr(socket, "create_connection", counted)
     return attempts
-
-
-async def test_small_messages_do_not_wait_for_acknowledgements_of_tcp(mosquitto) -> None:
-    connection = BrokerConnection(Mqtt(url=mosquitto.url), MQTT_5)
-    await connection.connect()
-    assert connection.socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) == 1
-    await connection.disconnect()
 
 
 async def test_the_version_is_asked_for_without_name_password_and_will_which_old_brokers_misread() -> None:
@@ -62,7 +47,7 @@ async def test_credentials_and_a_wrong_password(
 ) -> None:
     caplog.set_level(logging.INFO)
     passwords = tmp_path / "passwords"
-    passwords.write_text(f"robot:{hashed('open sesame')}\n")
+    passwords.write_text(password_line("robot", "open sesame"))
     broker = Mosquitto(tmp_path, "allow_anonymous false", f"password_file {passwords}")
     await broker.start()
     try:
@@ -97,12 +82,6 @@ async def test_an_unknown_host_is_said_once(monkeypatch: pytest.MonkeyPatch, cap
         assert not left.connected
     assert said(caplog) == ["no host of this name (Name or service not known); see mqtt.url; trying again"]
     assert caplog.records[0].getMessage().startswith("broker no-such-host.invalid:1883: ")
-
-
-async def test_a_host_that_cannot_be_a_name_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
-    async with publishing(f"mqtt://{'a' * 70}.invalid"):
-        await until(lambda: bool(caplog.records))
-    assert len(caplog.records) == 1
 
 
 async def test_a_broker_that_does_not_answer_is_given_up_and_tried_again(caplog: pytest.LogCaptureFixture) -> None:

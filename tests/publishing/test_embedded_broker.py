@@ -8,26 +8,10 @@ from contextlib import AsyncExitStack
 import aiomqtt
 import pytest
 from mqtt_helpers import until
-from observer import observe
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import UserError
 from resonator_daemon.publishing.embedded_broker import embedded_broker
-
-
-async def test_two_brokers_do_not_share_messages() -> None:
-    async with embedded_broker() as one, embedded_broker() as other:
-        assert one != other
-        async with observe(one) as at_one, observe(other) as at_other:
-            async with aiomqtt.Client("127.0.0.1", Mqtt(url=one).port) as client:
-                await client.publish("a", b"1", qos=1)
-            await at_one.until(lambda: len(at_one.heard) == 1)
-            assert at_other.heard == []
-
-
-async def test_it_listens_on_the_loopback_interface_only() -> None:
-    async with embedded_broker() as url:
-        assert url.startswith("mqtt://127.0.0.1:")
 
 
 async def test_it_is_quiet_and_stops_at_once_with_clients_connected(caplog: pytest.LogCaptureFixture) -> None:

@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 from brokers import Mosquitto
-from mqtt_helpers import LEFT, Messages, assert_exact, happen, heard_events, publishing, until
+from mqtt_helpers import happen, heard_events, publishing, until
 from observer import observe
 from small_disk import small_disk
 
-from resonator_daemon.publishing import event_queue, spool, topics
+from resonator_daemon.publishing import event_queue, spool
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 
 
@@ -112,25 +112,6 @@ async def test_a_spool_that_is_damaged_while_in_use_costs_what_was_on_disk_alone
         assert account.dropped["spool_failed"] == 2000 - account.acknowledged
         assert 0 < account.dropped["spool_failed"] <= 2000 - IN_MEMORY_MAX
         assert "set aside as events.damaged" in caplog.text
-
-
-async def test_events_that_somebody_else_deletes_are_lost_and_hold_up_no_other(
-    mosquitto, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
-        await happen(left, range(100))
-    read = spool.Spool.read
-
-    def half(kept: spool.Spool, progress: spool.Progress, count: int) -> list[spool.SpooledEvent]:
-        return read(kept, progress, count)[::2]
-
-    monkeypatch.setattr(spool.Spool, "read", half)
-    async with publishing(mosquitto.url, spool_directory=tmp_path) as left:
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(100))
-        await until(lambda: left.account.made == 101 and left.account.waiting == 0)
-        assert_exact(left)
-        account = left.account
-        assert (account.acknowledged, account.spooled, account.dropped) == (51, 0, {"spool_failed": 50})
 
 
 async def test_beyond_the_bound_on_disk_the_oldest_go(

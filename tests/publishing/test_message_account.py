@@ -34,8 +34,9 @@ async def test_while_it_lasts_it_is_said_now_and_then_and_at_the_end(
     account.drop(Cause.QUEUE_FULL, "t")
     await until(lambda: len(caplog.records) == 1)
     account.drop(Cause.QUEUE_FULL, "t", 5)
-    assert account._timer is not None
-    assert account._timer.when() - asyncio.get_running_loop().time() > message_account.NEXT_LINE_S / 2
+    for _ in range(10):
+        await asyncio.sleep(0.005)
+    assert len(caplog.records) == 1
     account.close()
     assert caplog.messages[1:] == ["messages dropped: 5 t (queue_full)"]
 
@@ -46,5 +47,4 @@ async def test_what_is_known_by_other_words_is_not_said(caplog: pytest.LogCaptur
     for cause in (Cause.NO_CONNECTION, Cause.SUPERSEDED, Cause.TOO_LARGE, Cause.SPOOL_FAILED, Cause.CLOSED):
         account.drop(cause, "t")
     account.close()
-    assert account._timer is None
     assert not caplog.records

@@ -9,11 +9,9 @@ import aiomqtt
 import pytest
 from mqtt_helpers import IMPATIENT, LEFT, Messages, assert_exact, make_will, publishing, scripted_broker, until
 from observer import observe
-from relay import relay
 
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing import outbox, topics
-from resonator_daemon.publishing.broker_connection import ConnectionTimes
 from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.event_queue import IN_MEMORY_MAX
 from resonator_daemon.publishing.mqtt_messages import Outgoing
@@ -34,17 +32,6 @@ async def test_an_encoded_message_is_published_as_it_is_with_its_decimated_copie
             left.publish(LEFT, topics.CONTACT_EVENT, first)
     assert observer.raw("resonator/left/contacts") == [b"{0}", b"{1}", b"{2}"]
     assert observer.raw("resonator/left/contacts/20hz") == [b"{0}", b"{2}"]
-
-
-async def test_order_within_a_topic_is_kept(broker) -> None:
-    async with observe(broker.url) as observer, publishing(broker.url) as left:
-        await until(lambda: left.connected)
-        for number in range(100):
-            left.publish(LEFT, topics.HEALTH, Messages.health(number))
-            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
-        await observer.until(lambda: len(observer.heard) == 200)
-    for topic in ("health", "contacts/event"):
-        assert [message["seq"] for message in observer.payloads(f"resonator/left/{topic}")] == list(range(100))
 
 
 async def test_a_message_published_upon_a_received_one_follows_its_acknowledgement(broker) -> None:
@@ -133,31 +120,6 @@ async def test_the_last_will_speaks_for_a_daemon_that_vanishes(broker) -> None:
         assert late.heard[0].retain
 
 
-async def test_the_last_will_says_its_schema_with_mqtt_5(mosquitto) -> None:
-    async with aiomqtt.Client(
-        "127.0.0.1", Mqtt(url=mosquitto.url).port, protocol=aiomqtt.ProtocolVersion.V5
-    ) as observer:
-        await observer.subscribe(f"{LEFT}/state/daemon")
-        left = Publisher(Mqtt(url=mosquitto.url), identifier="left", make_will=make_will)
-        running = asyncio.create_task(left.run())
-        await until(lambda: left.connected)
-        running.cancel()
-        will = await asyncio.wait_for(anext(observer.messages), 20)
-    assert will.properties.ContentType == "application/json"
-    assert ("schema_version", "1.0") in will.properties.UserProperty
-
-
-async def test_after_a_lost_connection_the_birth_comes_after_the_will(broker) -> None:
-    async with observe(broker.url) as observer, relay(broker.url) as way, publishing(way.url) as left:
-        left.publish(LEFT, topics.STATE_DAEMON, ONLINE)
-        await observer.until_last("resonator/left/state/daemon", state="online")
-        way.cut()
-        await observer.until_last("resonator/left/state/daemon", state="offline")
-        await observer.until_last("resonator/left/state/daemon", state="online")
-        await until(lambda: left.account.waiting == 0)
-        assert left.account.restored == 1
-
-
 async def test_a_broker_that_is_absent_at_start(broker, caplog: pytest.LogCaptureFixture) -> None:
     await broker.kill()
     with caplog.at_level(logging.INFO):
@@ -188,19 +150,6 @@ async def test_a_message_that_the_broker_refuses_was_not_published() -> None:
             left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
         await until(lambda: left.account.waiting == 0)
         assert (left.account.acknowledged, left.account.dropped) == (2, {"refused": 1})
-
-
-async def test_acknowledgements_that_do_not_come_delay_no_stream() -> None:
-    times = ConnectionTimes(close_s=0.1)
-    async with scripted_broker() as (url, script), publishing(url, times=times) as left:
-        script.answer = lambda number: None
-        await until(lambda: left.connected)
-        for number in range(100):
-            left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(number))
-            left.publish(LEFT, topics.HEALTH, Messages.health(number))
-        await until(lambda: len(script.received) == 100 + outbox.UNACKNOWLEDGED_MAX)
-        assert left.account.handed_to_socket == 100
-        assert left.account.waiting == 100
 
 
 async def test_a_broker_that_never_acknowledges_is_given_up(caplog: pytest.LogCaptureFixture) -> None:
@@ -235,12 +184,6 @@ async def test_a_topic_takes_its_own_payload_only() -> None:
     with pytest.raises(ValueError, match="forces carries Forces, not State"):
         left.publish(LEFT, topics.FORCES, ONLINE)
     assert left.account.made == 0
-
-
-async def test_close_without_a_broker_returns_at_once() -> None:
-    async with asyncio.timeout(1), publishing("mqtt://127.0.0.1:9") as left:
-        left.publish(LEFT, topics.CONTACT_EVENT, Messages.event(1))
-    assert left.account.dropped == {"closed": 2}
 
 
 async def test_close_does_not_wait_for_a_frozen_broker(mosquitto) -> None:

@@ -105,15 +105,6 @@ def test_a_killed_process_leaves_all_it_wrote_and_nobody_else_holds_it_meanwhile
     kept.close()
 
 
-def test_no_transaction_waits_for_the_medium(tmp_path: Path) -> None:
-    kept = Spool(tmp_path)
-    kept.open()
-    assert kept._database is not None
-    assert kept._database.execute("PRAGMA synchronous").fetchone() == (1,)  # NORMAL
-    assert kept._database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
-    kept.close()
-
-
 @pytest.mark.parametrize("damage", ["other content", "overwritten pages", "another format"])
 def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: str) -> None:
     kept = Spool(tmp_path)
@@ -157,13 +148,6 @@ def test_a_full_disk_changes_nothing_and_is_no_defect(tmp_path: Path, monkeypatc
         kept.close()
 
 
-def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    kept = Spool(tmp_path / "file" / "spool")
-    with pytest.raises(SpoolError, match="Not a directory"):
-        kept.open()
-
-
 def test_the_file_shrinks_when_everything_is_sent(tmp_path: Path) -> None:
     kept = Spool(tmp_path)
     kept.open()
@@ -198,17 +182,6 @@ def test_a_file_that_was_removed_is_made_again_with_all_that_waits(tmp_path: Pat
     kept = Spool(directory)
     assert kept.open() == (2, len(expected))
     assert numbers(kept.read(START, 10)) == expected
-    kept.close()
-
-
-def test_the_bounds_hold_for_what_was_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spool, "EVENTS_MAX", 3)
-    kept = Spool(tmp_path / "spool")
-    kept.open()
-    kept.append(events(0, 1, 2), START, 0)
-    shutil.rmtree(tmp_path / "spool")
-    assert kept.make_again()
-    assert kept.append(events(3), START, 9) == 1
     kept.close()
 
 

@@ -41,18 +41,6 @@ async def test_messages_of_each_plate_arrive_as_objects(broker) -> None:
         assert (await next_of(received, "forces")).message == Messages.forces(4)
 
 
-async def test_only_the_topics_asked_for_arrive(mosquitto) -> None:
-    at = Mqtt(url=mosquitto.url)
-    wanted = (topics.FORCES, topics.STATE_LINK)
-    async with publishing(mosquitto.url) as left, aclosing(subscribe(at, wanted)) as received:
-        left.publish(LEFT, topics.STATE_SENSOR, Messages.state("online"))
-        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
-        assert (await anext(received)).path == "state/link"
-        left.publish(LEFT, topics.DECODED, Messages.decoded(1))
-        left.publish(LEFT, topics.FORCES, Messages.forces(2))
-        assert (await anext(received)).path == "forces"
-
-
 async def test_without_full_rate_the_copies_for_people_arrive_under_the_name_of_their_topic(broker) -> None:
     at = Mqtt(url=broker.url)
     async with publishing(broker.url) as left, aclosing(subscribe(at, full_rate=False)) as received:
@@ -64,19 +52,6 @@ async def test_without_full_rate_the_copies_for_people_arrive_under_the_name_of_
         left.publish(LEFT, topics.HEALTH, Messages.health(9))
         arrived = [await anext(received) for _ in range(3)]
     assert {(each.path, each.message.seq) for each in arrived} == {("decoded", 1), ("forces", 1), ("health", 9)}
-
-
-async def test_the_schema_is_none_of_the_messages(mosquitto, caplog: pytest.LogCaptureFixture) -> None:
-    at = Mqtt(url=mosquitto.url)
-    async with publishing(mosquitto.url) as left:
-        left.retain(f"{LEFT}/{topics.SCHEMA_PATH}", b"{}", "application/json")
-        left.publish(LEFT, topics.STATE_LINK, Messages.state("online"))
-        await until(lambda: left.account.waiting == 0)
-        async with aclosing(subscribe(at)) as received:
-            assert (await anext(received)).path == "state/link"
-            left.publish(LEFT, topics.STATE_SENSOR, Messages.state("online"))
-            assert (await anext(received)).path == "state/sensor"
-    assert "cannot be read" not in caplog.text
 
 
 async def test_a_prefix_of_several_levels_and_no_other_prefix(mosquitto) -> None:

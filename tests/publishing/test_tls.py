@@ -3,7 +3,7 @@
 import asyncio
 import socket
 import ssl
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -130,15 +130,20 @@ def said(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage().partition(": ")[2] for record in caplog.records]
 
 
-async def assert_said_once(
-    broker: Mqtt, expected: str, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Several attempts, none of which succeeds, lead to one line of log."""
-    async with keeping_connected(broker, monkeypatch) as attempts:
-        await until(lambda: attempts.made > 6)
-        assert not attempts.served
-    assert said(caplog) == [expected + "; trying again"]
-    assert caplog.records[0].getMessage().startswith(f"broker {broker.host}:{broker.port}: ")
+LoggedOnce = Callable[[Mqtt, str], Awaitable[None]]
+
+
+@pytest.fixture
+def logged_once(caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> LoggedOnce:
+    async def check(broker: Mqtt, expected: str) -> None:
+        """Several attempts, none of which succeeds, lead to one line of log."""
+        async with keeping_connected(broker, monkeypatch) as attempts:
+            await until(lambda: attempts.made > 6)
+            assert not attempts.served
+        assert said(caplog) == [expected + "; trying again"]
+        assert caplog.records[0].getMessage().startswith(f"broker {broker.host}:{broker.port}: ")
+
+    return check
 
 
 async def test_messages_go_both_ways_through_tls(
@@ -243,72 +248,63 @@ BROKEN_BROKERS: dict[str, tuple[Callable[[Files], trustme.LeafCert], str]] = {
 
 @pytest.mark.parametrize("kind", BROKEN_BROKERS)
 async def test_a_certificate_that_proves_nothing(
-    kind: str, tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    kind: str, tmp_path: Path, files: Files, logged_once: LoggedOnce
 ) -> None:
     make, expected = BROKEN_BROKERS[kind]
     async with tls_mosquitto(tmp_path, files, broker=files.pair("broken", make(files))) as running:
-        broker = Mqtt(url=running.tls_url, ca_file=str(files.ca))
-        await assert_said_once(broker, expected.format(ca=files.ca), caplog, monkeypatch)
+        await logged_once(Mqtt(url=running.tls_url, ca_file=str(files.ca)), expected.format(ca=files.ca))
 
 
-async def test_an_authority_that_the_system_does_not_know(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("settings", "trusted", "expected"),
+    [
+        ((), False, "its certificate is signed by no authority in this system's store; see mqtt.ca_file"),
+        (
+            ("require_certificate true",),
+            True,
+            "it asks for a client certificate (certificate required); see mqtt.certificate_file",
+        ),
+    ],
+)
+async def test_a_certificate_that_is_missing(
+    settings: tuple[str, ...], trusted: bool, expected: str, tmp_path: Path, files: Files, logged_once: LoggedOnce
 ) -> None:
-    expected = "its certificate is signed by no authority in this system's store; see mqtt.ca_file"
-    async with tls_mosquitto(tmp_path, files) as running:
-        await assert_said_once(Mqtt(url=running.tls_url), expected, caplog, monkeypatch)
-
-
-async def test_a_client_certificate_that_is_missing(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    expected = "it asks for a client certificate (certificate required); see mqtt.certificate_file"
-    async with tls_mosquitto(tmp_path, files, "require_certificate true") as running:
-        await assert_said_once(Mqtt(url=running.tls_url, ca_file=str(files.ca)), expected, caplog, monkeypatch)
+    async with tls_mosquitto(tmp_path, files, *settings) as running:
+        await logged_once(Mqtt(url=running.tls_url, **({"ca_file": str(files.ca)} if trusted else {})), expected)
 
 
 @pytest.mark.parametrize(("kind", "reason"), [("expired", "certificate expired"), ("unknown", "unknown ca")])
 async def test_a_client_certificate_that_proves_nothing(
-    kind: str,
-    reason: str,
-    tmp_path: Path,
-    files: Files,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
+    kind: str, reason: str, tmp_path: Path, files: Files, logged_once: LoggedOnce
 ) -> None:
     made = files.expired(common_name="left") if kind == "expired" else trustme.CA().issue_cert(common_name="left")
     certificate, key = (str(path) for path in files.pair("bad", made))
     async with tls_mosquitto(tmp_path, files, "require_certificate true", "allow_anonymous true") as running:
         broker = Mqtt(url=running.tls_url, ca_file=str(files.ca), certificate_file=certificate, key_file=key)
-        expected = f"it refuses the TLS connection ({reason}); see mqtt.certificate_file"
-        await assert_said_once(broker, expected, caplog, monkeypatch)
+        await logged_once(broker, f"it refuses the TLS connection ({reason}); see mqtt.certificate_file")
 
 
 async def test_a_wrong_password_through_tls(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    tmp_path: Path, files: Files, logged_once: LoggedOnce, caplog: pytest.LogCaptureFixture
 ) -> None:
     passwords = files.write("passwords", password_line("robot", "open sesame").encode())
     password = files.write("password", b"tell-nobody\n")
     async with tls_mosquitto(tmp_path, files, "allow_anonymous false", f"password_file {passwords}") as running:
         keys = {"ca_file": str(files.ca), "username": "robot", "password_file": str(password)}
         expected = "it refuses user 'robot' (Not authorized); see mqtt.username, mqtt.password_file"
-        await assert_said_once(Mqtt(url=running.tls_url, **keys), expected, caplog, monkeypatch)
+        await logged_once(Mqtt(url=running.tls_url, **keys), expected)
     assert "tell-nobody" not in caplog.text
 
 
-async def test_plain_mqtt_to_a_port_for_tls(
-    tmp_path: Path, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_port_for_the_other_protocol(tmp_path: Path, files: Files, logged_once: LoggedOnce) -> None:
     expected = "it ended the connection without an answer; if the port is for TLS, mqtt.url is mqtts://"
     async with tls_mosquitto(tmp_path, files) as running:
-        await assert_said_once(Mqtt(url=running.url), expected, caplog, monkeypatch)
+        await logged_once(Mqtt(url=running.url), expected)
 
 
-async def test_tls_to_a_port_for_plain_mqtt(
-    mosquitto: Mosquitto, files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_tls_to_a_port_for_plain_mqtt(mosquitto: Mosquitto, files: Files, logged_once: LoggedOnce) -> None:
     expected = "it ended the connection instead of speaking TLS; if the port is for plain MQTT, mqtt.url is mqtt://"
-    await assert_said_once(Mqtt(url=mosquitto.tls_url, ca_file=str(files.ca)), expected, caplog, monkeypatch)
+    await logged_once(Mqtt(url=mosquitto.tls_url, ca_file=str(files.ca)), expected)
 
 
 async def test_files_are_read_again_with_each_connection(
@@ -377,22 +373,18 @@ async def greeted(answer: Callable[[int], bytes]) -> AsyncIterator[tuple[int, Gr
 
 
 @pytest.mark.parametrize("to_5", [b"\x20\x02\x00\x01", b"\x20\x03\x00\x84\x00"])
-async def test_a_broker_that_speaks_neither_version(
-    to_5: bytes, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_broker_that_speaks_neither_version(to_5: bytes, logged_once: LoggedOnce) -> None:
     async with greeted(lambda version: to_5 if version == 5 else b"\x20\x02\x00\x01") as (port, record):
         broker = Mqtt(url=f"mqtt://127.0.0.1:{port}")
-        await assert_said_once(broker, "it speaks neither MQTT 5 nor 3.1.1", caplog, monkeypatch)
+        await logged_once(broker, "it speaks neither MQTT 5 nor 3.1.1")
     assert {version for version, _ in record.flags} == {4, 5}
 
 
-async def test_who_is_refused_asks_without_a_name_once_only(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_who_is_refused_asks_without_a_name_once_only(logged_once: LoggedOnce) -> None:
     async with greeted(lambda _: NOT_AUTHORIZED) as (port, record):
         broker = Mqtt(url=f"mqtt://robot:sesame@127.0.0.1:{port}")
         expected = "it refuses user 'robot' (Not authorized); see mqtt.username, mqtt.password_file"
-        await assert_said_once(broker, expected, caplog, monkeypatch)
+        await logged_once(broker, expected)
     assert [name for _, name in record.flags[:5]] == [TO_NOBODY, "robot", "robot", "robot", "robot"]
 
 
@@ -414,8 +406,6 @@ async def test_after_a_broker_was_away_it_is_not_asked_without_a_name_again(monk
         assert [b"robot" in connect for connect in script.greetings] == [False, True, True]
 
 
-async def test_a_host_without_a_broker_is_not_a_matter_of_tls(
-    files: Files, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+async def test_a_host_without_a_broker_is_not_a_matter_of_tls(files: Files, logged_once: LoggedOnce) -> None:
     broker = Mqtt(url=f"mqtts://localhost:{free_port()}", ca_file=str(files.ca))
-    await assert_said_once(broker, "[Errno 111] Connection refused", caplog, monkeypatch)
+    await logged_once(broker, "[Errno 111] Connection refused")

@@ -9,7 +9,7 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from resonator_daemon.publishing.verbs import VERBS, ErrorCode, Refusal, permitted
+from resonator_daemon.publishing.verbs import VERBS, ErrorCode, Refusal
 
 PAGE = Path(__file__).parents[2] / "docs" / "mqtt.md"
 SECTION = PAGE.read_text().partition("\n## Commands\n")[2].partition("\n## ")[0]
@@ -62,11 +62,6 @@ def test_each_verb_answers_with_its_name() -> None:
         assert verb.name == name
         assert verb.answer.model_fields["verb"].default == name
     assert [*Refusal.model_fields] == ["verb", "ok", "error"]
-
-
-def test_what_changes_nothing_is_always_obeyed() -> None:
-    assert permitted(()) == ("ping", "health", "snapshot")
-    assert permitted(("tare", "mark")) == ("ping", "health", "snapshot", "tare", "mark")
 
 
 def table(header: str) -> list[list[str]]:
