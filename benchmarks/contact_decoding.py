@@ -198,7 +198,7 @@ def honesty(decoders: dict[str, ContactDecoder], draws: int) -> None:
                 pressed = truth[2] > 0.0
                 within.append([np.mean(sigmas[:, area] < limit) for area in (pressed, ~pressed) for limit in (1, 2)])
                 force = truth.sum(axis=(1, 2)) * PITCH_M**2
-                load = decoder.net_load(np.flatnonzero(truth[2] > 0.3 * truth[2].max()), (0.0, 0.0))
+                (load,) = decoder.net_loads([np.flatnonzero(truth[2] > 0.3 * truth[2].max())], (0.0, 0.0))
                 if load is not None:
                     off.append(100.0 * (load.force_newton - force) / force[2])
                     z.append((load.force_newton - force) / load.force_std_newton)

@@ -149,11 +149,9 @@ def measure(scene: Scene, frames: int) -> tuple[Floats, int]:
             marks.append(time.thread_time())
             decoder.read_contacts(decoded)
             marks.append(time.thread_time())
-            wants = decoder.rebuild_wanted
-            if wants:
-                decoder.rebuild()
+            rebuilt = decoder.rebuild()
             marks.append(time.thread_time())
-            rebuilds += wants and number >= 0
+            rebuilds += rebuilt and number >= 0
         if number >= 0:
             spent_ms[number] = 1e3 * np.diff(marks)
     return spent_ms, rebuilds

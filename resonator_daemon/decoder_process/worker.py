@@ -84,8 +84,7 @@ class _Worker:
     def _rebuild(self) -> None:
         """Update the matrices for contacts that have moved; a frame that arrives meanwhile waits in the socket."""
         began_ns = time.monotonic_ns()
-        if self._stream.rebuild_wanted and began_ns >= self._rebuild_from_ns:
-            self._stream.rebuild()
+        if began_ns >= self._rebuild_from_ns and self._stream.rebuild():
             now_ns = time.monotonic_ns()
             self._rebuild_from_ns = now_ns + round(_PAUSE * (now_ns - began_ns))
 

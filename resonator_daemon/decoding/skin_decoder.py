@@ -119,15 +119,9 @@ class SkinDecoder:
     def _sound(self, signals: Floats, noise_std: Floats) -> Floats:
         return np.where(noise_std < _NOISY * self._noise_std, signals, np.nan)
 
-    @property
-    def rebuild_wanted(self) -> bool:
-        """Whether `rebuild` has something to do."""
-        return self._estimator.physics is not None and self._estimator.physics.rebuild_wanted
-
-    def rebuild(self) -> None:
-        """Follow a contact that has moved; in another thread than `decode`."""
-        if self._estimator.physics is not None:
-            self._estimator.physics.rebuild()
+    def rebuild(self) -> bool:
+        """Update matrices if a contact has moved, and return whether; it may run in another thread than `decode`."""
+        return self._estimator.physics is not None and self._estimator.physics.rebuild()
 
 
 def rounded_noise(skin: Skin, noise_std: Floats) -> Floats | None:

@@ -109,17 +109,13 @@ class StreamingDecoder:
         self._ended = ()
         return nothing_decoded(self._decoder, "no_signal", reason, events) if events else None
 
-    @property
-    def rebuild_wanted(self) -> bool:
-        """Whether `rebuild` has something to do."""
-        return self._decoder is not None and self._decoder.rebuild_wanted
-
-    def rebuild(self) -> None:
-        """Update matrices for a contact that has moved; `DecodingOptions.background` leaves that to the caller."""
+    def rebuild(self) -> bool:
+        """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it."""
         try:
-            self._present.rebuild()
+            return self._present.rebuild()
         except Exception:  # until one succeeds, the decoder shows its map without contact physics
             log.exception("contact physics could not follow a contact")
+            return True
 
     @property
     def _present(self) -> SkinDecoder:

@@ -121,14 +121,9 @@ class SurfaceStream:
                 self._publish(CONTACT_EVENT, self._reporter.event(fields, event))
             self._publish(CONTACTS, self._reporter.contacts(fields, surface))
 
-    @property
-    def rebuild_wanted(self) -> bool:
-        """Whether `rebuild` has something to do."""
-        return self._decoder.rebuild_wanted
-
-    def rebuild(self) -> None:
-        """Update matrices for a contact that has moved; `DecodingOptions.background` leaves that to the caller."""
-        self._decoder.rebuild()
+    def rebuild(self) -> bool:
+        """Update matrices if a contact has moved, and return whether; with `DecodingOptions.background`, call it."""
+        return self._decoder.rebuild()
 
 
 def _numbered(header: MeasuredFields, seq: int) -> MeasuredFields:

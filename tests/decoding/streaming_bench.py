@@ -23,7 +23,7 @@ NAN = np.nan
 class SubstituteDecoder:
     """In the place of the real one: knows its noise, and answers with the first signal as chi2."""
 
-    name, shape, rebuild_wanted = "substitute", (SITES,), False
+    name, shape = "substitute", (SITES,)
 
     def __init__(self, skin: Skin, wanted: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]) -> None:
         self.built_for = noise_std
@@ -40,8 +40,8 @@ class SubstituteDecoder:
     def succeed(self, other: "SubstituteDecoder") -> tuple[SkinEvent, ...]:
         return ()
 
-    def rebuild(self) -> None:
-        pass
+    def rebuild(self) -> bool:
+        return False
 
 
 def pressed(seed: int = 0) -> Floats:

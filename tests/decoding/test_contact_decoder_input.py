@@ -30,7 +30,7 @@ def test_loads_are_those_of_places_that_are_touched(decoder: ContactDecoder) -> 
     assert load.force_newton[2] == pytest.approx(1.0, rel=0.02)
     np.testing.assert_allclose(load.centroid_m, [1e-3, 0.0], atol=3e-5)
     assert nothing is None
-    assert decoder.net_load(np.zeros(0, np.intp), (0.0, 0.0)) is None
+    assert decoder.net_loads([np.zeros(0, np.intp)], (0.0, 0.0)) == [None]
 
 
 def test_a_blob_that_two_contacts_touch_is_divided_between_them(decoder: ContactDecoder) -> None:

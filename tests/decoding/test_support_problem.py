@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
+from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
 from resonator_daemon.decoding.contact_physics.pixels import PixelLattice, PixelPrior
 from resonator_daemon.decoding.contact_physics.signal_rows import SignalRows
-from resonator_daemon.decoding.contact_physics.support_matrices import Model
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.support_rows import Model
 
 LENGTH_M, RATIO, STD_PASCAL, NOISE_STD = 1e-3, 0.3, 50.0, 1.7
 ROWS, COLUMNS, SITES, PITCH_M = 5, 6, (6, 6), 4e-4
@@ -92,7 +93,7 @@ def test_a_problem_made_from_another_is_the_same(scene):
     one = problem_of(scene, rows)
     other = problem_of(scene, rows, support=moved, before=one)
     back = problem_of(scene, rows, before=other)
-    assert (one.matrices.updates, other.matrices.updates, back.matrices.updates) == (0, 1, 2)
+    assert (one.updates, other.updates, back.updates) == (0, 1, 2)
     signals = np.random.default_rng(1).standard_normal(108).astype(np.float32) * 3.0
     for problem, support in ((other, moved), (back, scene[2])):
         matrix, prior = dense(scene, support=support)
@@ -107,7 +108,7 @@ def test_a_problem_made_from_another_is_the_same(scene):
 def test_little_overlap_is_no_reason_to_take_matrices_over(scene):
     rows = SignalRows(fields(scene, (36,)))
     far = np.roll(scene[2], 2, 1)
-    assert problem_of(scene, rows, support=far, before=problem_of(scene, rows)).matrices.updates == 0
+    assert problem_of(scene, rows, support=far, before=problem_of(scene, rows)).updates == 0
 
 
 @pytest.mark.parametrize("shape", [None, SITES])
@@ -135,6 +136,29 @@ def test_pixels_outside_the_mask_stay_empty(scene):
     found = problem.linear(problem.right_side(signals), inside, start)
     assert not found[:, 3].any()
     assert found[:, 4].all()
+
+
+def test_the_constrained_solution_is_that_of_a_projected_gradient(scene):
+    problem = problem_of(scene, SignalRows(fields(scene, (36,))))
+    inside, start = everywhere(problem)
+    inside[3] = False
+    signals = np.random.default_rng(3).standard_normal(108) * 3.0
+    matrix, prior = dense(scene)
+    hessian = matrix.T @ matrix / NOISE_STD**2 + np.linalg.inv(prior)
+    step, expected = 1.0 / np.linalg.eigvalsh(hessian)[-1], start.astype(float)
+    for _ in range(4000):
+        downhill = matrix.T @ signals / NOISE_STD**2 - hessian @ expected.ravel()
+        moved = expected + step * downhill.reshape(3, -1)
+        expected = project_on_cone(moved.astype(np.float32), 0.5).astype(float) * inside
+
+    right_side = problem.right_side(signals.astype(np.float32))
+    half = problem.constrained(right_side, 0.5, inside, start, start, 200)
+    found, _ = problem.constrained(right_side, 0.5, inside, *half, 200)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+    assert not found[:, 3].any()
+    assert (found[2] > 0.0).any()
+    at_once, _ = problem.constrained(right_side, 0.5, inside, start, start, 400)
+    np.testing.assert_allclose(found, at_once, rtol=1e-5, atol=1e-5)
 
 
 def test_chi2_counts_what_is_left(scene):

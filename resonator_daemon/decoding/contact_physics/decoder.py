@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Floats, Indices
-from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
+from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.hypothesis import (
     UNKNOWN_FRICTION,
     Bounds,
@@ -22,8 +22,10 @@ from resonator_daemon.decoding.contact_physics.hypothesis import (
     solve,
 )
 from resonator_daemon.decoding.contact_physics.support import load_support
-from resonator_daemon.decoding.contact_physics.support_search import Frame, LinearDecoder, Located, SupportSearch
+from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
+from resonator_daemon.decoding.contact_physics.surface_view import SurfaceView
 from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.linear_map import Estimate
 from resonator_daemon.decoding.patches import NetLoad
 
@@ -75,6 +77,11 @@ class ContactDecoder:
         results are reproducible. True: `decode` never waits for them; it shows the linear map cut to support and cone
         until another thread, which the caller owns, has called `rebuild`.
 
+    Attributes
+    ----------
+    friction_estimate
+        Best estimate so far of a coefficient that is not known; the bound is 1.4 times that. None: no estimate.
+
     Raises
     ------
     ValueError
@@ -82,15 +89,15 @@ class ContactDecoder:
     """
 
     def __init__(
-        self, linear_decoder: LinearDecoder, friction_coefficient: float | None = None, *, background: bool = False
+        self, linear_decoder: OpenPlaneDecoder, friction_coefficient: float | None = None, *, background: bool = False
     ) -> None:
-        if friction_coefficient is not None:
-            _refuse_friction("friction_coefficient", friction_coefficient)
-        if not hasattr(linear_decoder, "query_positions_m"):
+        if friction_coefficient is not None and not 0.0 < friction_coefficient < np.inf:
+            raise ValueError(f"friction_coefficient is {friction_coefficient}, must be finite and above 0")
+        if not isinstance(linear_decoder, OpenPlaneDecoder):
             raise ValueError(f"linear_decoder is a {type(linear_decoder).__name__}, must be an OpenPlaneDecoder")
         self._linear = linear_decoder
-        self._told_friction = friction_coefficient
-        self._friction_estimate: float | None = None
+        self._given_friction = friction_coefficient
+        self.friction_estimate: float | None = None
         self._background = background
         self._search = SupportSearch(linear_decoder)
         self._nearest = self._search.places.nearest
@@ -108,17 +115,6 @@ class ContactDecoder:
         self._found: deque[_Found] = deque(maxlen=1)
         self._hypothesis = self._fresh(None)
         self._release()
-
-    @property
-    def friction_estimate(self) -> float | None:
-        """Best estimate so far of a coefficient that was not told; the bound is 1.4 times that. None: not known."""
-        return self._friction_estimate
-
-    @friction_estimate.setter
-    def friction_estimate(self, estimate: float | None) -> None:
-        if estimate is not None:
-            _refuse_friction("friction_estimate", estimate)
-        self._friction_estimate = estimate
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
         """Return tractions, and displacements if asked for, of frames of signals [3 p_n / (2 E), eps_xz, eps_yz].
@@ -170,17 +166,8 @@ class ContactDecoder:
         noise_std = frame.noise_std / located.problem.model.noise_std
         return located.sums.loads(pixels, self._last.right_side, noise_std, about_m)
 
-    def net_load(self, places: Indices, about_m: tuple[float, float]) -> NetLoad | None:
-        """Return force and moment of a single contact, as `net_loads` does."""
-        return self.net_loads([places], about_m)[0]
-
-    @property
-    def rebuild_wanted(self) -> bool:
-        """Whether `rebuild` has something to do."""
-        return self._wanted is not None
-
     def rebuild(self) -> bool:
-        """Compute the matrices that the newest frame asked for, if any did; may run in a thread of its own."""
+        """Compute the matrices that the newest frame asked for; return whether one did. May run in another thread."""
         request, self._wanted = self._wanted, None
         if request is None:
             return False
@@ -233,10 +220,10 @@ class ContactDecoder:
         return self._hypothesis.bounds == "none"
 
     def _friction(self, bounds: Bounds) -> float:
-        told = self._told_friction
-        if told is None and self._friction_estimate is not None:
-            told = _ESTIMATE_MARGIN * self._friction_estimate
-        return UNKNOWN_FRICTION if told is None or bounds != "all" else min(told, UNKNOWN_FRICTION)
+        bound = self._given_friction
+        if bound is None and self.friction_estimate is not None:
+            bound = _ESTIMATE_MARGIN * self.friction_estimate
+        return UNKNOWN_FRICTION if bound is None or bounds != "all" else min(bound, UNKNOWN_FRICTION)
 
     def _adopt(self) -> None:
         """Adopt what the other thread has found."""
@@ -291,7 +278,7 @@ class ContactDecoder:
         if displacement:
             pixels = np.flatnonzero(support)
             on_pixels = project_on_cone(frame.traction[:, pixels], friction)
-            displaced = self._search.places.under(pixels).displacement(on_pixels).reshape(estimate.shape)
+            displaced = SurfaceView(self._search.places, pixels).displacement(on_pixels).reshape(estimate.shape)
         return replace(
             linear,
             traction_pascal=(places * support[self._nearest]).astype(np.float64).reshape(estimate.shape),
@@ -320,8 +307,3 @@ class ContactDecoder:
             status="ok" if self._hypothesis.bounds == "all" else "constraint_dropped",
             reason="; ".join(filter(None, [estimate.reason, self._hypothesis.reason])),
         )
-
-
-def _refuse_friction(name: str, value: float) -> None:
-    if not 0.0 < value < np.inf:
-        raise ValueError(f"{name} is {value}, must be finite and above 0")

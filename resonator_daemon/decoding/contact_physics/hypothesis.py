@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from resonator_daemon.arrays import Bools, Singles
-from resonator_daemon.decoding.contact_physics.cone_admm import project_on_cone
+from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
 from resonator_daemon.decoding.contact_physics.support_search import Frame, Located, SupportSearch
 
 Bounds = Literal["all", "cone", "none"]  # kept: all; a cone of unknown friction; none

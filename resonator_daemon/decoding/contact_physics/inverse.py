@@ -1,37 +1,23 @@
-"""Inverses of symmetric positive definite matrices, and how they change with rows that are removed or added.
-
-LAPACK calls of scipy keep other threads waiting: none works on more than a block, some tenths of a ms.
-"""
+"""Inverses of symmetric positive definite matrices, and how they change with rows that are removed or added."""
 
 import numpy as np
 from scipy.linalg import blas, lapack
 
 from resonator_daemon.arrays import Indices, Singles
 
-_BLOCK = 264  # rows of a step of the factorization
 _SMALL = 64  # rows of a matrix that is not worth halving
 
 
 def cholesky_factor(matrix: Singles) -> Singles:
-    """Return the lower Cholesky factor L of a symmetric positive definite matrix, which is overwritten.
+    """Return the lower Cholesky factor L of a symmetric positive definite matrix.
 
-    What stands above its diagonal has no meaning.
+    What stands above its diagonal has no meaning. LinAlgError if the matrix is not positive definite.
     """
-    for begin in range(0, len(matrix), _BLOCK):
-        end = min(begin + _BLOCK, len(matrix))
-        corner = _upper_factor(matrix[begin:end, begin:end])
-        below = blas.strsm(1.0, corner, matrix[end:, begin:end].T, trans_a=1) if end < len(matrix) else None
-        matrix[begin:end, begin:end] = corner.T
-        if below is not None:
-            matrix[end:, begin:end] = below.T
-            matrix[end:, end:] -= below.T @ below
-    return matrix
-
-
-def solve_factored(lower: Singles, right_sides: Singles) -> Singles:
-    """Return H^-1 times right sides (n, k), given L of H = L L'."""
-    solution: Singles = lapack.spotrs(lower.T, right_sides, lower=0)[0]
-    return solution
+    factor, failed = lapack.spotrf(matrix.T, clean=0)
+    if failed:
+        raise np.linalg.LinAlgError("matrix is not positive definite")
+    lower: Singles = factor.T
+    return lower
 
 
 def symmetric_product(matrix: Singles, right_sides: Singles) -> Singles:
@@ -73,12 +59,12 @@ def with_rows(inverse_matrix: Singles, across: Singles, corner: Singles) -> tupl
 
 
 def inverse_factor(matrix: Singles) -> Singles:
-    """Return the inverse of Cholesky's lower factor of a symmetric positive definite matrix, which is overwritten."""
+    """Return the inverse of the lower Cholesky factor of a symmetric positive definite matrix."""
     return _triangle_inverse(cholesky_factor(matrix))
 
 
 def _triangle_inverse(lower: Singles) -> Singles:
-    """Inverse of a lower triangle, by halves, so that nearly all of it is products of matrices."""
+    """Return the inverse of a lower triangle, by halves, so that nearly all of it is products of matrices."""
     count = len(lower)
     if count <= _SMALL:
         smallest: Singles = np.tril(lapack.strtri(lower.T)[0].T)
@@ -89,12 +75,3 @@ def _triangle_inverse(lower: Singles) -> Singles:
     last = found[half:, half:] = _triangle_inverse(lower[half:, half:])
     found[half:, :half] = -(last @ (lower[half:, :half] @ first))
     return found
-
-
-def _upper_factor(matrix: Singles) -> Singles:
-    """Transposed lower Cholesky factor; what stands below its diagonal has no meaning."""
-    factor, failed = lapack.spotrf(matrix.T, clean=0)
-    if failed:
-        raise np.linalg.LinAlgError("matrix is not positive definite")
-    upper: Singles = factor
-    return upper

@@ -2,19 +2,38 @@
 
 Unknown are the tractions of n pixels in units of the prior's standard deviation. Their log density given the signals is
 b' g - 1/2 g' H g, H = A' A / s + C^-1; C is the correlation exp(-d / l), given 0 around, times the tangential ratio for
-shear.
+shear. If prior and noise stay as they were, the inverse of H + shift is updated by the pixels that left and those that
+came.
 """
 
+from functools import cached_property
+
 import numpy as np
+from scipy.linalg import lapack
 
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
-from resonator_daemon.decoding.contact_physics.cone_admm import iterate
-from resonator_daemon.decoding.contact_physics.inverse import symmetric_product
-from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportMatrices, SupportRows
+from resonator_daemon.decoding.contact_physics.friction_cone import project_on_cone
+from resonator_daemon.decoding.contact_physics.inverse import (
+    cholesky_factor,
+    inverse_factor,
+    symmetric_product,
+    with_rows,
+    without_rows,
+)
+from resonator_daemon.decoding.contact_physics.support_rows import (
+    CHANGED,
+    Change,
+    Model,
+    SupportRows,
+    joined,
+    of_components,
+)
 
-_SOLVED = 1e-3  # relative residual at which the support-linear solution is good enough
+_MOST_UPDATES = 30  # of an inverse, whose rounding errors add up
+_RELAXATION = np.float32(1.6)
+_SOLVED = 1e-3  # relative residual at which the solution without bounds is good enough
 _MOST_STEPS = 60
-_TINY = np.float32(1e-30)
+_TINY = 1e-30
 
 
 class SupportProblem:
@@ -24,11 +43,18 @@ class SupportProblem:
     ----------
     model
     support
-        Indices that may carry load, (pixels,).
+        Pixels that may carry load, (pixels,).
     before
-        Problem of which the inverse is taken over as far as it is the same.
+        Problem of which the inverse is used as far as it is the same.
     newest_rows
-        Of another support, taken over as far as they are the same; by default those of `before`.
+        Of another support, used as far as they are the same; by default those of `before`.
+
+    Attributes
+    ----------
+    pixels
+        Flat indices into the lattice, in any order, (n,).
+    updates
+        Of the inverse, since it was made from nothing.
     """
 
     def __init__(
@@ -39,20 +65,39 @@ class SupportProblem:
         newest_rows: SupportRows | None = None,
     ) -> None:
         self.model = model
-        matrices: SupportMatrices | None = None if before is None else before.matrices
-        rows = SupportRows.of(model, support, newest_rows if matrices is None else matrices.of_rows)
-        self.matrices: SupportMatrices = SupportMatrices(model, rows, matrices)
-        self.rows = rows
-        self.pixels: Indices = rows.pixels
-        ratio = model.tangential_ratio
-        self._ratios = np.array([[ratio], [ratio], [1.0]], np.float32)
+        self.rows: SupportRows = SupportRows.of(model, support, newest_rows if before is None else before.rows)
+        self.pixels: Indices = self.rows.pixels
+        self.updates = 0
+        self._inverse: Singles | None = None
         self._unit = np.float32(model.std_pascal)
         self._noise_variance = np.float32(model.noise_std**2)
-        self._power = np.float32((model.std_pascal / model.noise_std) ** 2)
+        if before is not None and before.model.is_that_of(model) and before.updates < _MOST_UPDATES:
+            self._update_inverse(before, support)
 
-    def prepare(self) -> None:
-        """Compute what makes many frames quicker, and takes longer than one."""
-        self.matrices.prepare()
+    def _update_inverse(self, before: "SupportProblem", support: Bools) -> None:
+        """Adopt the inverse of another problem, if most of its pixels are the same."""
+        change = Change.between(before.pixels, support)
+        old, k, n = before.pixels.size, change.kept.size, self.pixels.size
+        if k < (1.0 - CHANGED) * max(n, old):
+            return
+        inverse = before.prepare()
+        if k == n == old:
+            self._inverse, self.updates = inverse, before.updates
+            return
+        first, last = of_components(np.arange(k), n), of_components(np.arange(k, n), n)
+        across, precision = self.rows.gram[:, last], self.rows.precision
+        blocks = with_rows(
+            without_rows(inverse, of_components(change.kept, old), of_components(change.removed, old)),
+            self.model.hessian(across[first], precision[:k, k:], 0.0),
+            self.model.hessian(across[last], precision[k:, k:], self.model.shift),
+        )
+        self._inverse, self.updates = joined(*blocks), before.updates + 1
+
+    def prepare(self) -> Singles:
+        """Return the inverse of H + shift, (3 n, 3 n): worth its making where many frames are solved."""
+        if self._inverse is None:
+            self._inverse = self._factor.T @ self._factor
+        return self._inverse
 
     def right_side(self, rows: Singles) -> Singles:
         """Return b of whitened rows of signals, (3 n,)."""
@@ -67,30 +112,59 @@ class SupportProblem:
         multiplier: Singles,
         iterations: int,
     ) -> tuple[Singles, Singles]:
-        """Return the traction in the friction cone and its multiplier, in Pa, (3, n), from those to begin with."""
-        unit = self._unit
-        traction, multiplier = iterate(
-            self.matrices.shifted_solution,
-            right_side,
-            self.model.shift,
-            friction_coefficient,
-            inside,
-            traction / unit,
-            multiplier / unit,
-            iterations,
-        )
-        return traction * unit, multiplier * unit
+        """Minimise under Coulomb's law by the method of multipliers.
+
+        Over-relaxed ADMM (Boyd et al., Foundations and Trends in Machine Learning 3, 2011, section 3.4.3): an iteration
+        is one matrix-vector product and one projection.
+
+        Parameters
+        ----------
+        right_side
+            b, (3 n,).
+        friction_coefficient
+        inside
+            Pixels that may carry load, (n,); the others are held at 0.
+        traction, multiplier
+            To begin with: in the friction cone, and its scaled multiplier, in Pa, (3, n).
+        iterations
+
+        Returns
+        -------
+        Traction and multiplier, as those given.
+        """
+        traction, multiplier = traction / self._unit, multiplier / self._unit
+        shift, keep = np.float32(self.model.shift), inside.astype(np.float32)
+        for _ in range(iterations):
+            free = self._shifted_solution(right_side + shift * (traction - multiplier).ravel()).reshape(traction.shape)
+            free *= _RELAXATION
+            free += multiplier - (_RELAXATION - 1) * traction
+            traction = project_on_cone(free, friction_coefficient) * keep
+            multiplier = free - traction
+        return traction * self._unit, multiplier * self._unit
 
     def linear(self, right_side: Singles, inside: Bools, start: Singles) -> Singles:
-        """Return the traction in Pa without bounds, on the pixels inside, (3, n), from a `start`."""
-        keep = np.tile(inside, 3).astype(np.float32)
-        found = self._solve(right_side[None] * keep, keep, start.reshape(1, -1) / self._unit * keep, _SOLVED)
-        return np.asarray(found.reshape(3, -1) * self._unit, np.float32)
+        """Return the traction in Pa without bounds on the pixels inside, (3, n); conjugate gradients from a start."""
+        hessian, keep = self._hessian(0.0), np.tile(inside, 3).astype(np.float32)
+        solution = start.ravel() / self._unit * keep
+        left = (right_side - symmetric_product(hessian, solution)) * keep
+        wanted = _SOLVED * float(np.linalg.norm(right_side * keep))
+        direction, product = np.zeros_like(left), 1.0
+        for _ in range(_MOST_STEPS):
+            if np.linalg.norm(left) <= wanted:
+                break
+            preconditioned = self._shifted_solution(left) * keep
+            previous, product = product, float(left @ preconditioned)
+            direction = np.asarray(preconditioned + product / max(previous, _TINY) * direction, np.float32)
+            curved = symmetric_product(hessian, direction) * keep
+            step = product / max(float(direction @ curved), _TINY)
+            solution = solution + step * direction
+            left = left - step * curved
+        return np.asarray(solution.reshape(3, -1) * self._unit, np.float32)
 
     def solutions(self, right_sides: Floats) -> Floats:
         """Return the tractions in Pa without bounds on all pixels, (k, 3 n), of right sides (k, 3 n)."""
-        given = right_sides.T.astype(np.float32)
-        return self.model.std_pascal * self.matrices.solution(given).T.astype(np.float64)
+        found = lapack.spotrs(self._cholesky.T, right_sides.T.astype(np.float32), lower=0)[0]
+        return np.asarray(self.model.std_pascal * found.T.astype(np.float64), np.float64)
 
     def chi2(self, rows: Singles, right_side: Singles, traction: Singles) -> float:
         """Return the mean square residual of whitened rows, of right side b, with a traction (3, n) in Pa."""
@@ -105,27 +179,26 @@ class SupportProblem:
 
     def std(self) -> Singles:
         """Return the standard deviation in Pa, (3, n), with the iteration's quadratic term as information, too."""
-        return self._unit * np.sqrt(self.matrices.variance()).reshape(3, -1)
+        if self._inverse is not None:
+            variance = np.diag(self._inverse)
+        else:
+            variance = np.einsum("ij,ij->j", self._factor, self._factor)
+        return np.asarray(self._unit * np.sqrt(variance).reshape(3, -1), np.float32)
 
-    def _product(self, loads: Singles) -> Singles:
-        """H times loads (k, 3 n)."""
-        prior = (loads.reshape(len(loads), 3, -1) @ self.rows.precision) / self._ratios
-        product: Singles = (loads @ self.rows.gram) * self._power + prior.reshape(loads.shape)
-        return product
+    @cached_property
+    def _factor(self) -> Singles:
+        """Inverse of the lower Cholesky factor of H + shift."""
+        return inverse_factor(self._hessian(self.model.shift))
 
-    def _solve(self, right_sides: Singles, keep: Singles, solution: Singles, precision: float) -> Singles:
-        """Return loads (k, 3 n) of least squares where `keep` (3 n,) is 1, by conjugate gradients from a solution."""
-        left = right_sides - self._product(solution) * keep
-        wanted = precision * np.linalg.norm(right_sides, axis=1)
-        direction, product = np.zeros_like(left), np.ones((len(left), 1), np.float32)
-        for _ in range(_MOST_STEPS):
-            if (np.linalg.norm(left, axis=1) <= wanted).all():
-                break
-            preconditioned = self.matrices.shifted_solution(left.T).T * keep
-            previous, product = product, np.vecdot(left, preconditioned)[:, None]
-            direction = preconditioned + product / np.maximum(previous, _TINY) * direction
-            curved = self._product(direction) * keep
-            step = product / np.maximum(np.vecdot(direction, curved)[:, None], _TINY)
-            solution = solution + step * direction
-            left = left - step * curved
-        return solution
+    @cached_property
+    def _cholesky(self) -> Singles:
+        return cholesky_factor(self._hessian(0.0))
+
+    def _hessian(self, shift: float) -> Singles:
+        return self.model.hessian(self.rows.gram, self.rows.precision, shift)
+
+    def _shifted_solution(self, right_side: Singles) -> Singles:
+        """Return (H + shift)^-1 times a right side (3 n,)."""
+        if self._inverse is not None:
+            return symmetric_product(self._inverse, right_side)
+        return np.asarray(self._factor.T @ (self._factor @ right_side), np.float32)

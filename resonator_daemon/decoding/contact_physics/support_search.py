@@ -3,10 +3,9 @@
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from resonator_daemon.arrays import Bools, Floats, Singles
 from resonator_daemon.decoding.contact_physics.net_load import LoadSums
@@ -21,14 +20,12 @@ from resonator_daemon.decoding.contact_physics.support import (
     raw_support,
     swept,
 )
-from resonator_daemon.decoding.contact_physics.support_matrices import Model, SupportRows
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
+from resonator_daemon.decoding.contact_physics.support_rows import Model, SupportRows
 from resonator_daemon.decoding.contact_physics.surface_view import SurfacePlaces, SurfaceView
-from resonator_daemon.decoding.decoded import Decoded
+from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
 from resonator_daemon.decoding.open_plane.linear_map import Estimate, Surface
 from resonator_daemon.decoding.parameters import GAIN_FLOOR
-from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.elastic import HalfSpace
 
 _PRIOR_VARIANCE = 0.24  # of f_z in the support, over the linear map's mean square ...
 _PRIOR_SNR = 8.0  # ... at low ratios of signal to noise; half at this one, because contacts are smooth
@@ -52,28 +49,6 @@ _TINY = 1e-30
 
 
 Fit = Literal["good", "due", "unfit"]  # of a problem for a frame: due, serves but should be followed by another
-
-
-class LinearDecoder(Protocol):
-    """What contact physics needs of the decoder below it: the frame's linear map, and what that was built from."""
-
-    @property
-    def half_space(self) -> HalfSpace: ...
-    @property
-    def site_positions_m(self) -> Floats: ...  # (n, 2)
-    @property
-    def depths_m(self) -> Floats: ...  # (n,)
-    @property
-    def noise_std(self) -> Floats: ...  # (3, n)
-    @property
-    def gain_std(self) -> float: ...
-    @property
-    def query_positions_m(self) -> Floats: ...  # (m, 2)
-    @property
-    def prior(self) -> Prior: ...
-
-    def estimate(self, signals: ArrayLike) -> Estimate: ...
-    def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded: ...
 
 
 @dataclass(frozen=True)
@@ -141,7 +116,7 @@ class SupportSearch:
     linear
     """
 
-    def __init__(self, linear: LinearDecoder) -> None:
+    def __init__(self, linear: OpenPlaneDecoder) -> None:
         sites, positions_m = linear.site_positions_m, linear.query_positions_m
         lattice = PixelLattice.over(sites, float(np.median(linear.depths_m)))
         noise_std = np.broadcast_to(linear.noise_std, (3, len(sites)))
@@ -206,7 +181,7 @@ class SupportSearch:
         if (seen & self._edge).any():
             wide |= dilated(seen, _REACH) & self._unmapped
         found, grown = seen, np.zeros_like(seen)
-        level = std_pascal = self._prior_std_pascal(frame, seen)
+        level = std_pascal = _prior_std_pascal(frame.pressure[seen & self._mapped], frame.snr)
         if (wide & ~seen).any():
             pressure = self._free_pressure(frame, wide, level)
             found = load_support(pressure)
@@ -229,7 +204,7 @@ class SupportSearch:
         model_error = _MODEL_ERROR * (np.count_nonzero(found) / int(blobs(found).max())) ** _MODEL_EXPONENT
         lasting = found & self._unmapped | grown
         sums = LoadSums(problem, blobs(solved).ravel(), self._centres_m, self._lattice.pitch_m**2)
-        view = self.places.under(problem.pixels)
+        view = SurfaceView(self.places, problem.pixels)
         return Located(found, lasting, solved, frame.centre, problem, sums, view, problem.std(), level, model_error)
 
     def _free_pressure(self, frame: Frame, wide: Bools, std_pascal: float) -> Singles:
@@ -257,7 +232,8 @@ class SupportSearch:
 
     def fit(self, located: Located, frame: Frame) -> Fit:
         """Return whether a problem's prior, noise and lost signals do for a frame, and its pixels for the load."""
-        drift = self._prior_std_pascal(frame, frame.support) / frame.noise_std / located.level
+        prior_std_pascal = _prior_std_pascal(frame.pressure[frame.support & self._mapped], frame.snr)
+        drift = prior_std_pascal / frame.noise_std / located.level
         lost = None if frame.known is None else self._lost_rows(frame.known)
         if located.problem.model.lost is not lost or not 1.0 / _STALE < drift < _STALE:
             return "unfit"
@@ -268,9 +244,6 @@ class SupportSearch:
                 heavy = float(frame.pressure[outside].max()) > BLOB_PEAK * float(frame.pressure.max())
                 return "unfit" if heavy else "due"
         return "good" if 1.0 / _DRIFT < drift < _DRIFT else "due"
-
-    def _prior_std_pascal(self, frame: Frame, support: Bools) -> float:
-        return _prior_std_pascal(frame.pressure[support & self._mapped], frame.snr)
 
     def _problem(
         self, frame: Frame, support: Bools, std_pascal: float, noise_std: float, before: SupportProblem | None

@@ -34,10 +34,6 @@ class SurfacePlaces:
         self.pixel_count = lattice.shape[0] * lattice.shape[1]
         self.from_window = self.to_places.of((y[:, None] * self.width + x).ravel(), self.pixel_count)
 
-    def under(self, pixels: Indices) -> "SurfaceView":
-        """View of fields on some pixels."""
-        return SurfaceView(self, pixels)
-
 
 class SurfaceView:
     """Fields on n pixels, flat indices into the lattice, shown at the places."""
