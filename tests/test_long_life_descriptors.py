@@ -27,7 +27,7 @@ DEADLINE_S = 60.0
 RUN = "; ".join(
     (
         "from resonator_daemon.recording import recorder",
-        "recorder.RETRY_S = 0.5",
+        "recorder.TIMES = recorder.TIMES._replace(retry_s=0.5)",
         "from resonator_daemon.commands import main",
         "raise SystemExit(main())",
     )

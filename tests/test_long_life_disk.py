@@ -34,7 +34,7 @@ async def test_a_disk_that_takes_nothing(
     how: str,
 ) -> None:
     caplog.set_level(logging.WARNING)
-    monkeypatch.setattr(recording, "RETRY_S", 0.3)
+    monkeypatch.setattr(recording, "TIMES", recording.RecorderTimes(retry_s=0.3))
     monkeypatch.setattr(event_queue, "RETRY_S", 0.3)
     bench = Bench(tmp_path, mosquitto.url)
     with small_disk(tmp_path, 1 << 20) as (disk, fill, free):

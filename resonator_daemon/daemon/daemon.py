@@ -132,7 +132,7 @@ class Service:
             replay=replay_of(config.link, config.plate),
         )
         self._control_requests = ControlRequests(self._reader.request_control)
-        self._recorded = RecordedMessages(self._recording, derived=config.recording.derived)
+        self._recorded = RecordedMessages(self._recording.publish, derived=config.recording.derived)
         self._recordings: RecordingCommands | None = None
         self._plate_publisher = PlatePublisher(config, self._daemon_boot_id, self._make_offline)
         self._step_ns = round(1e9 * self._pipeline.sensor.step_s)
@@ -171,7 +171,7 @@ class Service:
         finally:
             self._pipeline.close()
             await asyncio.to_thread(self._reader.stop)
-            await asyncio.to_thread(self._recording.close)
+            await asyncio.to_thread(self._recording.stop)
         if self._fatal is not None:
             raise self._fatal
 

@@ -237,7 +237,7 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
     from resonator_daemon.daemon.recorded_messages import RecordedMessages
     from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
-    messages = RecordedMessages(recorder, derived=True)
+    messages = RecordedMessages(recorder.publish, derived=True)
     return BoardPipeline(config, boot_id, messages.record)
 
 

@@ -1,18 +1,11 @@
 """What is published, handed to a recording as JSON channels beside the bytes of the link."""
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from typing import Any
 
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.topics import JSON, Topic
-
-
-class Channels(Protocol):
-    """What takes the messages: a recorder, or a switch before one."""
-
-    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None: ...
-
-    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None: ...
+from resonator_daemon.recording.writer import Published
 
 
 class RecordedMessages:
@@ -23,14 +16,14 @@ class RecordedMessages:
 
     Parameters
     ----------
-    channels
-        Take the messages.
+    publish
+        Receives the messages: that of a recorder, or of a switch before one.
     derived
         Whether to record what is measured.
     """
 
-    def __init__(self, channels: Channels, *, derived: bool) -> None:
-        self._channels = channels
+    def __init__(self, publish: Callable[[Published], None], *, derived: bool) -> None:
+        self._publish = publish
         self._schemas: dict[str, dict[str, Any]] = {}
         self.derived = derived
 
@@ -40,5 +33,5 @@ class RecordedMessages:
             return
         if topic.path not in self._schemas:
             self._schemas[topic.path] = topic.payload.model_json_schema(mode="serialization")
-        put = self._channels.put_state if topic.retained else self._channels.put_message
-        put(topic.path, message.t_ns, encode(message), self._schemas[topic.path])
+        schema = self._schemas[topic.path]
+        self._publish(Published(topic.path, message.t_ns, encode(message), schema, topic.retained))

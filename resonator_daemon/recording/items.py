@@ -14,10 +14,6 @@ _SNAPSHOT_BYTES: Final = 10_000  # most of it vertices of the clock's hulls
 Item = WireEvent | Mark | BoardOnline | Published
 
 
-class State(Published):
-    """A message of a topic whose last one counts."""
-
-
 def size_bytes(item: Item) -> int:
     """Return about what an item takes of memory while it waits."""
     match item:

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import chain
-from types import TracebackType
 from typing import IO, Final, NamedTuple, Self
 
 from mcap.exceptions import McapError
@@ -139,6 +138,7 @@ class Origin:
         return {name: text for name, text in texts.items() if text is not None}
 
 
+@dataclass(eq=False)
 class Recording:
     """An open recording.
 
@@ -148,8 +148,6 @@ class Recording:
         Names it in messages.
     header
         What was known when it was begun.
-    attachments
-        Texts that came with it, by name.
     damaged_attachments
         Names, as far as they can be read, of those that are not what was written.
 
@@ -159,29 +157,18 @@ class Recording:
         Why the events ended before the end, once they have; None where the file is whole.
     """
 
-    def __init__(
-        self,
-        path: str,
-        file: IO[bytes],
-        header: dict[str, str],
-        attachments: dict[str, str],
-        damaged_attachments: tuple[str, ...],
-        records: Iterator[McapRecord],
-    ) -> None:
-        self.path = path
-        self.header = header
-        self.damaged_attachments = damaged_attachments
-        self._attachments = attachments
-        self._file = file
-        self._records = records
-        self.damage: str | None = None
+    path: str
+    header: dict[str, str]
+    damaged_attachments: tuple[str, ...]
+    _attachments: dict[str, str]
+    _file: IO[bytes]
+    _records: Iterator[McapRecord]
+    damage: str | None = None
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     @property
@@ -244,7 +231,7 @@ def open_recording(path: str, plate: Plate | None = None) -> Recording:
     except BaseException:
         file.close()
         raise
-    return Recording(path, file, header, attachments, damaged, records)
+    return Recording(path, header, damaged, attachments, file, records)
 
 
 def read_header(path: str, records: Iterator[McapRecord]) -> dict[str, str]:

@@ -4,16 +4,14 @@ import logging
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Final, NamedTuple, Self
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import DiskSpace, LogLine, Series, discard_line
-from resonator_daemon.recording.items import EVENT_BYTES, Item, State, size_bytes
+from resonator_daemon.recording.items import EVENT_BYTES, Item, size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
-from resonator_daemon.recording.writer import Published, RecordingWriter
+from resonator_daemon.recording.writer import Contents, Published, RecordingWriter
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime, read_host_time
 from resonator_daemon.session.link_events import Received, Sent, Skipped, SnapshotTaken, WireEvent
@@ -21,10 +19,18 @@ from resonator_daemon.session.link_events import Received, Sent, Skipped, Snapsh
 QUEUE_BYTES = 64 << 20  # 4 s of a plate with 3072 tones and 100 frames/s
 
 _PUBLISHED_SHARE: Final = 2  # of the queue is for what was published, the rest for the link alone
-BATCH_S = 0.1  # small batches: Python's lock would be held for long by large ones
-FLUSH_S = 0.8  # with a batch, and what writing takes, less than the second that is promised
-RETRY_S = 10.0
 _NAMES_APART_NS: Final = 1_000_000  # names have milliseconds
+
+
+class RecorderTimes(NamedTuple):
+    """How often what waits is written, how often that is flushed, and when a new file is tried after a failure."""
+
+    batch_s: float = 0.1  # small batches: Python's lock would be held for long by large ones
+    flush_s: float = 0.8  # with a batch, and what writing takes, less than the second that is promised
+    retry_s: float = 10.0
+
+
+TIMES = RecorderTimes()
 
 
 class RecordingCounts(NamedTuple):
@@ -36,14 +42,6 @@ class RecordingCounts(NamedTuple):
     events_missing: int = 0
     messages: int = 0
     messages_missing: int = 0
-
-
-class _Filling(NamedTuple):
-    """What is in the chunk that is being filled; of its events, `traffic` are not about the recording itself."""
-
-    events: int = 0
-    traffic: int = 0
-    messages: int = 0
 
 
 class Recorder:
@@ -63,10 +61,8 @@ class Recorder:
         Bound of the memory of events that wait to be written; what does not fit is counted, here and in the file.
     log_line
         Receives level and text of lines for the log, in the thread that writes.
-    batch_s
-        How often what waits is written; None: `BATCH_S`.
-    retry_s
-        When a new file is tried after a failure, where the series resumes; None: `RETRY_S`.
+    times
+        None: `TIMES`.
 
     Raises
     ------
@@ -81,16 +77,14 @@ class Recorder:
         *,
         queue_bytes: int = QUEUE_BYTES,
         log_line: LogLine = discard_line,
-        batch_s: float | None = None,
-        retry_s: float | None = None,
+        times: RecorderTimes | None = None,
     ) -> None:
         self._place = place
         self._origin = origin
         self._disk_space = DiskSpace(place, log_line) if isinstance(place, Series) else None
         self._resumes = isinstance(place, Series) and place.resumes
         self._log_line = log_line
-        self._batch_s = BATCH_S if batch_s is None else batch_s
-        self._retry_after_s = RETRY_S if retry_s is None else retry_s
+        self._times = times or TIMES
         self._queue_bytes = queue_bytes
         self._lock = threading.Lock()
         self._items: deque[Item] = deque()
@@ -107,9 +101,7 @@ class Recorder:
         self._begun_utc_ns = 0  # of the last file, as in its name
         self._retry_s = 0.0
         self._syncing: list[threading.Thread] = []
-        self._filling = _Filling()
-        self._chunks = 0  # of the file, whose contents are counted
-        self._ended_bytes = 0  # of the files before
+        self._ended_bytes = self._ended_events = self._ended_messages = 0  # of the files before
         self._file: RecordingWriter | None = None
         try:
             self._begin_file(read_host_time().utc_ns)
@@ -123,9 +115,7 @@ class Recorder:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     @property
@@ -137,11 +127,6 @@ class Recorder:
     def failure(self) -> str | None:
         """Why nothing is written any more; None while all is well."""
         return self._failure
-
-    @property
-    def skipped_events(self) -> int:
-        """Events that are in no file, because the disk was too slow or failed."""
-        return self.counts.events_missing
 
     @property
     def events(self) -> int:
@@ -157,6 +142,7 @@ class Recorder:
 
     @property
     def counts(self) -> RecordingCounts:
+        """What it has come to; what is missing did not fit, or the disk failed."""
         with self._lock:
             return self._counts
 
@@ -186,31 +172,17 @@ class Recorder:
                 self._append(mark)
             return fits
 
-    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
-        """Queue a published message for the channel of its topic; never waits. What does not fit is counted.
+    def publish(self, message: Published) -> None:
+        """Queue a published message for the channel of its topic; never waits.
 
-        Parameters
-        ----------
-        topic_path
-            Below the plate's name, as `forces`.
-        t_ns
-            UTC.
-        payload
-            JSON.
-        json_schema
-            Of the topic's payload.
+        What does not fit is counted. Retained messages always fit; the files that follow begin with them, too.
         """
-        message = Published(topic_path, t_ns, payload, json_schema)
         with self._lock:
-            if self._waiting_bytes + size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE:
+            fits = self._waiting_bytes + size_bytes(message) <= self._queue_bytes // _PUBLISHED_SHARE
+            if fits or message.retained:
                 self._append(message)
             else:
-                self._count(messages_missing=1)
-
-    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
-        """Like `put_message`, of a topic whose last message counts: the files that follow begin with it, too."""
-        with self._lock:
-            self._append(State(topic_path, t_ns, payload, json_schema))
+                self._count_missing(messages=1)
 
     def name_board(self, board: BoardOnline) -> None:
         """Queue the identity of the board for the metadata of the file."""
@@ -232,23 +204,21 @@ class Recorder:
             self._missing_events = self._missing_bytes = 0
 
     def _skip(self, event: WireEvent) -> None:
-        self._count(events_missing=1)
+        self._count_missing(events=1)
         self._missing_events += 1
         self._missing_bytes += len(event.data) if isinstance(event, Received | Sent) else 0
 
-    def _count(self, *, events_missing: int = 0, messages: int = 0, messages_missing: int = 0) -> None:
+    def _count_missing(self, *, events: int = 0, messages: int = 0) -> None:
         counts = self._counts
         self._counts = counts._replace(
-            events_missing=counts.events_missing + events_missing,
-            messages=counts.messages + messages,
-            messages_missing=counts.messages_missing + messages_missing,
+            events_missing=counts.events_missing + events, messages_missing=counts.messages_missing + messages
         )
 
     def _run(self) -> None:
         look_s = 0.0
         closing = False
         while not closing:
-            closing = self._closing.wait(self._batch_s)
+            closing = self._closing.wait(self._times.batch_s)
             with self._lock:
                 if closing:  # nothing comes after them
                     self._record_missing(read_host_time())
@@ -256,40 +226,24 @@ class Recorder:
             self._write(items)
             if time.monotonic() >= look_s:
                 self._flush()
-                look_s = time.monotonic() + FLUSH_S
+                look_s = time.monotonic() + self._times.flush_s
         self._end_file(wait=True)
         for thread in self._syncing:
             thread.join()
 
     def _write(self, items: deque[Item]) -> None:
-        missing = messages_missing = 0
+        events_missing = messages_missing = 0
         for item in items:
-            written = self._write_one(item)
-            events, traffic, messages = self._filling
-            match item:
-                case Published():
-                    self._filling = _Filling(events, traffic, messages + written)
-                    messages_missing += not written
-                case Mark() | BoardOnline() | Skipped():
-                    pass
-                case SnapshotTaken():
-                    self._filling = _Filling(events + written, traffic, messages)
-                case _:
-                    self._filling = _Filling(events + written, traffic + written, messages)
-                    missing += not written
-            if self._file is not None and self._file.chunks != self._chunks:
-                self._count_chunk(self._file)
+            if self._write_one(item):
+                continue
+            if isinstance(item, Published):
+                messages_missing += 1
+            elif not isinstance(item, Mark | BoardOnline | Skipped | SnapshotTaken):
+                events_missing += 1
+        self._update_counts()
         with self._lock:
-            self._count(events_missing=missing, messages_missing=messages_missing)
+            self._count_missing(events=events_missing, messages=messages_missing)
             self._waiting_bytes -= sum(map(size_bytes, items))
-
-    def _count_chunk(self, file: RecordingWriter) -> None:
-        """Count what is in a file for good."""
-        filling, self._filling = self._filling, _Filling()
-        self._chunks = file.chunks
-        with self._lock:
-            self._events += filling.events
-            self._count(messages=filling.messages)
 
     def _write_one(self, item: Item) -> bool:
         """Write one item; return whether it is in a file."""
@@ -297,7 +251,7 @@ class Recorder:
             match item:
                 case BoardOnline():
                     self._board = item
-                case State():
+                case Published(retained=True):
                     self._states[item.topic] = item
                 case SnapshotTaken():
                     self._turn_over(item)
@@ -348,11 +302,13 @@ class Recorder:
             file = self._place.make(self._origin, utc_ns)
         for state in self._states.values():
             file.publish(state)
+        file.filling = Contents()  # these were counted in the file before
         with self._lock:
             failed, self._failure = self._failure, None
             self._logged_failure = False
-            self._path, self._file, self._chunks = file.path, file, file.chunks
+            self._path, self._file = file.path, file
             self._ended_bytes += self._counts.file_bytes
+            self._ended_events, self._ended_messages = self._events, self._counts.messages
             self._counts = self._counts._replace(files=self._counts.files + 1, file_bytes=file.size_bytes)
         if failed is not None:
             self._log_line(logging.INFO, f"recording goes on in {file.path}")
@@ -363,7 +319,6 @@ class Recorder:
             return
         try:
             self._file.flush()
-            self._count_chunk(self._file)
             if self._file.is_gone:
                 self._leave()
                 return
@@ -388,7 +343,10 @@ class Recorder:
     def _update_counts(self) -> None:
         with self._lock:
             if self._file is not None:
-                self._counts = self._counts._replace(file_bytes=self._file.size_bytes)
+                whole = self._file.whole
+                self._events = self._ended_events + whole.events
+                messages = self._ended_messages + whole.messages
+                self._counts = self._counts._replace(file_bytes=self._file.size_bytes, messages=messages)
             if self._disk_space is not None:
                 self._counts = self._counts._replace(files_removed=self._disk_space.files_removed)
 
@@ -398,7 +356,6 @@ class Recorder:
             return
         try:
             self._file.finish()
-            self._count_chunk(self._file)
             self._update_counts()
         except Exception as error:  # noqa: BLE001 - as above
             self._break_off(error)
@@ -420,25 +377,22 @@ class Recorder:
     def _break_off(self, error: Exception) -> None:
         """Leave a file as it is that takes nothing more."""
         if self._file is not None:
-            if self._file.chunks != self._chunks:  # it failed behind a chunk, as at the file's end
-                self._count_chunk(self._file)
             self._file.abandon()
             self._update_counts()
-            self._file = None
-        lost, self._filling = self._filling, _Filling()
-        with self._lock:
-            self._count(events_missing=lost.traffic, messages_missing=lost.messages)
+            lost, self._file = self._file.filling, None
+            with self._lock:
+                self._count_missing(events=lost.traffic, messages=lost.messages)
         reason = (isinstance(error, OSError) and error.strerror) or repr(error)
         self._fail(f"{self._path}: {reason}")
 
     def _fail(self, reason: str) -> None:
-        then = f"it is tried again every {self._retry_after_s:g} s" if self._resumes else "nothing more is recorded"
+        then = f"it is tried again every {self._times.retry_s:g} s" if self._resumes else "nothing more is recorded"
         self._report_failure(f"{reason}: {then}; what was written stays")
 
     def _report_failure(self, text: str) -> None:
         with self._lock:
             self._failure = text
-        self._retry_s = time.monotonic() + self._retry_after_s
+        self._retry_s = time.monotonic() + self._times.retry_s
         if not self._logged_failure:
             self._logged_failure = True
             self._log_line(logging.WARNING, text)

@@ -3,6 +3,7 @@
 import os
 import struct
 import zlib
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -13,6 +14,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, McapRecord, MessageIndex, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import MCAP0_MAGIC
 
 from resonator_daemon.recording.mcap_attachments import read_attachment
 from resonator_daemon.recording.mcap_messages import MAX_CHUNK_BYTES, chunk_data
@@ -26,34 +28,38 @@ class DamagedRange(NamedTuple):
     """Damaged part of a file, a chunk or a message; `messages` by channel, from the index behind a chunk."""
 
     size_bytes: int
-    messages: dict[int, int]
+    messages: Counter[int]
 
     def joined(self, other: Self) -> "DamagedRange":
         """Return both as one."""
-        channels = self.messages.keys() | other.messages.keys()
-        messages = {channel: self.messages.get(channel, 0) + other.messages.get(channel, 0) for channel in channels}
-        return DamagedRange(self.size_bytes + other.size_bytes, messages)
+        return DamagedRange(self.size_bytes + other.size_bytes, self.messages + other.messages)
 
 
-def known_channels(file: IO[bytes]) -> list[Schema | Channel]:
-    """Return schemas and channels of the index at the end, where its check sum is right; the file is at its beginning.
+class FileIndex(NamedTuple):
+    """Index at the end of a file; `records`: schemas and channels of it, which a damaged chunk may have held."""
 
-    A damaged chunk may have held them.
-    """
-    known: list[Schema | Channel] = []
+    is_whole: bool
+    records: tuple[Schema | Channel, ...] = ()
+
+
+def read_index(file: IO[bytes]) -> FileIndex:
+    """Read the index that other programs look for at the end of a file, and go back to the beginning."""
+    index = FileIndex(is_whole=False)
     with suppress(*DAMAGE):
         end = file.seek(-_FOOTER.size, os.SEEK_END)
         footer = file.read(_FOOTER.size)
-        opcode, _, begin, _, crc, _ = _FOOTER.unpack(footer)
-        size_bytes = end - begin
-        if opcode == Opcode.FOOTER and begin and crc and 0 < size_bytes <= MAX_RECORD_BYTES:
-            file.seek(begin)
+        opcode, _, begin, _, crc, magic = _FOOTER.unpack(footer)
+        size_bytes = end - (begin or end)
+        if opcode == Opcode.FOOTER and magic == MCAP0_MAGIC and 0 <= size_bytes <= MAX_RECORD_BYTES:
+            file.seek(end - size_bytes)
             summary = file.read(size_bytes)
-            if zlib.crc32(footer[:-_CRC_AND_MAGIC_BYTES], zlib.crc32(summary)) == crc:
-                reader = StreamReader(BytesIO(summary + footer), skip_magic=True)
-                known = [record for record in reader.records if isinstance(record, Schema | Channel)]
+            if crc == zlib.crc32(footer[:-_CRC_AND_MAGIC_BYTES], zlib.crc32(summary)):
+                records = StreamReader(BytesIO(summary + footer), skip_magic=True).records
+                index = FileIndex(True, tuple(record for record in records if isinstance(record, Schema | Channel)))
+            else:
+                index = FileIndex(is_whole=not crc)  # whoever wrote it gives no sum
     file.seek(0)
-    return known
+    return index
 
 
 class _BoundedReader(StreamReader):
@@ -104,7 +110,7 @@ class Records:
             try:
                 inner = breakup_chunk(replace(record, compression="", data=chunk_data(record)))
             except DAMAGE:
-                hole = DamagedRange(min(record.uncompressed_size, MAX_CHUNK_BYTES), {})
+                hole = DamagedRange(min(record.uncompressed_size, MAX_CHUNK_BYTES), Counter())
             else:
                 yield from inner
         if hole is not None:

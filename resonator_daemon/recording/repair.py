@@ -2,23 +2,21 @@
 
 import fcntl
 import os
-import zlib
+from collections import Counter
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Final, NamedTuple
+from typing import IO, NamedTuple
 
-from mcap.reader import FOOTER_SIZE
 from mcap.records import (
     Attachment,
     Channel,
-    Footer,
     Header,
     McapRecord,
     Message,
     Metadata,
     Schema,
 )
-from mcap.stream_reader import MAGIC_SIZE
 from mcap.writer import CompressionType, Writer
 
 from resonator_daemon.errors import ExitCode, UserError
@@ -35,12 +33,9 @@ from resonator_daemon.recording.reader import (
     decode_mark,
     open_recording,
 )
-from resonator_daemon.recording.recovery import DamagedRange, Records, known_channels
+from resonator_daemon.recording.recovery import DamagedRange, Records, read_index
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Skipped, decode, encode
-
-_CRC_BYTES: Final = 4
-_PIECE_BYTES: Final = 1 << 20
 
 
 class RepairError(UserError):
@@ -128,20 +123,18 @@ def repair(path: Path, copy: Path) -> Repaired:
 
 
 def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
-    copier = _Copier(target, known_channels(file))
+    index = read_index(file)
+    copier = _Copier(target, index.records)
     records = Records(file)
-    footer: Footer | None = None
-    for found in records:
-        copier.take(found)
-        if isinstance(found, Footer):
-            footer = found
+    for record in records:
+        copier.add(record)
     copier.finish()
     whole_bytes = file.seek(0, os.SEEK_END)
     return Repaired(
         records.ended,
         0 if records.ended else whole_bytes - records.good_bytes,
         copier.holes,
-        records.ended and footer is not None and not _index_is_whole(file, footer, records.good_bytes),
+        records.ended and not index.is_whole,
         copier.unreadable,
         tuple(copier.damaged_attachments),
         copier.events,
@@ -149,22 +142,6 @@ def _copy(file: IO[bytes], target: IO[bytes]) -> Repaired:
         copier.last_event_utc_ns,
         copier.texts >= {PLATE_FILE, SETTINGS_FILE},
     )
-
-
-def _index_is_whole(file: IO[bytes], footer: Footer, footer_end: int) -> bool:
-    """Check the index by the sum that the footer has of it; readers seek the footer in the last bytes of the file."""
-    if file.seek(0, os.SEEK_END) != footer_end + MAGIC_SIZE:
-        return False
-    if not footer.summary_crc:  # whoever wrote it gives no sum
-        return True
-    begin, end = footer.summary_start or footer_end - FOOTER_SIZE, footer_end - _CRC_BYTES
-    if begin > end:
-        return False
-    file.seek(begin)
-    crc = 0
-    for at in range(begin, end, _PIECE_BYTES):
-        crc = zlib.crc32(file.read(min(_PIECE_BYTES, end - at)), crc)
-    return crc == footer.summary_crc
 
 
 class _Copier:
@@ -176,7 +153,7 @@ class _Copier:
         Schemas and channels for messages of which the data says nothing.
     """
 
-    def __init__(self, target: IO[bytes], known: list[Schema | Channel]) -> None:
+    def __init__(self, target: IO[bytes], known: Iterable[Schema | Channel]) -> None:
         self._writer = Writer(target, chunk_size=CHUNK_BYTES, compression=CompressionType.LZ4)
         self._begun = False
         self._schemas = {0: 0}  # here by the number there
@@ -190,7 +167,7 @@ class _Copier:
         self.damaged_attachments: list[str] = []
         self.last_event_utc_ns: int | None = None
 
-    def take(self, record: McapRecord | DamagedRange) -> None:
+    def add(self, record: McapRecord | DamagedRange) -> None:
         match record:
             case DamagedRange():
                 self.holes += 1
@@ -254,11 +231,11 @@ class _Copier:
                 decode_mark(message.data, message.publish_time, message.log_time)
         except DAMAGE:
             self.unreadable += 1
-            self._miss(DamagedRange(len(message.data), {message.channel_id: 1}))
+            self._miss(DamagedRange(len(message.data), Counter({message.channel_id: 1})))
             return
         if topic == TOPIC:
             if self._hole is not None:
-                self._tell(self._hole, message)
+                self._write_missing(self._hole, message)
                 self._hole = None
             self.events += 1
             self.last_event_utc_ns = message.log_time
@@ -269,7 +246,7 @@ class _Copier:
     def _miss(self, hole: DamagedRange) -> None:
         self._hole = hole if self._hole is None else self._hole.joined(hole)
 
-    def _tell(self, hole: DamagedRange, following: Message) -> None:
+    def _write_missing(self, hole: DamagedRange, following: Message) -> None:
         missing = self._missing(hole)
         self.events_missing += missing
         now = HostTime(following.publish_time, following.log_time - following.publish_time, 0)

@@ -3,23 +3,22 @@
 import logging
 import operator
 import threading
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording.file_series import Series
+from resonator_daemon.recording.items import size_bytes
 from resonator_daemon.recording.reader import Mark, Origin
 from resonator_daemon.recording.recorder import Recorder, RecordingCounts
+from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime, read_host_time
-from resonator_daemon.session.link_events import Received, Sent, SnapshotTaken, WireEvent
+from resonator_daemon.session.link_events import SnapshotTaken, WireEvent
 
 log = logging.getLogger(__name__)
 
 KEPT_BYTES = 8 << 20  # half a second of a plate with 3072 tones and 100 frames/s
-
-_EVENT_BYTES = 300  # of memory, beside its data
 
 
 class RecordingRunningError(UserError):
@@ -74,7 +73,7 @@ class RecordingSwitch:
         self._recorder: Recorder | None = None
         self._last: Recorder | None = None  # that one, or the one that ran last: it still counts while it is closed
         self._before = RecordingCounts()  # of all earlier ones
-        self._states: dict[str, tuple[str, int, bytes, Mapping[str, Any]]] = {}
+        self._states: dict[str, Published] = {}
         self._awaits_snapshot = False
         self._since: HostTime | None = None
 
@@ -91,7 +90,7 @@ class RecordingSwitch:
                     self._recorder.put(event)
             if self._kept is not None:
                 self._kept.append(event)
-                self._size_bytes += _EVENT_BYTES + (len(event.data) if isinstance(event, Received | Sent) else 0)
+                self._size_bytes += size_bytes(event)
                 if self._size_bytes > self._kept_bytes:
                     self._kept = None
 
@@ -102,18 +101,13 @@ class RecordingSwitch:
             if self._recorder is not None:
                 self._recorder.name_board(board)
 
-    def put_message(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
-        """Hand a published message, as JSON, to the recording that runs; never waits. See `Recorder.put_message`."""
+    def publish(self, message: Published) -> None:
+        """Hand a published message to the recording that runs, a retained one also to those that follow."""
         with self._lock:
+            if message.retained:
+                self._states[message.topic] = message
             if self._recorder is not None:
-                self._recorder.put_message(topic_path, t_ns, payload, json_schema)
-
-    def put_state(self, topic_path: str, t_ns: int, payload: bytes, json_schema: Mapping[str, Any]) -> None:
-        """Hand a published state to the recording that runs, and to those that follow; never waits."""
-        with self._lock:
-            self._states[topic_path] = (topic_path, t_ns, payload, json_schema)
-            if self._recorder is not None:
-                self._recorder.put_state(topic_path, t_ns, payload, json_schema)
+                self._recorder.publish(message)
 
     def start(self, place: Path | Series, origin: Origin) -> None:
         """Begin a recording.
@@ -132,7 +126,7 @@ class RecordingSwitch:
             with self._lock:
                 self._since = read_host_time()
                 for state in self._states.values():
-                    recorder.put_state(*state)
+                    recorder.publish(state)
                 kept = self._kept or []
                 counts = bool(kept) and isinstance(kept[0], SnapshotTaken) and kept[0].snapshot.running is not None
                 if self._board is not None and counts:
@@ -203,7 +197,3 @@ class RecordingSwitch:
             return self._before
         last = self._last.counts
         return RecordingCounts(*map(operator.add, self._before, last))._replace(file_bytes=last.file_bytes)
-
-    def close(self) -> None:
-        """End the recording, if one runs; call it once the reader has stopped."""
-        self.stop()

@@ -2,12 +2,13 @@
 
 import fcntl
 import json
+import operator
 import os
 from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, Self
 
 from mcap.writer import CompressionType, Writer
 
@@ -36,12 +37,27 @@ _TOML: Final = "application/toml"
 
 
 class Published(NamedTuple):
-    """A message that was published, as JSON; `topic` is its path below the plate's name."""
+    """A message that was published, as JSON; `topic` is its path below the plate's name.
+
+    `schema` is that of the topic's payload. If `retained`, the last message of the topic holds until the next.
+    """
 
     topic: str
     utc_ns: int
     payload: bytes
     schema: Mapping[str, Any]
+    retained: bool
+
+
+class Contents(NamedTuple):
+    """How much is in a part of a file; of its events, `traffic` are not about the recording itself."""
+
+    events: int = 0
+    traffic: int = 0
+    messages: int = 0
+
+    def plus(self, other: Self) -> "Contents":
+        return Contents(*map(operator.add, self, other))
 
 
 class RecordingWriter:
@@ -69,8 +85,8 @@ class RecordingWriter:
         It has an event that a replay can begin with.
     begun_ns
         Monotonic time of the first of these.
-    chunks
-        How many are whole and in the kernel's hands, with all that was written until then.
+    whole, filling
+        Contents of the chunks that are in the kernel's hands, and of the one that is being filled.
     snapshot_due
         A chunk has ended since the last snapshot was written.
     """
@@ -79,7 +95,7 @@ class RecordingWriter:
         self.path = path
         self.begun = False
         self.begun_ns = 0
-        self.chunks = 0
+        self.whole = self.filling = Contents()
         self.snapshot_due = False
         self._whole_bytes = 0
         self._channels: dict[str, int] = {}
@@ -113,16 +129,18 @@ class RecordingWriter:
             self.begun, self.begun_ns = True, now.monotonic_ns
         if isinstance(event, SnapshotTaken):
             self.snapshot_due = False
-        self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns)
+        is_event = not isinstance(event, Skipped)
+        contents = Contents(events=is_event, traffic=is_event and not isinstance(event, SnapshotTaken))
+        self._add(self._wire, now.utc_ns, encode(event), now.monotonic_ns, contents)
 
     def mark(self, mark: Mark) -> None:
         channel = self._json_channel(MARKS, MARK_SCHEMA, MARK_SCHEMA_DATA)
-        self._add(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns)
+        self._add(channel, mark.now.utc_ns, encode_mark(mark), mark.now.monotonic_ns, Contents())
 
     def publish(self, message: Published) -> None:
         title = str(message.schema.get("title", message.topic))
         channel = self._json_channel(message.topic, title, message.schema)
-        self._add(channel, message.utc_ns, message.payload, message.utc_ns)
+        self._add(channel, message.utc_ns, message.payload, message.utc_ns, Contents(messages=1))
 
     def name_board(self, board: BoardOnline) -> None:
         identity = board.identity
@@ -175,15 +193,18 @@ class RecordingWriter:
         self._writer.flush()
         self._whole_bytes = self._file.tell()
 
-    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int, contents: Contents) -> None:
         self._writer.add_message(channel, log_ns, data, publish_ns)
-        if self._file.tell() != self._whole_bytes:  # a chunk was full
+        was_full = self._file.tell() != self._whole_bytes
+        if was_full:
             self._file.flush()
+        self.filling = self.filling.plus(contents)
+        if was_full:
             self._note_chunk()
 
     def _note_chunk(self) -> None:
         self._whole_bytes = self._file.tell()
-        self.chunks += 1
+        self.whole, self.filling = self.whole.plus(self.filling), Contents()
         self.snapshot_due = True
 
     def _json_channel(self, topic: str, name: str, schema: Mapping[str, Any]) -> int:

@@ -10,6 +10,7 @@ import pytest
 from emulation import emulated
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
+from recording_bench import ONE_BATCH
 
 from resonator_daemon.commands import main
 from resonator_daemon.daemon.link_recording import RecordOptions, record
@@ -19,6 +20,7 @@ from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording.reader import DAMAGE, Mark, Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.recording.repair import RepairError, repair
+from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Closed, Received, Skipped, WireEvent, encode
 from simulators.emulator import EmulatorOptions
@@ -34,13 +36,13 @@ def at(ms: int) -> HostTime:
 @pytest.fixture
 def made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, list[WireEvent]]:
     """A whole recording of some chunks, and its events."""
-    monkeypatch.setattr(recording, "BATCH_S", 3600.0)  # so that the same is in each chunk
+    monkeypatch.setattr(recording, "TIMES", ONE_BATCH)  # so that the same is in each chunk
     random = Random(1)
     path = tmp_path / "run.mcap"
     events: list[WireEvent] = [Received(at(ms), random.randbytes(60_000)) for ms in range(30)]
     with Recorder(path, ORIGIN) as recorder:
         recorder.mark(Mark(at(0), "begun"))
-        recorder.put_message("forces", 5, b'{"count":1}', SCHEMA)
+        recorder.publish(Published("forces", 5, b'{"count":1}', SCHEMA, retained=False))
         for event in [*events, Closed(at(30))]:
             recorder.put(event)
     return path, [*events, Closed(at(30))]

@@ -189,7 +189,7 @@ def record(case: Case, path: Path, folder: Path) -> None:
         follow(case.seconds / 2)
     finally:
         reader.stop()
-        switch.close()
+        switch.stop()
         emulator.stop()
         thread.join()
 

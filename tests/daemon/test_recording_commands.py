@@ -18,6 +18,7 @@ from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.switch import RecordingSwitch
+from resonator_daemon.recording.writer import Published
 
 
 def config(directory: Path, **recording: Any) -> Config:
@@ -76,7 +77,7 @@ async def test_a_recording_that_a_command_began_outlasts_another_configuration(t
     await commands.start(StartRecording(label="press"))
     await commands.adopt(config(tmp_path, file_max_mb=5.0), None)
     assert switch.current is not None
-    switch.close()
+    switch.stop()
 
 
 @pytest.mark.parametrize("config_began_before", [False, True])
@@ -125,7 +126,7 @@ async def test_another_directory_is_taken_at_once_by_what_the_configuration_bega
     await commands.adopt(config(tmp_path / "other", continuous=True), None)
     assert switch.current is not None
     assert switch.current.path.parent == tmp_path / "other"
-    switch.close()
+    switch.stop()
 
 
 async def test_a_reload_that_changes_nothing_of_it_begins_no_recording_that_was_stopped(tmp_path: Path) -> None:
@@ -170,7 +171,7 @@ async def test_a_recording_without_end_waits_for_room_and_says_so(
     told = json.loads(recording_info(switch).model_dump_json())
     assert "MB are kept free" in told["failure"]
     assert (told["files"], told["file_bytes"], told["file"]) == (0, 0, str(tmp_path))
-    switch.close()
+    switch.stop()
 
 
 async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: Path) -> None:
@@ -183,7 +184,7 @@ async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: P
         began = await commands.start(StartRecording())
         told = recording_info(switch)
         assert (told.file, told.since_t_ns, told.files) == (began.file, began.since_t_ns, number)
-        switch.put_message("forces", number, b"{}", {"title": "Forces", "type": "object"})
+        switch.publish(Published("forces", number, b"{}", {"title": "Forces", "type": "object"}, retained=False))
         await commands.stop(StopRecording())
         told = recording_info(switch)
         assert json.loads(told.model_dump_json()) == {**idle, **none, "files": number, "messages": number}

@@ -19,17 +19,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
-from recording_bench import PLATE, at, read, record
+from recording_bench import ONE_BATCH, PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
 from resonator_daemon.conditions import Condition
 from resonator_daemon.errors import UserError
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.plate import load_plate
-from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.session.frames import BoardOnline
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import (
@@ -87,7 +86,7 @@ def test_every_event_comes_back_exactly(tmp_path: Path) -> None:
     assert events == EVENTS
     assert kinds(events) == kinds(EVENTS)  # named tuples of two kinds can be equal
     assert damage is None
-    assert (recorder.skipped_events, recorder.failure) == (0, None)
+    assert (recorder.counts.events_missing, recorder.failure) == (0, None)
 
 
 @given(host_times, st.binary(max_size=300), st.booleans())
@@ -161,19 +160,18 @@ def test_what_does_not_fit_into_the_queue_is_counted_in_its_place(tmp_path: Path
     assert isinstance(kept[3], Skipped)
     assert kept[3][1:] == (1, 10_000)
     assert len(kept) == 4
-    assert recorder.skipped_events == 3
+    assert recorder.counts.events_missing == 3
 
 
 def test_the_word_of_what_is_missing_takes_room_as_well(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     events: list[WireEvent] = [Received(at(0), bytes(10_000)), *(Opened(at(number)) for number in range(1, 20))]
-    recorder = record(path, events, queue_bytes=10 * 300, batch_s=3600.0)
+    recorder = record(path, events, queue_bytes=10 * 300, times=ONE_BATCH)
     kept, _ = read(path)
     assert kept[:-1] == [Skipped(at(1), 1, 10_000), *(Opened(at(number)) for number in range(1, 10))]
     assert isinstance(kept[-1], Skipped)
     assert kept[-1][1:] == (10, 0)
-    assert recorder.skipped_events == 11
-    assert recorder._waiting_bytes == 0  # or the bound would wander
+    assert recorder.counts.events_missing == 11
     path = tmp_path / "small.mcap"
     record(path, events[:2], queue_bytes=500)  # room for one of the two
     kept, _ = read(path)
@@ -186,9 +184,9 @@ def test_room_comes_back_once_events_are_written(tmp_path: Path) -> None:
     with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=5_000) as recorder:
         recorder.put(Received(at(0), bytes(4_000)))
         skipped = -1
-        while recorder.skipped_events != skipped:
+        while recorder.counts.events_missing != skipped:
             assert time.monotonic() < deadline
-            skipped = recorder.skipped_events
+            skipped = recorder.counts.events_missing
             recorder.put(Received(at(1), bytes(4_000)))
             threading.Event().wait(0.01)
     events, _ = read(path)
@@ -217,7 +215,7 @@ def test_a_disk_without_room_ends_the_recording_and_not_the_reader(tmp_path: Pat
     assert damage == "cut off"
     assert [event.now for event in events] == [at(number) for number in range(len(events))]
     assert 10 < len(events) < 20
-    assert recorder.skipped_events >= 1
+    assert recorder.counts.events_missing >= 1
 
 
 def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
@@ -233,9 +231,9 @@ def test_whatever_else_goes_wrong_ends_the_recording_and_is_said(
     recorder = record(path, [Opened(at(0)), Sent(at(1), b"x")])
     said = "RuntimeError('LZ4 has no memory'): nothing more is recorded; what was written stays"
     assert recorder.failure == f"{path}: {said}"
-    assert (recorder.events, recorder.skipped_events) == (0, 2)  # the other waited for its chunk to be full
+    assert (recorder.events, recorder.counts.events_missing) == (0, 2)  # the other waited for its chunk to be full
     recorder.put(Closed(at(2)))
-    assert recorder.skipped_events == 3
+    assert recorder.counts.events_missing == 3
 
 
 def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
@@ -247,9 +245,8 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     monkeypatch.setattr(recording_writer.Writer, "finish", full)
     path = tmp_path / "run.mcap"
     written: list[WireEvent] = [Opened(at(0)), Received(at(1), b"x"), Closed(at(2))]
-    monkeypatch.setattr(recording, "FLUSH_S", 3600.0)
     deadline = time.monotonic() + DEADLINE_S
-    with Recorder(path, Origin(PLATE, "tcp://board:1")) as recorder:
+    with Recorder(path, Origin(PLATE, "tcp://board:1"), times=RecorderTimes(flush_s=3600.0)) as recorder:
         recorder.put(written[0])
         while not recorder.events:  # flushed once
             assert time.monotonic() < deadline
@@ -258,7 +255,7 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
             recorder.put(event)
     assert recorder.failure == f"{path}: No space left on device: nothing more is recorded; what was written stays"
     assert read(path)[0] == written
-    assert (recorder.events, recorder.skipped_events) == (3, 0)
+    assert (recorder.events, recorder.counts.events_missing) == (3, 0)
     assert recorder.all_bytes == path.stat().st_size
 
 
@@ -280,7 +277,7 @@ def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monke
         go_on.set()
     assert recorder.failure is not None
     assert "no number, no text" in recorder.failure
-    assert recorder.skipped_events == 3  # the one that failed, the large one, and the one that waited behind it
+    assert recorder.counts.events_missing == 3  # the one that failed, the large one, and the one that waited behind it
 
 
 KILLED = """
@@ -352,7 +349,7 @@ def test_damage_ends_a_recording_where_it_is_found(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     random = Random(3)
     written: list[WireEvent] = [Received(at(number), random.randbytes(60_000)) for number in range(30)]
-    record(path, written, batch_s=3600.0)
+    record(path, written, times=ONE_BATCH)
     whole = bytearray(path.read_bytes())
     whole[len(whole) // 2] ^= 4
     path.write_bytes(whole)

@@ -12,7 +12,7 @@ from random import Random
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import PLATE, at, made, read, record, snapshot
+from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, record, snapshot
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording import file_series as recording_budget
@@ -20,7 +20,8 @@ from resonator_daemon.recording import recorder as recording
 from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.file_series import NoRoomError, Series
 from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.recording.recorder import Recorder, RecorderTimes
+from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Opened, Received, Skipped, SnapshotTaken, TimersRun, WireEvent
 
@@ -58,7 +59,7 @@ def disk(monkeypatch: pytest.MonkeyPatch, free_bytes: list[int]) -> None:
 
 def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path: Path) -> None:
     series = Series(tmp_path, "left", file_max_ns=1_000_000_000)
-    with Recorder(series, LEFT, batch_s=3600.0) as recorder:
+    with Recorder(series, LEFT, times=ONE_BATCH) as recorder:
         for ms in range(0, 3000, 100):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), bytes([ms // 100])))
@@ -71,7 +72,7 @@ def test_the_next_file_begins_with_the_standing_at_which_the_last_ended(tmp_path
     assert all(isinstance(events[0], SnapshotTaken) for events in contents(tmp_path))
     received = [event.data for events in contents(tmp_path) for event in events if isinstance(event, Received)]
     assert received == [bytes([number]) for number in range(30)]
-    assert (recorder.events, recorder.counts.files, recorder.skipped_events) == (63, 3, 0)
+    assert (recorder.events, recorder.counts.files, recorder.counts.events_missing) == (63, 3, 0)
 
 
 def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
@@ -143,11 +144,11 @@ def test_what_a_file_says_of_itself_is_on_its_way_to_the_disk_at_once(tmp_path: 
 
 
 def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
-    with Recorder(tmp_path / "run.mcap", LEFT, queue_bytes=10_000, batch_s=3600.0) as recorder:
+    with Recorder(tmp_path / "run.mcap", LEFT, queue_bytes=10_000, times=ONE_BATCH) as recorder:
         for number in range(20):
-            recorder.put_message("forces", number, b'{"count":0}', SCHEMA)
+            recorder.publish(Published("forces", number, b'{"count":0}', SCHEMA, retained=False))
         recorder.put(Received(at(0), bytes(4_000)))
-    assert recorder.skipped_events == 0
+    assert recorder.counts.events_missing == 0
     assert (recorder.counts.messages, recorder.counts.messages_missing) == (16, 4)
 
 
@@ -172,10 +173,9 @@ def test_a_recording_that_is_written_is_locked(tmp_path: Path) -> None:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
-def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recording, "FLUSH_S", 0.0)
+def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
     old = made(tmp_path, 0, size_bytes=50_000)
-    with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT) as recorder:
+    with Recorder(Series(tmp_path, "left", budget_bytes=60_000), LEFT, times=FLUSHING) as recorder:
         recorder.put(Received(at(0), b"x"))
         wait_until(lambda: recorder.events == 1)
         assert old.exists()
@@ -198,12 +198,11 @@ def test_without_room_a_recording_is_not_begun(tmp_path: Path, monkeypatch: pyte
 def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, resumes: bool
 ) -> None:
-    monkeypatch.setattr(recording, "FLUSH_S", 0.0)
     free_bytes = [200]
     disk(monkeypatch, free_bytes)
     said: list[tuple[int, str]] = []
     series = Series(tmp_path, "left", keep_free_bytes=100, resumes=resumes)
-    with Recorder(series, LEFT, log_line=log_to(said), retry_s=0.0) as recorder:
+    with Recorder(series, LEFT, log_line=log_to(said), times=FLUSHING) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.events == 1)
         free_bytes.append(99)
@@ -215,23 +214,23 @@ def test_a_recording_ends_before_the_disk_is_full_and_resumes_where_it_may(
         for ms in (1, 2):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.skipped_events == 2)
+        wait_until(lambda: recorder.counts.events_missing == 2)
         assert recorder.failure is not None
         free_bytes.append(200)
         recorder.put(Received(at(3), b"x"))
         recorder.put(snapshot(at(4)))
         recorder.put(Received(at(4), b"y"))
-        wait_until(lambda: recorder.events + recorder.skipped_events == (6 if resumes else 5))
+        wait_until(lambda: recorder.events + recorder.counts.events_missing == (6 if resumes else 5))
     if resumes:
         assert recorder.failure is None
         assert contents(tmp_path)[1:] == [[snapshot(at(4)), Received(at(4), b"y")]]
-        assert recorder.skipped_events == 3
+        assert recorder.counts.events_missing == 3
         assert [level for level, _ in said] == [logging.WARNING, logging.INFO]
         assert said[0][1].endswith(": it is tried again every 0 s; what was written stays")
         assert said[1][1] == f"recording goes on in {recorder.path}"
     else:
         assert len(contents(tmp_path)) == 1
-        assert recorder.skipped_events == 4
+        assert recorder.counts.events_missing == 4
         assert [level for level, _ in said] == [logging.WARNING]
 
 
@@ -240,13 +239,16 @@ def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path) -> None:
     blocked.touch()
     said: list[tuple[int, str]] = []
     with Recorder(
-        Series(blocked, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line), retry_s=0.0
+        Series(blocked, "left", resumes=True),
+        LEFT,
+        log_line=log_to(said),
+        times=NO_PAUSE,
     ) as recorder:
         assert recorder.failure is not None
         for ms in range(3):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.skipped_events == 3)
+        wait_until(lambda: recorder.counts.events_missing == 3)
         blocked.unlink()
         recorder.put(snapshot(at(9)))
         wait_until(lambda: recorder.failure is None)
@@ -255,7 +257,7 @@ def test_a_directory_that_comes_later_is_waited_for(tmp_path: Path) -> None:
 
 
 def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> None:
-    with Recorder(Series(tmp_path, "left", resumes=True), LEFT, retry_s=0.0) as recorder:
+    with Recorder(Series(tmp_path, "left", resumes=True), LEFT, times=NO_PAUSE) as recorder:
         recorder.put(Opened(at(0)))
         wait_until(lambda: recorder.events == 1)
         assert recorder._file is not None
@@ -290,7 +292,7 @@ def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, m
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(recording_writer, "encode", broken)
-    with Recorder(Series(tmp_path, "left"), LEFT, retry_s=0.0, batch_s=3600.0) as recorder:
+    with Recorder(Series(tmp_path, "left"), LEFT, times=ONE_BATCH) as recorder:
         recorder.put(Opened(at(0)))
         recorder.put(snapshot(at(1)))
     assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
@@ -330,7 +332,10 @@ def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(tmp_pa
     said: list[tuple[int, str]] = []
     directory = tmp_path / "recordings"
     with Recorder(
-        Series(directory, "left", resumes=True), LEFT, log_line=lambda *line: said.append(line), retry_s=0.0
+        Series(directory, "left", resumes=True),
+        LEFT,
+        log_line=log_to(said),
+        times=NO_PAUSE,
     ) as recorder:
         recorder.put(snapshot(at(0)))
         wait_until(lambda: recorder.events == 1)
@@ -340,7 +345,7 @@ def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(tmp_pa
         for ms in (1, 2):
             recorder.put(snapshot(at(ms)))
             recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.skipped_events == 2)
+        wait_until(lambda: recorder.counts.events_missing == 2)
         directory.unlink()
         recorder.put(snapshot(at(3)))
         wait_until(lambda: recorder.failure is None)
@@ -371,10 +376,10 @@ def test_names_stay_in_order_where_the_clock_is_set_back(tmp_path: Path) -> None
 def test_between_tries_there_is_a_pause(tmp_path: Path) -> None:
     blocked = tmp_path / "disk"
     blocked.touch()
-    with Recorder(Series(blocked, "left", resumes=True), LEFT, retry_s=3600.0) as recorder:
+    with Recorder(Series(blocked, "left", resumes=True), LEFT, times=RecorderTimes(retry_s=3600.0)) as recorder:
         blocked.unlink()
         recorder.put(snapshot(at(1)))
         recorder.put(Received(at(1), b"x"))
-        wait_until(lambda: recorder.skipped_events == 1)
+        wait_until(lambda: recorder.counts.events_missing == 1)
         assert recorder.failure is not None
     assert not blocked.exists()

@@ -33,6 +33,7 @@ from resonator_daemon.recording.switch import (
     RecordingRunningError,
     RecordingSwitch,
 )
+from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
 from resonator_daemon.session.link_events import (
     Closed,
@@ -58,7 +59,7 @@ def listening(link: LinkTarget, plate: Plate = PLATE) -> Iterator[tuple[Listener
     with Listener(link, plate, on_event=switch.put) as it:
         yield it, switch
     it.take_the_rest()
-    switch.close()
+    switch.stop()
 
 
 def pseudo_terminal(port: Path, faults: str = "") -> tuple[EmulatorOptions, SerialTarget]:
@@ -234,7 +235,7 @@ def test_one_recording_runs_at_a_time_and_no_file_is_overwritten(tmp_path: Path)
     assert now is not None
     assert (now.path, now.failure) == (tmp_path / "one.mcap", None)
     assert before_ns <= now.since_utc_ns <= time.time_ns()
-    switch.close()
+    switch.stop()
     assert switch.current is None
     with pytest.raises(UserError, match=r"one\.mcap is there already, and nothing is overwritten"):
         switch.start(tmp_path / "one.mcap", ORIGIN)
@@ -293,7 +294,7 @@ def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> N
     switch.start(tmp_path / "next.mcap", ORIGIN)
     assert switch.current is not None
     assert switch.current.failure is None
-    switch.close()
+    switch.stop()
 
 
 def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
@@ -317,7 +318,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
     finally:
         made.set()
         starter.join()
-    switch.close()
+    switch.stop()
     events, _ = read(tmp_path / "run.mcap")
     assert events == [Opened(at(0))]
 
@@ -325,12 +326,9 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     snapshot = last_standing(tmp_path)
-    switch = RecordingSwitch(kept_bytes=5_500)
-    for number in range(4):
+    switch = RecordingSwitch(kept_bytes=15_500)
+    for number in range(12):
         switch.put(Received(at(number), bytes(1_000)))
-    assert switch._kept is not None
-    switch.put(Received(at(4), bytes(1_000)))
-    assert switch._kept is None
     switch.start(path, ORIGIN)
     switch.put(Received(at(5), bytes(7)))
     switch.put(snapshot)
@@ -344,7 +342,7 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
 
 def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
     snapshot = last_standing(tmp_path)
-    switch = RecordingSwitch(kept_bytes=5_500)
+    switch = RecordingSwitch(kept_bytes=15_500)
     received = [Received(at(number), bytes(1_000)) for number in range(3)]
     for _ in range(4):
         switch.put(snapshot)
@@ -392,11 +390,11 @@ def test_each_file_names_the_board_that_sends_and_has_the_last_states(
     board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
     there = last_standing(tmp_path)
     switch = RecordingSwitch()
-    switch.put_state("state/link", 5, b'{"count":1}', SCHEMA)
-    switch.put_state("state/link", 6, b'{"count":2}', SCHEMA)
-    switch.put_message("forces", 6, b'{"count":0}', SCHEMA)  # nothing is recorded yet
+    switch.publish(Published("state/link", 5, b'{"count":1}', SCHEMA, retained=True))
+    switch.publish(Published("state/link", 6, b'{"count":2}', SCHEMA, retained=True))
+    switch.publish(Published("forces", 6, b'{"count":0}', SCHEMA, retained=False))  # nothing is recorded yet
     switch.start(Series(tmp_path, "left", file_max_ns=1), ORIGIN)
-    switch.put_message("forces", 7, b'{"count":3}', SCHEMA)
+    switch.publish(Published("forces", 7, b'{"count":3}', SCHEMA, retained=False))
     switch.name_board(board)
     for ms in range(2):
         switch.put(there._replace(now=at(ms)))

@@ -146,7 +146,7 @@ def test_a_replay_has_it_happen_again_and_asks_nobody(tmp_path: Path, *, midway:
         assert answers_of(it, 1) == [None]
         it.wait_for_frames(len(frames(it.arrivals)) + 100)
     it.take_the_rest()
-    switch.close()
+    switch.stop()
     arrivals, _, differences = replayed(path)
     assert differences == 0
     assert located(arrivals) == [None]

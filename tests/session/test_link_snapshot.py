@@ -66,7 +66,7 @@ def test_no_link_is_told_to_stand_in_the_middle_of_a_frame(tmp_path: Path) -> No
         if not started and (machine.counters().frames == 40 and machine.counters().bytes_waiting == 0):
             switch.start(path, Origin(SKIN, str(link)))
             started = True
-    switch.close()
+    switch.stop()
     arrivals, counters, differences = replayed(path, SKIN)
     assert differences == 0
     live = {frame.index: frame for frame in frames(queue.pop_all())}

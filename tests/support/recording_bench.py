@@ -15,7 +15,7 @@ from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.event_replay import replay
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.recording.recorder import Recorder
+from resonator_daemon.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.session.board_reader import FRAME_QUEUE_BYTES
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frame_queue import FrameQueue
@@ -25,6 +25,9 @@ from resonator_daemon.session.link_events import Received, SnapshotTaken, StateA
 from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 PLATE = load_plate("quartz16")
+ONE_BATCH = RecorderTimes(batch_s=3600.0)
+NO_PAUSE = RecorderTimes(retry_s=0.0)
+FLUSHING = RecorderTimes(flush_s=0.0, retry_s=0.0)
 
 
 def at(monotonic_ms: int) -> HostTime:
