@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.calibration.board_frames import FromBoard, board_frames
+from resonator_daemon.calibration.board_readings import board_readings
 from resonator_daemon.calibration.console import Console, asked, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
-from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector, LoadReading
+from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector
 from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
@@ -29,9 +29,7 @@ from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
 from resonator_daemon.plate import FORCE_SIGNAL
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import BoardOnline
-from resonator_daemon.tones.tone_detector import ToneDetector, reading_frames
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,6 @@ class _Calibration:
         self._config, self._wanted, self._ending = config, wanted, ending
         self._steps, self._file, self._session = steps, file, session
         self._procedure = LoadProcedure(config.plate, steps, ending.timeout_s)
-        self._detector: ToneDetector | None = None
         every_tone = sensor_of(config.plate).expected_tones.pressed_hz is None
         self._loads: LoadDetector = (MultitoneLoads if every_tone else CapturedLoads)(config.plate)
         self._console = Console(ending.as_json)
@@ -129,13 +126,13 @@ class _Calibration:
     def _capture(self, recording: Recording) -> Outcome:
         """Lead through all steps; a load that contradicts the others is asked for once more."""
         outcome: Outcome | None = None
-        with board_frames(self._config, self._ending.timeout_s) as arrivals:
+        with board_readings(self._config, self._ending.timeout_s) as arrivals:
             for arrival in arrivals:
-                reading = self._read(arrival)
-                if reading is None:
-                    continue
-                for prompt in self._procedure.push(reading):
-                    self._show(prompt, recording)
+                if isinstance(arrival, BoardOnline):
+                    self._unit = arrival.identity.serial_number
+                elif (reading := self._loads.read(arrival)) is not None:
+                    for prompt in self._procedure.push(reading):
+                        self._show(prompt, recording)
                 if self._procedure.done:
                     outcome = self._judge(recording)
                     if self._procedure.done:
@@ -143,16 +140,6 @@ class _Calibration:
         if outcome is None:
             raise CalibrationRefusedError("the link ended before the calibration did")
         return outcome
-
-    def _read(self, arrival: FromBoard) -> LoadReading | None:
-        if isinstance(arrival, BoardOnline):
-            self._unit = arrival.identity.serial_number
-            if self._detector is None:
-                frames = reading_frames(1 / self._config.plate.counter.frame_rate_hz)
-                self._detector = sensor_of(self._config.plate).tone_detector(frames, oscillator_hz(arrival.description))
-            return None
-        reading = self._detector.push(arrival) if self._detector is not None else None
-        return self._loads.read(reading) if reading is not None else None
 
     def _fit(self, loads: list[Loading], *, with_response: bool) -> Outcome:
         return fit_loadings(

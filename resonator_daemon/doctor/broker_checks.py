@@ -11,7 +11,7 @@ from typing import Final
 from paho.mqtt.enums import MQTTProtocolVersion
 
 from resonator_daemon.config import Mqtt
-from resonator_daemon.doctor.finding import Area, Check, Finding, excused, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.publishing import connection_errors
@@ -194,24 +194,18 @@ def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
         return ROUND_TRIP.fault(
             f"{evidence}; {sent - len(times_s)} of {sent} did not come back within {_ANSWER_S:g} s",
             "the broker, or the network to it, takes less than it is sent: look at its load and its limits",
-            value=float(sent - len(times_s)),
-            limit=0.0,
-            unit="messages",
+            Amount(float(sent - len(times_s)), 0.0, "messages"),
         )
     if spikes >= _SPIKES_SHARE * len(times_s) and spikes > 0.5 * slow:
         return ROUND_TRIP.warning(
             f"{evidence}; {spikes} took about 40 ms: small messages wait for acknowledgements (Nagle)",
             "set_tcp_nodelay true in mosquitto.conf, or what other brokers call it",
-            value=float(spikes),
-            limit=_SPIKES_SHARE * len(times_s),
-            unit="messages",
+            Amount(float(spikes), _SPIKES_SHARE * len(times_s), "messages"),
         )
     if slow > _SPIKES_SHARE * len(times_s):
         return ROUND_TRIP.warning(
             f"{evidence}; {slow} took longer than {1e3 * _SLOW_S:g} ms",
             "the broker, or the network to it, is slow: look at its load, or use a nearer one",
-            value=median_ms,
-            limit=1e3 * _SLOW_S,
-            unit="ms",
+            Amount(median_ms, 1e3 * _SLOW_S, "ms"),
         )
-    return ROUND_TRIP.ok(evidence, value=median_ms, limit=1e3 * _SLOW_S, unit="ms")
+    return ROUND_TRIP.ok(evidence, Amount(median_ms, 1e3 * _SLOW_S, "ms"))

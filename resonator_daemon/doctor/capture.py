@@ -1,4 +1,4 @@
-"""Measurement of some seconds of a board: its identity, what it counts, and the fate of its bytes."""
+"""Measurement of some seconds of a board: its tones, and the outcome of its bytes."""
 
 import time
 from collections.abc import Callable
@@ -12,25 +12,15 @@ from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.plate_readings import FEWEST_FRAMES, PlateReading, plate_reading
 from resonator_daemon.links.target import LinkTarget
+from resonator_daemon.pipeline.tone_capture import ToneCapture
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.session.blocking_reader import BlockingReader
-from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.counters import LinkCounters
-from resonator_daemon.session.frames import (
-    BoardOnline,
-    BoardRefused,
-    ChannelisedFrame,
-    LinkChange,
-    ReaderFailed,
-    SingleToneFrame,
-)
+from resonator_daemon.session.frames import BoardRefused, ChannelisedFrame, LinkChange, SingleToneFrame
 from resonator_daemon.session.link_events import Received, WireEvent
-from resonator_daemon.tones.tone_detector import reading_frames
 
 OPEN_S: Final = 6.0  # in which a board must count
-_TURN_S: Final = 0.1
 
 Progress = Callable[[str], None]
 
@@ -53,11 +43,10 @@ class Capture:
         As the board reports them; empty where it does not.
     """
 
-    frame_rate_hz: float = 0.0  # that the plate asks for
+    frame_rate_hz: float  # that the plate asks for
+    tones: ExpectedTones
     seconds: float = 0.0
-    board: BoardOnline | None = None
     link: str = ""
-    tones: ExpectedTones | None = None
     readings: list[PlateReading] = field(default_factory=list)
     before: LinkCounters = field(default_factory=LinkCounters)
     after: LinkCounters = field(default_factory=LinkCounters)
@@ -108,60 +97,43 @@ def capture_board(target: LinkTarget, plate: Plate, seconds: float, progress: Pr
         What the reader's thread failed with, which is a mistake of ours.
     """
     status = _StatusDecoder()
-    loop = BlockingReader(target, plate, any_unit=True, on_event=status.put)  # another unit is reported beside the rest
-    reader = loop.reader
-    capture = Capture(plate.counter.frame_rate_hz)
-    with Load(host) as load, loop:
-        _capture(loop, capture, plate, seconds, progress)
+    tones = ToneCapture(target, plate, fewest_frames=FEWEST_FRAMES, on_event=status.put)
+    capture = Capture(plate.counter.frame_rate_hz, sensor_of(plate).expected_tones)
+    with Load(host) as load, tones:
+        _capture(tones, capture, seconds, progress)
     capture.busy = load.busy()
-    if capture.counted:
-        capture.after = reader.counters()
-    else:
-        capture.before = capture.after = reader.counters()
+    capture.after = tones.reader.counters()
+    if not capture.counted:
+        capture.before = capture.after
     kelvin = (message.temperature_millikelvin for message in status.messages)
     capture.temperatures_kelvin = [value * 1e-3 for value in kelvin if value is not None]
     return capture
 
 
-def _capture(loop: BlockingReader, capture: Capture, plate: Plate, seconds: float, progress: Progress) -> None:
-    reader, sensor = loop.reader, sensor_of(plate)
-    frames = reading_frames(1 / plate.counter.frame_rate_hz, FEWEST_FRAMES)
-    expected, detector = sensor.expected_tones, None
+def _capture(tones: ToneCapture, capture: Capture, seconds: float, progress: Progress) -> None:
     begun_s = time.monotonic()
     first_s: float | None = None
-    while True:
-        arrivals = loop.wait(_TURN_S)
-        now_s = time.monotonic()
-        for arrival in arrivals:
-            match arrival:
-                case SingleToneFrame() | ChannelisedFrame():
-                    if first_s is None:
-                        first_s = now_s
-                        capture.before = reader.counters()
-                    if detector is not None and (reading := detector.push(arrival)) is not None:
-                        capture.readings.append(plate_reading(reading, expected))
-                case BoardOnline():
-                    capture.board = arrival
-                    if detector is None:
-                        capture.tones = expected
-                        detector = sensor.tone_detector(frames, oscillator_hz(arrival.description))
-                case LinkChange():
-                    capture.link = arrival.reason
-                    if first_s is not None and arrival.state == "stalled":
-                        capture.interruptions.append(arrival.reason)
-                    if first_s is not None and arrival.state == "lost":
-                        capture.losses.append(arrival.reason)
-                case BoardRefused():
-                    capture.problems = arrival.problems
-                case ReaderFailed():
-                    raise arrival.error
-        if capture.problems:
-            return
-        if first_s is None:
-            if now_s - begun_s > OPEN_S:
+    for arrival, reading in tones.arrivals():
+        if reading is not None:
+            capture.readings.append(plate_reading(reading, capture.tones))
+        match arrival:
+            case SingleToneFrame() | ChannelisedFrame() if first_s is None:
+                first_s = time.monotonic()
+                capture.before = tones.reader.counters()
+            case LinkChange():
+                capture.link = arrival.reason
+                if first_s is not None and arrival.state == "stalled":
+                    capture.interruptions.append(arrival.reason)
+                if first_s is not None and arrival.state == "lost":
+                    capture.losses.append(arrival.reason)
+            case BoardRefused():
+                capture.problems = arrival.problems
                 return
-        else:
-            capture.seconds = now_s - first_s
-            progress(f"{reader.counters().frames} frames, {min(capture.seconds, seconds):.0f} of {seconds:g} s")
-            if capture.seconds >= seconds:
+            case None if first_s is not None:
+                capture.seconds = time.monotonic() - first_s
+                shown_s = min(capture.seconds, seconds)
+                progress(f"{tones.reader.counters().frames} frames, {shown_s:.0f} of {seconds:g} s")
+                if capture.seconds >= seconds:
+                    return
+            case None if time.monotonic() - begun_s > OPEN_S:
                 return

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from resonator_daemon.doctor import link_checks
-from resonator_daemon.doctor.finding import Area, Check, Finding, graded
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, graded
 from resonator_daemon.doctor.link_checks import ERRORS_FAULT
 from resonator_daemon.monitoring.status_client import Answer
 from resonator_daemon.publishing.payloads import Condition
@@ -93,9 +93,7 @@ def _losses(health: Mapping[str, Any]) -> Iterator[Finding]:
         graded(hit / frames, 0.0, ERRORS_FAULT),
         evidence,
         link_checks.CABLE,
-        value=hit / frames,
-        limit=ERRORS_FAULT,
-        unit="",
+        Amount(hit / frames, ERRORS_FAULT),
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from resonator_daemon.config import Recording
-from resonator_daemon.doctor.finding import Area, Check, Finding
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding
 from resonator_daemon.recording.file_series import Series
 
 STATE: Final = Check("disk.state", Area.SOFTWARE, "room for state")
@@ -51,9 +51,9 @@ def _judge(check: Check, directory: Path, needed_mb: float, consequence: str) ->
         )
     figures = f"{directory}: {room.free_mb:.0f} MB are free, {needed_mb:g} MB are needed"
     if room.free_mb >= needed_mb:
-        return check.ok(figures, value=room.free_mb, limit=needed_mb, unit="MB")
+        return check.ok(figures, Amount(room.free_mb, needed_mb, "MB"))
     return check.fault(
-        f"{figures}: {consequence}", "make room, or name another disk", value=room.free_mb, limit=needed_mb, unit="MB"
+        f"{figures}: {consequence}", "make room, or name another disk", Amount(room.free_mb, needed_mb, "MB")
     )
 
 
@@ -68,13 +68,11 @@ def _budget(recording: Recording, name: str | None) -> Finding:
         f"{max(attainable_mb, 0.0):.0f} MB for them"
     )
     if attainable_mb >= recording.budget_mb:
-        return BUDGET.ok(evidence, value=float(recording.budget_mb), limit=attainable_mb, unit="MB")
+        return BUDGET.ok(evidence, Amount(float(recording.budget_mb), attainable_mb, "MB"))
     return BUDGET.warning(
         f"{evidence}: it is full before the oldest recordings give way",
         "lower recording.budget_mb, or name a larger disk",
-        value=float(recording.budget_mb),
-        limit=attainable_mb,
-        unit="MB",
+        Amount(float(recording.budget_mb), attainable_mb, "MB"),
     )
 
 

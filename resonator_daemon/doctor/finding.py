@@ -1,8 +1,9 @@
-"""What one check says: what was looked at, the evidence with its limit, the outcome, and what to do."""
+"""Result of one check: what was looked at, the evidence with its limit, the outcome, and what to do."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 
 class Outcome(StrEnum):
@@ -25,9 +26,17 @@ class Area(StrEnum):
 FINE = "fine"
 
 
+class Amount(NamedTuple):
+    """Evidence as a number, with the limit that it is held against."""
+
+    value: float | None
+    limit: float | None = None
+    unit: str = ""
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What a check says.
+    """Result of a check.
 
     Attributes
     ----------
@@ -58,26 +67,22 @@ class Check:
     area: Area
     title: str
 
-    def ok(self, evidence: str, *, value: float | None = None, limit: float | None = None, unit: str = "") -> Finding:
-        return Finding(self.id, self.area, self.title, Outcome.OK, evidence, "", value, limit, unit)
+    def ok(self, evidence: str, amount: Amount | None = None) -> Finding:
+        return self.judged(Outcome.OK, evidence, "", amount)
 
-    def warning(
-        self, evidence: str, remedy: str, *, value: float | None = None, limit: float | None = None, unit: str = ""
-    ) -> Finding:
-        return Finding(self.id, self.area, self.title, Outcome.WARNING, evidence, remedy, value, limit, unit)
+    def warning(self, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
+        return self.judged(Outcome.WARNING, evidence, remedy, amount)
 
-    def fault(
-        self, evidence: str, remedy: str, *, value: float | None = None, limit: float | None = None, unit: str = ""
-    ) -> Finding:
-        return Finding(self.id, self.area, self.title, Outcome.FAULT, evidence, remedy, value, limit, unit)
+    def fault(self, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
+        return self.judged(Outcome.FAULT, evidence, remedy, amount)
 
     def not_checked(self, reason: str) -> Finding:
-        return Finding(self.id, self.area, self.title, Outcome.NOT_CHECKED, reason)
+        return self.judged(Outcome.NOT_CHECKED, reason, "")
 
-    def judged(self, outcome: Outcome, evidence: str, remedy: str, *, value: float, limit: float, unit: str) -> Finding:
-        """Return a finding whose outcome was weighed from numbers; a remedy belongs to what is not ok."""
+    def judged(self, outcome: Outcome, evidence: str, remedy: str, amount: Amount | None = None) -> Finding:
+        """Return a finding with an outcome that was weighed from numbers; a remedy belongs to what is not ok."""
         remedy = "" if outcome is Outcome.OK else remedy
-        return Finding(self.id, self.area, self.title, outcome, evidence, remedy, value, limit, unit)
+        return Finding(self.id, self.area, self.title, outcome, evidence, remedy, *(amount or Amount(None)))
 
 
 def excused(finding: Finding, excuse: str) -> Finding:

@@ -5,7 +5,7 @@ from typing import Final
 
 from firmware_protocol.messages import ResetCause
 from resonator_daemon.doctor.capture import OPEN_S, Capture
-from resonator_daemon.doctor.finding import Area, Check, Finding, excused, graded, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, excused, graded, not_checked
 from resonator_daemon.plate import Plate
 from resonator_daemon.session.clock import TOLERANCE_PPM
 from resonator_daemon.session.compatibility import incompatibilities
@@ -66,9 +66,7 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
         graded(overruns, 0.0, 0.0),
         f"{overruns} times, none is meant" if overruns else "none that it tells of",
         "relieve the computer: what keeps it from its interrupts for so long?",
-        value=float(overruns),
-        limit=0.0,
-        unit="times",
+        Amount(float(overruns), 0.0, "times"),
     )
 
 
@@ -79,9 +77,7 @@ def _steady(capture: Capture) -> Finding:
     return STEADY.fault(
         f"frames stopped {len(said)} times in {capture.seconds:.1f} s: {said[0]}",
         "check plug, cable, hub and the board's power: move the cable and watch",
-        value=float(len(said)),
-        limit=0.0,
-        unit="interruptions",
+        Amount(float(len(said)), 0.0, "interruptions"),
     )
 
 
@@ -115,17 +111,13 @@ def _overflow(capture: Capture) -> Finding:
         return OVERFLOW.fault(
             f"frames come at {rate_hz:.0f} a second, {capture.frame_rate_hz:g} are counted: the others pile up there",
             remedy,
-            value=rate_hz,
-            limit=_RATE_LEAST * capture.frame_rate_hz,
-            unit="Hz",
+            Amount(rate_hz, _RATE_LEAST * capture.frame_rate_hz, "Hz"),
         )
     return OVERFLOW.judged(
         graded(dropped / frames, _ERRORS_WARNING, ERRORS_FAULT),
         f"{dropped} of {frames}, none is meant",
         remedy,
-        value=float(dropped),
-        limit=0.0,
-        unit="frames",
+        Amount(float(dropped), 0.0, "frames"),
     )
 
 
@@ -143,8 +135,8 @@ def _errors(capture: Capture) -> Finding:
         return _garbage(discarded, received, hit, frames)
     evidence = f"{hit} of {frames} frames damaged or lost (limit {ERRORS_FAULT:g}), {discarded} of {received} bytes"
     if not hit and not discarded:
-        return ERRORS.ok(evidence, value=0.0, limit=ERRORS_FAULT)
-    return ERRORS.warning(evidence, CABLE, value=hit / frames, limit=ERRORS_FAULT)
+        return ERRORS.ok(evidence, Amount(0.0, ERRORS_FAULT))
+    return ERRORS.warning(evidence, CABLE, Amount(hit / frames, ERRORS_FAULT))
 
 
 CABLE: Final = (
@@ -159,8 +151,7 @@ def _garbage(discarded: int, received: int, hit: int, frames: int) -> Finding:
     return ERRORS.fault(
         f"{of_frames}{discarded} of {received} bytes are no packets (limit {_GARBAGE_FAULT:g})",
         CABLE,
-        value=share,
-        limit=ERRORS_FAULT,
+        Amount(share, ERRORS_FAULT),
     )
 
 
@@ -196,13 +187,11 @@ def _reference(inquiry: ProbeResult) -> Finding:
         f"{rate.uncertainty_ppm:.0f}; at most {TOLERANCE_PPM:g} ppm are plausible"
     )
     if rate.plausible:
-        return REFERENCE.ok(evidence, value=rate.deviation_ppm, limit=float(TOLERANCE_PPM), unit="ppm")
+        return REFERENCE.ok(evidence, Amount(rate.deviation_ppm, float(TOLERANCE_PPM), "ppm"))
     return REFERENCE.fault(
         f"{evidence}: forces would be wrong by as much",
         "mend the reference oscillator of the board, or what its firmware says of it; check this computer's clock",
-        value=rate.deviation_ppm,
-        limit=float(TOLERANCE_PPM),
-        unit="ppm",
+        Amount(rate.deviation_ppm, float(TOLERANCE_PPM), "ppm"),
     )
 
 
@@ -217,13 +206,11 @@ def _round_trip(inquiry: ProbeResult) -> Finding:
         f"{shortest_s * 1e3:.2f} ms at best, {median_s * 1e3:.2f} ms in the middle (limit {_ROUND_TRIP_S * 1e3:g})"
     )
     if median_s <= _ROUND_TRIP_S:
-        return ROUND_TRIP.ok(evidence, value=median_s * 1e3, limit=_ROUND_TRIP_S * 1e3, unit="ms")
+        return ROUND_TRIP.ok(evidence, Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"))
     return ROUND_TRIP.warning(
         evidence,
         "an adapter that collects bytes: shorten its latency timer (docs/links.md); of TCP, look at the network",
-        value=median_s * 1e3,
-        limit=_ROUND_TRIP_S * 1e3,
-        unit="ms",
+        Amount(median_s * 1e3, _ROUND_TRIP_S * 1e3, "ms"),
     )
 
 

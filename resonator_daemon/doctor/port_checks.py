@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.usb_checks import usb_device_of
 from resonator_daemon.links.port_holders import Holder, Holders, is_pseudo_terminal
@@ -146,13 +146,11 @@ def _latency_timer(name: str, host: Host) -> Finding:
         return LATENCY_TIMER.ok("this adapter has none")
     timer_ms = int(text)
     if timer_ms <= _LATENCY_LIMIT_MS:
-        return LATENCY_TIMER.ok(f"{timer_ms} ms", value=float(timer_ms), limit=float(_LATENCY_LIMIT_MS), unit="ms")
+        return LATENCY_TIMER.ok(f"{timer_ms} ms", Amount(float(timer_ms), float(_LATENCY_LIMIT_MS), "ms"))
     if host.may_use(host.at(file)):
         return LATENCY_TIMER.ok(f"{timer_ms} ms; it is set to {_LATENCY_LIMIT_MS} ms when the port is opened")
     return LATENCY_TIMER.warning(
         f"bytes wait up to {timer_ms} ms in the adapter, at most {_LATENCY_LIMIT_MS} ms is meant",
         'a udev rule: ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
-        value=float(timer_ms),
-        limit=float(_LATENCY_LIMIT_MS),
-        unit="ms",
+        Amount(float(timer_ms), float(_LATENCY_LIMIT_MS), "ms"),
     )

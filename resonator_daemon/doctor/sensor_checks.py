@@ -9,7 +9,7 @@ import numpy as np
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
 from resonator_daemon.doctor.capture import Capture
-from resonator_daemon.doctor.finding import Area, Check, Finding, Outcome, graded, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
 from resonator_daemon.doctor.plate_readings import PAIRS
 from resonator_daemon.plate import SKIN_SIGNALS, Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
@@ -41,7 +41,7 @@ _STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
 def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
     """Yield what the tones say; `capture` is one in which frames came."""
     expected = capture.tones
-    if expected is None or len(capture.readings) < _READINGS_MIN:
+    if len(capture.readings) < _READINGS_MIN:
         reason = f"{len(capture.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
         yield from not_checked(OF_THE_PLATE, reason)
         return
@@ -109,9 +109,7 @@ def _at_rest(
             return AT_REST.fault(
                 f"{expected.names[worst]} reads {force[worst]:.2g} N, at most {limit_newton:.2g} N is rest",
                 f"{remedy}; where it is bare, calibrate anew",
-                value=float(abs(force[worst])),
-                limit=limit_newton,
-                unit="N",
+                Amount(float(abs(force[worst])), limit_newton, "N"),
             )
     if touched.any():
         return AT_REST.warning(
@@ -130,10 +128,9 @@ def _channels(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Fin
         return CHANNELS.fault(
             f"channel {', '.join(dead)} of {CHANNEL_COUNT} hears too little; {least}",
             "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
-            value=float(heard.min()),
-            limit=_HEARD_SHARE,
+            Amount(float(heard.min()), _HEARD_SHARE),
         )
-    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", value=float(heard.min()), limit=_HEARD_SHARE)
+    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", Amount(float(heard.min()), _HEARD_SHARE))
 
 
 def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
@@ -149,9 +146,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
             f"{frequency_hz / 1e6:.6f} MHz is heard, which is neither {expected.names[0]} ({nearest_hz / 1e6:.6f} MHz) "
             "nor a site of the plate file",
             "name the plate file of this plate, or calibrate it anew",
-            value=frequency_hz,
-            limit=nearest_hz,
-            unit="Hz",
+            Amount(frequency_hz, nearest_hz, "Hz"),
         )
     if len(outside):
         worst = int(outside[np.argmax(off[outside] / expected.band[outside])])
@@ -159,18 +154,14 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
             f"{len(outside)} of {len(off)} out of band, the worst is {expected.names[worst]}: "
             f"{1e6 * off[worst]:.1f} ppm off, at most {1e6 * expected.band[worst]:.1f} ppm",
             "name the plate file of this plate; a single tone that is off is a broken site",
-            value=1e6 * float(off[worst]),
-            limit=1e6 * float(expected.band[worst]),
-            unit="ppm",
+            Amount(1e6 * float(off[worst]), 1e6 * float(expected.band[worst]), "ppm"),
         )
     if len(unheard):
         names = ", ".join(expected.names[tone] for tone in unheard[:5])
         return TONES.fault(
             f"{len(unheard)} of {len(off)} are not heard by every channel that is alive: {names}",
             "these sites are broken, or another tone covers theirs",
-            value=float(len(unheard)),
-            limit=0.0,
-            unit="tones",
+            Amount(float(len(unheard)), 0.0, "tones"),
         )
     if not alive.any():
         return TONES.not_checked("no channel hears them")
@@ -178,9 +169,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     return TONES.ok(
         f"{'the only one is' if len(off) == 1 else f'all {len(off)} are'} in band: at most {1e6 * off[worst]:.1f} ppm "
         f"off (limit {1e6 * expected.band[worst]:.1f})",
-        value=1e6 * float(off[worst]),
-        limit=1e6 * float(expected.band[worst]),
-        unit="ppm",
+        Amount(1e6 * float(off[worst]), 1e6 * float(expected.band[worst]), "ppm"),
     )
 
 
@@ -217,7 +206,7 @@ def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) ->
         if newton > _RESIDUAL_WARNING * max(residuals) and outcome is Outcome.OK:
             outcome = Outcome.WARNING
     remedy = "look for vibration, a loose plate or plug, a supply that hums, a neighbouring motor"
-    return NOISE.judged(outcome, evidence, remedy, value=worst, limit=_NOISE_WARNING, unit="times")
+    return NOISE.judged(outcome, evidence, remedy, Amount(worst, _NOISE_WARNING, "times"))
 
 
 def _scatter(scatter_radian: Floats) -> Finding:
@@ -231,9 +220,7 @@ def _scatter(scatter_radian: Floats) -> Finding:
         graded(worst, _SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN),
         f"edges scatter by {worst:.2f} rad of the tone on channel {channel + 1} (limit {_SCATTER_WARNING_RADIAN:.2f})",
         "the signal drowns: look at transducer, amplifier, shield and supply of that channel",
-        value=worst,
-        limit=_SCATTER_WARNING_RADIAN,
-        unit="rad",
+        Amount(worst, _SCATTER_WARNING_RADIAN, "rad"),
     )
 
 
@@ -260,9 +247,7 @@ def _cross_talk(pair_noise: Floats) -> Finding:
         graded(alike, _ALIKE_WARNING, _ALIKE_FAULT),
         evidence,
         "one of them hears the other: check plugs and shields of both transducers",
-        value=alike,
-        limit=_ALIKE_WARNING,
-        unit="times",
+        Amount(alike, _ALIKE_WARNING, "times"),
     )
 
 
@@ -290,9 +275,7 @@ def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
         graded(float(sure[worst]), _DRIFT_PER_S, math.inf),
         evidence,
         "let plate and board warm up, keep draughts and hands away, and ask again",
-        value=1e9 * float(sure[worst]),
-        limit=1e9 * _DRIFT_PER_S,
-        unit="ppb/s",
+        Amount(1e9 * float(sure[worst]), 1e9 * _DRIFT_PER_S, "ppb/s"),
     )
 
 
@@ -306,13 +289,11 @@ def _temperature(kelvin: list[float]) -> Finding:
         limits = f"{_BOARD_KELVIN[0]:g} to {_BOARD_KELVIN[1]:g} K are plausible"
         beyond = low if low < _BOARD_KELVIN[0] else high
         limit = _BOARD_KELVIN[0] if low < _BOARD_KELVIN[0] else _BOARD_KELVIN[1]
-        return TEMPERATURE.fault(f"{evidence}, {limits}", remedy, value=beyond, limit=limit, unit="K")
+        return TEMPERATURE.fault(f"{evidence}, {limits}", remedy, Amount(beyond, limit, "K"))
     if high - low > _STEP_KELVIN:
         return TEMPERATURE.warning(
             f"{evidence} within seconds, at most {_STEP_KELVIN:g} K is plausible",
             remedy,
-            value=high - low,
-            limit=_STEP_KELVIN,
-            unit="K",
+            Amount(high - low, _STEP_KELVIN, "K"),
         )
-    return TEMPERATURE.ok(evidence, value=high, limit=_BOARD_KELVIN[1], unit="K")
+    return TEMPERATURE.ok(evidence, Amount(high, _BOARD_KELVIN[1], "K"))

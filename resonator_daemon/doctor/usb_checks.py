@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from resonator_daemon.doctor.finding import Area, Check, Finding, not_checked
+from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.links.target import UsbId
 
@@ -108,26 +108,24 @@ def _speed(device: Path, host: Host, load_bit_per_s: float | None) -> Finding:
         return SPEED.not_checked("the kernel does not report it")
     usable_mbit = _FULL_SPEED_USABLE * speed_mbit
     if load_bit_per_s is None:
-        return SPEED.ok(f"{speed_mbit:g} Mbit/s", value=speed_mbit, unit="Mbit/s")
+        return SPEED.ok(f"{speed_mbit:g} Mbit/s", Amount(speed_mbit, None, "Mbit/s"))
     needed_mbit = load_bit_per_s * 1e-6
     evidence = f"{speed_mbit:g} Mbit/s, of which {usable_mbit:g} can be counted on; the frames need {needed_mbit:.2g}"
     if needed_mbit <= usable_mbit:
-        return SPEED.ok(evidence, value=needed_mbit, limit=usable_mbit, unit="Mbit/s")
+        return SPEED.ok(evidence, Amount(needed_mbit, usable_mbit, "Mbit/s"))
     remedy = "connect it to a port, and by a cable, of a higher speed"
     if speed_mbit > _FULL_SPEED_MBIT:
         remedy = "lower counter.frame_rate_hz of the plate"
-    return SPEED.fault(evidence, remedy, value=needed_mbit, limit=usable_mbit, unit="Mbit/s")
+    return SPEED.fault(evidence, remedy, Amount(needed_mbit, usable_mbit, "Mbit/s"))
 
 
 def _hubs(device: Path) -> Finding:
     hubs = device.name.count(".")
     way = f"{device.name}: {'straight to the computer' if not hubs else f'through {hubs} hub(s)'}"
     if hubs <= _HUBS_WARNING:
-        return HUBS.ok(way, value=float(hubs), limit=float(_HUBS_WARNING), unit="hubs")
+        return HUBS.ok(way, Amount(float(hubs), float(_HUBS_WARNING), "hubs"))
     return HUBS.warning(
         f"{way}, at most {_HUBS_WARNING} are meant",
         "connect it nearer to the computer: each hub adds delay, and shares its power and bandwidth",
-        value=float(hubs),
-        limit=float(_HUBS_WARNING),
-        unit="hubs",
+        Amount(float(hubs), float(_HUBS_WARNING), "hubs"),
     )
