@@ -285,6 +285,8 @@ class Service:
 
     def _handle(self, arrival: Arrival | list[Frame]) -> None:
         match arrival:
+            case list():
+                pass  # by far the most frequent: frames
             case BoardOnline() if not self._plate_publisher.open and not self._use_serial_number(arrival):
                 return
             case BoardOnline():

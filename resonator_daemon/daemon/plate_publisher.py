@@ -9,7 +9,7 @@ from resonator_daemon.config import Config
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.monitoring.daemon_state import DaemonState
 from resonator_daemon.publishing import asyncapi
-from resonator_daemon.publishing.codec import Encoded, decode, encode
+from resonator_daemon.publishing.codec import Encoded, decoded, encode
 from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.mqtt_messages import Outgoing
 from resonator_daemon.publishing.payloads import Message, MessageAccount, State
@@ -71,7 +71,7 @@ class PlatePublisher:
     def last_message(self, path: str) -> Message | None:
         """Return the last message of the JSON topic with this path; None where there was none."""
         last = self._last.get(path)
-        return decode(TOPICS[path].payload, last.payload) if isinstance(last, Encoded) else last
+        return decoded(TOPICS[path].payload, last) if last is not None else None
 
     def publish(self, topic: Topic[Any], message: Message | Encoded) -> None:
         if topic.content_type == JSON:

@@ -29,7 +29,7 @@ class RecordedMessages:
 
     def record(self, topic: Topic[Any], message: Any) -> None:
         """Record a message if its topic is to be recorded."""
-        if topic.content_type != JSON or not (topic.retained or self.derived):
+        if not (topic.retained or self.derived) or topic.content_type != JSON:
             return
         if topic.path not in self._schemas:
             self._schemas[topic.path] = topic.payload.model_json_schema(mode="serialization")

@@ -11,6 +11,7 @@ from resonator_daemon.config import Config
 from resonator_daemon.exporting.tables import WITH_TABLE
 from resonator_daemon.host.new_file import NewFile
 from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.replay.recorded_pipeline import Moment
@@ -80,7 +81,7 @@ class Output(ABC):
         """Write the messages of a moment."""
         for topic, message in moment.messages:
             if topic.path in self._topics:
-                self.put(topic, message, moment.now.utc_ns)
+                self.put(topic, decoded(topic.payload, message), moment.now.utc_ns)
 
     @abstractmethod
     def put(self, topic: Topic[Any], message: Message, now_ns: int) -> None:

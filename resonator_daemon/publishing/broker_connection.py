@@ -251,29 +251,32 @@ class BrokerConnection:
         self.unacknowledged += qos
         self._flush()
 
-    def send_streams(self, packets: Sequence[bytes]) -> int:
-        """Write whole PUBLISH packets of QoS 0 with one system call, only while `writable`; return how many are begun.
+    def send_streams(self, packets: Sequence[bytes]) -> tuple[int, int]:
+        """Write whole PUBLISH packets of QoS 0 with one system call, only while `writable`.
 
         The unwritten rest of those that are begun is queued; what is not begun stays with the caller.
+
+        Returns
+        -------
+        begun, complete
+            Numbers of packets; of those that are not complete, `on_completed` reports the end.
         """
-        if self._socket is None:
-            return 0
         data = b"".join(packets)
-        left = sent = self._write(data)
-        complete = 0
-        while complete < len(packets) and left >= len(packets[complete]):
+        sent = self._write(data)
+        if sent == len(data):
+            return len(packets), len(packets)
+        if self._socket is None:
+            return 0, 0
+        left, complete = sent, 0
+        while left >= len(packets[complete]):
             left -= len(packets[complete])
             complete += 1
-        if complete and self._on_completed is not None:
-            self._on_completed(InFlight(0, self._loop.time(), None, complete), False)
-        if complete == len(packets):
-            return complete
         # TLS wants to see the same bytes again, whichever it has begun to encrypt.
         begun = len(packets) if isinstance(self._socket, ssl.SSLSocket) else complete + 1
         self._rest = data[sent : sent - left + sum(map(len, packets[complete:begun]))]
         self._begin(_REST, InFlight(0, self._loop.time(), None, begun - complete))
         self._watch_writable()
-        return begun
+        return begun, complete
 
     def subscribe(self, topic_filter: str, qos: int = 1) -> asyncio.Future[str | None]:
         """Subscribe; the result is the reason for which the broker refuses it, or None."""

@@ -2,14 +2,17 @@
 
 import io
 import math
+from collections.abc import Mapping
+from functools import cache
 from typing import Any, Final, NamedTuple, TypeVar
 
 import cbor2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from pydantic_core import SchemaSerializer
 
-from resonator_daemon.publishing.payloads import WITH_ARRAYS, Message
+from resonator_daemon.publishing.payloads import WITH_ARRAYS, Measured, Message
 
 _TAG_ARRAY: Final = 40  # multi-dimensional array, row-major: [shape, elements]
 _TAG_FLOAT32: Final = 85  # typed array of little-endian IEEE 754 binary32
@@ -20,7 +23,7 @@ MessageT = TypeVar("MessageT", bound=Message)
 
 
 class Encoded(NamedTuple):
-    """A measured message in its encoded form, from another process."""
+    """A measured message in its encoded form."""
 
     payload: bytes
     t_ns: int  # of its header, UTC
@@ -33,6 +36,37 @@ def encode(message: Message | Encoded) -> bytes:
     if isinstance(message, WITH_ARRAYS):
         return cbor2.dumps(_plain(message))
     return message.model_dump_json().encode()
+
+
+def encode_fields(kind: type[Measured], fields: Mapping[str, Any]) -> Encoded:
+    """Encode a JSON message given as its fields, parts of it as mappings and tuples.
+
+    The result is that of the model. A model of each message would take as long as all other work on it.
+    """
+    return Encoded(_serializer_of_fields(kind).to_json(fields, warnings="error"), fields["t_ns"])
+
+
+@cache
+def _serializer_of_fields(kind: type[Message]) -> SchemaSerializer:
+    return SchemaSerializer(_schema_of_mappings(kind.__pydantic_core_schema__))
+
+
+def _schema_of_mappings(schema: Any) -> Any:
+    """Return the schema of a model with a mapping in place of each model in it."""
+    if isinstance(schema, list):
+        return [_schema_of_mappings(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") == "model":
+        return _schema_of_mappings(schema["schema"])
+    parts = {key: _schema_of_mappings(part) for key, part in schema.items() if key != "model_name"}
+    kinds = {"model-fields": "typed-dict", "model-field": "typed-dict-field"}
+    return parts | {"type": kinds.get(parts["type"], parts["type"])} if isinstance(parts.get("type"), str) else parts
+
+
+def decoded(topic_payload: type[MessageT], message: MessageT | Encoded) -> MessageT:
+    """Return a message that may be encoded as its model."""
+    return decode(topic_payload, message.payload) if isinstance(message, Encoded) else message
 
 
 def decode(kind: type[MessageT], payload: bytes) -> MessageT:

@@ -47,6 +47,8 @@ class Account:
         self.written = 0
         self.unknown_at_disconnect = 0
         self.dropped: Counter[str] = Counter()
+        self.missed = 0  # of those that were dropped, what subscribers miss: not superseded, not late
+        self.late = 0
         self._unlogged: Counter[tuple[str, Cause]] = Counter()
         self._timer: asyncio.TimerHandle | None = None
         self._pause_s = FIRST_LINE_S
@@ -55,6 +57,10 @@ class Account:
         if not count:
             return
         self.dropped[cause.value] += count
+        if cause is Cause.LATE:
+            self.late += count
+        elif cause is not Cause.SUPERSEDED:
+            self.missed += count
         if cause in _LOGGED:
             self._unlogged[topic, cause] += count
             if self._timer is None:

@@ -2,10 +2,9 @@
 
 import asyncio
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
+from time import monotonic
 from typing import Final, NamedTuple, TypeVar
 
 from resonator_daemon.publishing.bounded_queue import BoundedQueue
@@ -15,7 +14,7 @@ from resonator_daemon.publishing.event_queue import Event, EventQueue
 from resonator_daemon.publishing.message_account import Account, Cause
 from resonator_daemon.publishing.packed_properties import PackedProperties, properties_of
 from resonator_daemon.publishing.payloads import Message
-from resonator_daemon.publishing.stream_packets import stream_packet
+from resonator_daemon.publishing.stream_packets import StreamPackets
 from resonator_daemon.publishing.topics import CONTACT_EVENT
 
 STREAMS_WAITING_MAX: Final = 4096
@@ -47,11 +46,8 @@ class _Stream(NamedTuple):
 
     topic: str
     packet: bytes
+    size_bytes: int
     since_s: float
-
-    @property
-    def size_bytes(self) -> int:
-        return len(self.packet)
 
 
 WaitingT = TypeVar("WaitingT", Packet, _Stream)
@@ -60,7 +56,8 @@ WaitingT = TypeVar("WaitingT", Packet, _Stream)
 class Outbox:
     """Sends while the socket takes it, and keeps what it does not take, by the rules of each kind.
 
-    Messages come in counted as made; from then on each is in one term of the account, or in `waiting`.
+    Messages come in counted as made; from then on each is in one term of the account, or in `waiting`. As a context
+    manager it sends what is put within the context at its end, not in the next iteration of the event loop.
 
     Parameters
     ----------
@@ -117,18 +114,18 @@ class Outbox:
     def put_answer(self, packet: Packet) -> None:
         self._put(self._answers, packet)
 
-    def put_stream(self, packet: Packet, *, perishable: bool) -> None:
+    def put_stream(self, packets: StreamPackets, payload: bytes) -> None:
         """Queue a message of QoS 0; a perishable one is skipped if it has waited too long."""
         client = self._client
         if client is None:
-            self._account.drop(Cause.NO_CONNECTION, packet.topic)
+            self._account.drop(Cause.NO_CONNECTION, packets.topic)
             return
-        properties = packet.properties if client.version is MQTT_5 else None
-        stream = _Stream(packet.topic, stream_packet(packet.topic, properties, packet.payload), self._now_s())
-        if stream.size_bytes > self._size_max(client):
-            self._drop_too_large(packet.topic, stream.size_bytes, client.limits.packet_bytes_max)
-        elif perishable:
-            self._drop_late()
+        packet, now_s = packets.packet(payload, is_mqtt_5=client.version is MQTT_5), monotonic()
+        stream = _Stream(packets.topic, packet, len(packet), now_s)
+        if stream.size_bytes > self._size_max(client, now_s):
+            self._drop_too_large(packets.topic, stream.size_bytes, client.limits.packet_bytes_max)
+        elif packets.perishable:
+            self._drop_late(now_s)
             self._put(self._streams, stream)
         else:
             self._put(self._reports, stream)
@@ -161,7 +158,7 @@ class Outbox:
         self._drop(self._streams, Cause.NO_CONNECTION)
         self._drop(self._answers, Cause.WITHDRAWN)
         self._moved.set()
-        if (found := self._largest.ended(asyncio.get_running_loop().time())) is not None:
+        if (found := self._largest.ended(monotonic())) is not None:
             topic, size_bytes = found
             log.warning(
                 "broker ends the connection upon %s with %d bytes: messages of that size are dropped;"
@@ -193,14 +190,11 @@ class Outbox:
         if self.queued:
             self.pump_soon()
 
-    @contextmanager
-    def together(self) -> Iterator[None]:
-        """Send what is put within this context at its end, not in the next iteration of the event loop."""
+    def __enter__(self) -> None:
         self._pumping = True
-        try:
-            yield
-        finally:
-            self._pump()
+
+    def __exit__(self, *_: object) -> None:
+        self._pump()
 
     def pump_soon(self) -> None:
         if not self._pumping and self._client is not None:
@@ -240,8 +234,9 @@ class Outbox:
         return False
 
     def _send_streams(self, client: BrokerConnection) -> bool:
-        """Send the streams that wait, as many as one write should hold; False: none waits."""
-        self._drop_late()
+        """Send the streams that wait, as many as one write should hold; return whether more can be sent now."""
+        now_s = monotonic()
+        self._drop_late(now_s)
         packets: list[bytes] = []
         size_bytes = 0
         for stream in chain(self._reports, self._streams):
@@ -251,11 +246,13 @@ class Outbox:
                 break
         if not packets:
             return False
-        now_s = self._now_s()
-        for _ in range(client.send_streams(packets)):
+        begun, complete = client.send_streams(packets)
+        for _ in range(begun):
             stream = (self._reports or self._streams).pop()
             self._largest.sent(stream.size_bytes, stream.topic, now_s, awaited=False)
-        return True
+        self._account.written += complete
+        self._moved.set()
+        return complete == len(packets) and bool(self._reports or self._streams)
 
     def _send(self, client: BrokerConnection, packet: Packet, qos: int, token: object, *, retain: bool = False) -> bool:
         """Write a message to the socket; False: the broker would not take one of this size."""
@@ -263,7 +260,8 @@ class Outbox:
         size_bytes = packet_bytes(
             packet.topic, len(packet.payload), qos, len(properties.pack()) if properties is not None else 0
         )
-        if size_bytes > self._size_max(client):
+        now_s = monotonic()
+        if size_bytes > self._size_max(client, now_s):
             self._drop_too_large(packet.topic, size_bytes, client.limits.packet_bytes_max)
             return False
         qos = min(qos, client.limits.qos_max)
@@ -272,7 +270,7 @@ class Outbox:
         except ValueError:  # not a topic that can be published to: of an answer, whose topic others choose
             self._account.drop(Cause.REFUSED, packet.topic)
             return False
-        self._largest.sent(size_bytes, packet.topic, self._now_s(), awaited=qos > 0)
+        self._largest.sent(size_bytes, packet.topic, now_s, awaited=qos > 0)
         return True
 
     def _drop_too_large(self, topic: str, size_bytes: int, limit_bytes: int) -> None:
@@ -287,22 +285,18 @@ class Outbox:
                 limit_bytes,
             )
 
-    def _drop_late(self) -> None:
+    def _drop_late(self, now_s: float) -> None:
         """Drop the streams that have waited too long to be of use."""
         if not self._streams:
             return
-        oldest_s = self._now_s() - self.stream_wait_max_s
+        oldest_s = now_s - self.stream_wait_max_s
         while self._streams and next(iter(self._streams)).since_s < oldest_s:
             self._account.drop(Cause.LATE, self._streams.pop().topic)
             self._moved.set()
 
-    @staticmethod
-    def _now_s() -> float:
-        return asyncio.get_running_loop().time()
-
-    def _size_max(self, client: BrokerConnection) -> int:
+    def _size_max(self, client: BrokerConnection, now_s: float) -> int:
         """Return the size of the largest packet that the broker takes."""
-        return min(client.limits.packet_bytes_max, self._largest.bytes_max(self._now_s()))
+        return min(client.limits.packet_bytes_max, self._largest.bytes_max(now_s))
 
     def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
         for pushed_out in queue.put(packet):

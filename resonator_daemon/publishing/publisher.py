@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 from paho.mqtt.client import topic_matches_sub
 from paho.mqtt.enums import MQTTProtocolVersion
@@ -24,6 +24,7 @@ from resonator_daemon.publishing.outbox import Outbox, Packet
 from resonator_daemon.publishing.packed_properties import pack, properties_of
 from resonator_daemon.publishing.payloads import Header, MessageAccount, State
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
+from resonator_daemon.publishing.stream_packets import StreamPackets
 from resonator_daemon.publishing.topics import JSON, MessageT, Topic
 
 FRESH_S: Final = 0.25  # streams of a live sensor that have waited longer are dropped
@@ -46,6 +47,18 @@ class Subscription(NamedTuple):
 
 def ignore(*_: object) -> None:
     pass
+
+
+class _Stream:
+    """Packets of a stream, and those of its decimated copy with their pace; None where there is none."""
+
+    def __init__(self, base: str, topic: Topic[Any]) -> None:
+        properties, perishable = properties_of(topic), topic.perishable
+        self.packets = StreamPackets(f"{base}/{topic.path}", properties, perishable=perishable)
+        self.slow: tuple[Pace, StreamPackets] | None = None
+        if topic.slow_hz is not None:
+            slow_packets = StreamPackets(f"{base}/{topic.slow_path}", properties, perishable=perishable)
+            self.slow = Pace(topic.slow_hz), slow_packets
 
 
 class Publisher:
@@ -104,7 +117,7 @@ class Publisher:
         self._account = Account()
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
         self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
-        self._slow_paces: dict[str, Pace] = {}  # of decimated copies, by full topic
+        self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
         self._denied: set[str] = set()  # filters of which it was said
         self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and what was said of them
         self._closed = False
@@ -129,13 +142,12 @@ class Publisher:
 
         States that a newer one replaced before they were sent, and late messages, count in `account.dropped` only.
         """
-        counts = self._account.dropped
-        return counts.total() - counts[Cause.SUPERSEDED] - counts[Cause.LATE]
+        return self._account.missed
 
     @property
     def skipped_late(self) -> int:
         """Number of messages that waited too long for the socket; part of `lost.skipped_late` of those to come."""
-        return self._account.dropped[Cause.LATE]
+        return self._account.late
 
     @property
     def account(self) -> MessageAccount:
@@ -172,7 +184,7 @@ class Publisher:
 
     def together(self) -> AbstractContextManager[None]:
         """Send what is published within this context together, at its end."""
-        return self._outbox.together()
+        return self._outbox
 
     def retain(self, full_topic: str, payload: bytes, content_type: str) -> None:
         """Publish a document that is no message, to be kept by the broker."""
@@ -254,24 +266,24 @@ class Publisher:
 
     def _publish_stream(self, base: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         """Queue the message and its decimated copy, the same bytes, each where its pace lets it pass."""
-        t_ns = message.t_ns if isinstance(message, (Header, Encoded)) else 0
-        names = []
-        pace = self._paces.get(topic.path)
-        if pace is None or pace.lets_pass(t_ns):
-            names.append(f"{base}/{topic.path}")
-        if topic.slow_hz is not None:
-            slow = f"{base}/{topic.slow_path}"
-            slow_pace = self._slow_paces.get(slow)
-            if slow_pace is None:
-                slow_pace = self._slow_paces[slow] = Pace(topic.slow_hz)
-            if slow_pace.lets_pass(t_ns):
-                names.append(slow)
-        refused = Cause.CLOSED if self._closed else None if self.connected else Cause.NO_CONNECTION
-        wanted = [name for name in names if self._make(name, refused)]
-        if wanted:
-            payload, properties = encode(message), properties_of(topic)
-            for name in wanted:
-                self._outbox.put_stream(Packet(name, payload, properties), perishable=topic.perishable)
+        t_ns = message.t_ns if isinstance(message, (Encoded, Header)) else 0
+        stream = self._streams.get((base, topic.path))
+        if stream is None:
+            stream = self._streams[base, topic.path] = _Stream(base, topic)
+        pace = self._paces.get(topic.path) if self._paces else None
+        wanted = [stream.packets] if pace is None or pace.lets_pass(t_ns) else []
+        if stream.slow is not None and stream.slow[0].lets_pass(t_ns):
+            wanted.append(stream.slow[1])
+        if not wanted:
+            return
+        self._account.enqueued += len(wanted)
+        if self._closed or self._client is None:
+            for packets in wanted:
+                self._account.drop(Cause.CLOSED if self._closed else Cause.NO_CONNECTION, packets.topic)
+            return
+        payload = encode(message)
+        for packets in wanted:
+            self._outbox.put_stream(packets, payload)
 
     def _make_connection(self, version: MQTTProtocolVersion) -> BrokerConnection:
         will = self._make_will()

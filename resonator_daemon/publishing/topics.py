@@ -1,6 +1,7 @@
 """The topics below `prefix/name/`: what each carries, how it is sent, and how often at most to people."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final, Generic, Literal, TypeVar
 
 from resonator_daemon.publishing.payloads import (
@@ -46,16 +47,16 @@ class Topic(Generic[MessageT]):
     slow_hz: int | None = None
     expiry_s: int | None = None
 
-    @property
+    @cached_property
     def slow_path(self) -> str:
         return f"{self.path}/{self.slow_hz}hz"
 
-    @property
+    @cached_property
     def perishable(self) -> bool:
         """Whether a late message is of no use, because the next one replaces it."""
         return issubclass(self.payload, Measured)
 
-    @property
+    @cached_property
     def content_type(self) -> str:
         return CBOR if self.payload in WITH_ARRAYS else JSON
 

@@ -4,12 +4,15 @@ from typing import Any
 
 import numpy as np
 
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.replay.recorded_pipeline import Published
 
 
-def payload_json(message: Message) -> str:
+def payload_json(message: Message | Encoded) -> str:
     """Return what is published as JSON; for a message with arrays, the same keys with rows of numbers."""
+    if isinstance(message, Encoded):
+        return message.payload.decode()
     return message.model_dump_json(fallback=_rows)
 
 

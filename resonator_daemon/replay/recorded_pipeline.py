@@ -8,6 +8,7 @@ from threadpoolctl import threadpool_limits
 
 from resonator_daemon.config import Config
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
+from resonator_daemon.publishing.codec import Encoded
 from resonator_daemon.publishing.payloads import Message
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.recording.event_replay import Replay
@@ -28,7 +29,7 @@ class Published(NamedTuple):
     """A message and its topic."""
 
     topic: Topic[Any]
-    message: Message
+    message: Message | Encoded
 
 
 class Moment(NamedTuple):

@@ -1,24 +1,15 @@
 """Readings of force sites to payloads: forces, contacts and their events."""
 
 import math
-from typing import Final
+from typing import Any, Final
 
 from resonator_daemon.forces import contacts as measured
-from resonator_daemon.forces.readings import Compensation as MeasuredCompensation
 from resonator_daemon.forces.readings import ForceReading
 from resonator_daemon.forces.site_identification import SiteForce as MeasuredForce
 from resonator_daemon.plate import Plate
-from resonator_daemon.publishing.payloads import (
-    Compensation,
-    Contact,
-    ContactEvent,
-    Contacts,
-    EventContact,
-    Forces,
-    SiteForce,
-    Status,
-)
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
+from resonator_daemon.publishing.codec import Encoded, encode_fields
+from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Forces, Status
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, Topic
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.surface_messages import ContactFields
@@ -44,24 +35,39 @@ class ForceMessages:
         self._site_ids: list[int] = plate.site_ids.tolist()
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts, by id
 
-    def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
+    def forces(self, reading: ForceReading, gate_middle: Instant) -> Encoded:
         """Return a message of `forces`; `gate_middle` is that of the last gate in the window."""
-        return Forces(
-            **self._output.header(FORCES, reading, gate_middle),
-            window_s=reading.window_s,
-            status=_STATUS[reading.status],
-            reason=reading.reason,
-            sites=tuple([self._site_force(force, gate_middle) for force in reading.sites]),
-            beats=reading.beats,
-            compensation=_compensation(reading.compensation),
+        made = reading.compensation
+        return encode_fields(
+            Forces,
+            {
+                **self._header(FORCES, reading, gate_middle),
+                "window_s": reading.window_s,
+                "status": _STATUS[reading.status],
+                "reason": reading.reason,
+                "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
+                "beats": reading.beats,
+                "compensation": {
+                    "baseline": made.baseline,
+                    "common_mode": made.common_mode,
+                    "common_mode_std": made.common_mode_std,
+                    "plate_kelvin": made.plate_kelvin,
+                    "plate_kelvin_std": made.plate_kelvin_std,
+                    "response": made.response,
+                },
+            },
         )
 
-    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
-        return Contacts(
-            **self._output.header(CONTACTS, reading, gate_middle),
-            status=_STATUS[reading.status],
-            reason=reading.reason,
-            contacts=tuple([Contact(**self._contact(contact, reading, gate_middle)) for contact in reading.contacts]),
+    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Encoded:
+        return encode_fields(
+            Contacts,
+            {
+                **self._header(CONTACTS, reading, gate_middle),
+                "status": _STATUS[reading.status],
+                "reason": reading.reason,
+                "contacts": tuple([self._contact(contact, reading, gate_middle) for contact in reading.contacts]),
+                "decoder_id": None,
+            },
         )
 
     def event(self, event: measured.ContactEvent, reading: ForceReading, gate_middle: Instant) -> ContactEvent:
@@ -75,16 +81,20 @@ class ForceMessages:
             contact=EventContact(**contact),
         )
 
-    def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> SiteForce:
-        return SiteForce(
-            site=self._site_ids[force.site],
-            force_newton=force.force_newton,
-            noise_newton=force.noise_newton,
-            systematic_newton=force.systematic_newton,
-            hidden_newton=force.hidden_newton,
-            status=self._worth(force.status, gate_middle),
-            at_least_newton=force.at_least_newton,
-        )
+    def _header(self, topic: Topic[Any], reading: ForceReading, gate_middle: Instant) -> dict[str, Any]:
+        header = self._output.header(topic, reading, gate_middle)
+        return {**header, "lost": vars(header["lost"])}
+
+    def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> dict[str, Any]:
+        return {
+            "site": self._site_ids[force.site],
+            "force_newton": force.force_newton,
+            "noise_newton": force.noise_newton,
+            "systematic_newton": force.systematic_newton,
+            "hidden_newton": force.hidden_newton,
+            "status": self._worth(force.status, gate_middle),
+            "at_least_newton": force.at_least_newton,
+        }
 
     def _worth(self, status: str, gate_middle: Instant) -> Status:
         """Return what a force is worth: less once its calibration has expired."""
@@ -119,14 +129,3 @@ class ForceMessages:
             reason=touch.reason,
             at_least_newton=touch.at_least_newton,
         )
-
-
-def _compensation(made: MeasuredCompensation) -> Compensation:
-    return Compensation(
-        baseline=made.baseline,
-        common_mode=made.common_mode,
-        common_mode_std=made.common_mode_std,
-        plate_kelvin=made.plate_kelvin,
-        plate_kelvin_std=made.plate_kelvin_std,
-        response=made.response,
-    )

@@ -22,7 +22,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.packed_properties import pack
 from resonator_daemon.publishing.reconnection import connection_session, keep_connected
 from resonator_daemon.publishing.requests import reach
-from resonator_daemon.publishing.stream_packets import stream_packet
+from resonator_daemon.publishing.stream_packets import StreamPackets
 from resonator_daemon.publishing.tls import make_tls
 
 TO_NOBODY = "anonymous"
@@ -174,10 +174,11 @@ async def test_streams_that_are_written_together_come_whole_through_tls(
             await until(lambda: attempts.connected)
             client = attempts.served[0]
             payloads = [bytes([number]) * (10_000 * number) for number in range(60)]  # far more than a socket holds
-            packets = [stream_packet("echo/1", pack(), payload) for payload in payloads]
+            stream = StreamPackets("echo/1", pack(), perishable=True)
+            packets = [stream.packet(payload, is_mqtt_5=True) for payload in payloads]
             while packets:
                 await until(lambda: client.writable)
-                del packets[: client.send_streams(packets)]
+                del packets[: client.send_streams(packets)[0]]
             await until(lambda: len(attempts.heard) == len(payloads))
             assert [message.payload for message in attempts.heard] == payloads
             assert client.messages_in_flight == 0
