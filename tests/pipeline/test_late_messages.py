@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from resonator_daemon.pipeline.board_pipeline import BoardPipeline
-from resonator_daemon.publishing.topics import Topic
+from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, open_recording
 from resonator_daemon.replay.source import open_playback
@@ -45,13 +45,10 @@ def published(
         config = config.model_copy(update={"decoding": config.decoding.model_copy(update={"method": "off"})})
     messages: list[tuple[str, Any]] = []
 
-    def record(topic: Topic[Any], message: Any) -> None:
-        messages.append((topic.path, message))
-
     pipeline = BoardPipeline(
         config,
         "9f3c",
-        lambda topic, message: messages.append((topic.path, message)),
+        lambda topic, message: messages.append((topic.path, decoded(topic.payload, message))),
         is_late=is_late,
         make_decoding=lambda _settings, _client: decoding,
     )

@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.config import Config
+from resonator_daemon.forces.readings import ForceReading
 from resonator_daemon.pipeline.state_messages import StateMessages
-from resonator_daemon.publishing.codec import encode
+from resonator_daemon.plate import Plate
+from resonator_daemon.publishing.codec import decoded, encode
 from resonator_daemon.publishing.headers import Headers
-from resonator_daemon.publishing.payloads import Lost, Message
+from resonator_daemon.publishing.payloads import Contacts, Forces, Lost, Message
 from resonator_daemon.sensors.force_messages import ForceMessages
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.sensors.output import MessageOutput
@@ -54,6 +56,20 @@ def configured(tmp_path: Path, plate: str, **tables: Any) -> Config:
     return Config.model_validate({"plate": plate, "link": "tcp://127.0.0.1:5000", **tables})
 
 
+class ReadForceMessages:
+    """Messages about readings of force sites, as subscribers read them."""
+
+    def __init__(self, plate: Plate, output: MessageOutput) -> None:
+        self._made = ForceMessages(plate, output)
+        self.event = self._made.event
+
+    def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
+        return decoded(Forces, self._made.forces(reading, gate_middle))
+
+    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
+        return decoded(Contacts, self._made.contacts(reading, gate_middle))
+
+
 class Messages:
     """What makes the messages of one plate."""
 
@@ -68,7 +84,7 @@ class Messages:
             config, self.headers, state, lambda t, m: self.published.append((t.path, m)), lambda _: False
         )
         self.sensor.connect(self.output, make_decoding)
-        self.force = ForceMessages(config.plate, self.output)
+        self.force = ReadForceMessages(config.plate, self.output)
 
 
 def literal(message: Message) -> dict[str, Any]:
