@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from resonator_daemon.config import Config
 from resonator_daemon.exporting.formats import format_class
 from resonator_daemon.exporting.output import Output, Recorded
+from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.replay.source import open_playback
 
@@ -19,7 +20,12 @@ class Played(NamedTuple):
     moments: list[Moment]
 
     def messages(self, path: str) -> list[Any]:
-        return [message for moment in self.moments for topic, message in moment.messages if topic.path == path]
+        return [
+            decoded(topic.payload, message)
+            for moment in self.moments
+            for topic, message in moment.messages
+            if topic.path == path
+        ]
 
 
 def recording(case: str) -> Path:

@@ -16,6 +16,7 @@ from command_line import exit_code
 from export_bench import played, recording
 
 from resonator_daemon.commands import main
+from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.replay.recorded_pipeline import Playback
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
@@ -71,7 +72,7 @@ def test_a_part_is_that_part(tmp_path: Path) -> None:
     begun_ns = played("touches").moments[0].now.monotonic_ns
     assert export(recording("touches"), "--output", tmp_path / "part.npz", "--from", 0.5, "--until", 0.9) == 0
     expected = [
-        message.seq
+        decoded(topic.payload, message).seq
         for moment in played("touches").moments
         if 0.5e9 <= moment.now.monotonic_ns - begun_ns < 0.9e9
         for topic, message in moment.messages

@@ -16,6 +16,7 @@ import pytest
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.new_file import NoNewFileError
+from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.publishing.payloads import ContactEvent, Forces, Message, Status
 from resonator_daemon.replay.case import EXPECTED_FILE, play_whole, read_expected, save_case
 from resonator_daemon.replay.checking import Verdict, check_case, check_cases
@@ -94,7 +95,7 @@ def test_what_is_wrong_is_found(change: Change, said: str, monkeypatch: pytest.M
     publish = Playback._publish
 
     def changed(self: Playback, topic: Any, message: Any) -> None:
-        if (other := change(message)) is not None:
+        if (other := change(decoded(topic.payload, message))) is not None:
             publish(self, topic, other)
 
     monkeypatch.setattr(Playback, "_publish", changed)
