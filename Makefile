@@ -59,7 +59,7 @@ FIRMWARE := arm-none-eabi-gcc:gcc-arm-none-eabi qemu-system-arm:qemu-system-arm
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile | expand -t 20
 
-setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages
+setup: .venv/run-stamp  ## leave .venv/bin/resonatord, from pinned and hashed packages; PYTHON=python3.13 chooses
 
 demo: .venv/run-stamp  ## two emulated plates, a broker, the daemon and a live view
 	@exec .venv/bin/resonatord demo
@@ -163,10 +163,17 @@ clean:  ## remove everything that the other targets made
 	  .pytest_cache .ruff_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The environment: the first Python that is new enough and can make one. An interrupted attempt is begun again.
+# The environment: PYTHON, or the first Python that is new enough and can make one. An interrupted attempt is begun again;
+# so is one with another version than PYTHON.
+PYTHONS := $(or $(PYTHON),python3 python3.14 python3.13 python3.12 python3.11)
+ifneq ($(PYTHON),)
+ifneq ($(shell $(PYTHON) --version 2>&1),$(shell .venv/bin/python --version 2>&1))
+.PHONY: .venv/bin/python .venv/bin/pip
+endif
+endif
 .venv/bin/python .venv/bin/pip &:
 	@unfit="no Python"
-	for python in python3 python3.14 python3.13 python3.12 python3.11; do
+	for python in $(PYTHONS); do
 	  version=$$("$$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || continue
 	  if ! "$$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then
 	    unfit="Python $$version"
