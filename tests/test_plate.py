@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from resonator_daemon import plate as plate_module
 from resonator_daemon.errors import ConfigurationError
-from resonator_daemon.plate import Plate, load_plate, shipped_plates
+from resonator_daemon.plate import Plate, load_plate
 
 SHIPPED = Path(__file__).parents[1] / "resonator_daemon" / "plates"
 
@@ -97,10 +96,6 @@ def refusals(tmp_path: Path, text: str) -> list[str]:
         load_plate(path)
     assert all(message.startswith(f"{path}:") and "\n" not in message for message in caught.value.messages)
     return [message.removeprefix(f"{path}:") for message in caught.value.messages]
-
-
-def test_both_plates_ship() -> None:
-    assert {"quartz16", "skin32"} <= set(shipped_plates())
 
 
 def test_a_file_is_given_in_si_units(tmp_path: Path) -> None:
@@ -236,61 +231,28 @@ def test_a_name_that_is_none_is_an_operators_error(name: str) -> None:
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [
-        ("-6.3e-6", "0.0", "17: sites[0].tones[0].sensitivity[0]: got 0.0; must not be zero"),
-        ("-6.3e-6", "-6.3", "17: sites[0].tones[0].sensitivity: got -6.3; must be within +-0.01"),
-        ("-6.3e-6", "-6.3e-2", "17: sites[0].tones[0].sensitivity: got -0.063; must be within +-0.01"),
-        ("[12.5, 4.0]", "[25, 0]", "20: sites[1].position_mm: got [25.0, 0.0]; lies outside outline_mm"),
-        ("[12.5, 4.0]", "[-5, 0]", "20: sites[1].position_mm: got [-5.0, 0.0]; lies outside outline_mm"),
-        ("9996000.0", "-9996000.0", "16: sites[0].tones[0].f0_hz[0]: got -9996000.0; must be greater than 0"),
-        ("9996000.0", "nan", "16: sites[0].tones[0].f0_hz[0]: got nan; must be a finite number"),
-        ("9996003.0]", "]", "16: sites[0].tones[0].f0_hz: got [9996000.0, 9996001.0, 9996002.0]; must be a list of 4"),
-        (
-            '"force"',
-            '"forse"',
-            "15: sites[0].tones[0].signal: got 'forse'; allowed: force, temperature, p_n, eps_xz, eps_yz; did you mean",
-        ),
-        ("id = 3", "id = 7", "19: sites[1].id: got 7; is the id of sites[0] already"),
-        ("id = 3", "id = -3", "19: sites[1].id: got -3; must be greater than or equal to 1"),
-        ("[12.5, 4.0]", "[6.0, 4.0]", "20: sites[1].position_mm: got [6.0, 4.0]; is the position of sites[0] already"),
-        ("[12.5, 4.0]", "[12.5, 10.5]", "20: sites[1].position_mm: got [12.5, 10.5]; lies outside outline_mm"),
-        ("[12.5, 4.0]", "[12.5]", "20: sites[1].position_mm: got [12.5]; must be a list of 2"),
-        ("[12.5, 4.0]", "[inf, 4.0]", "20: sites[1].position_mm[0]: got inf; must be a finite number"),
+        ("-6.3e-6", "0.0", "17: sites[0].tones[0].sensitivity[0]"),
+        ("-6.3e-6", "-6.3e-2", "17: sites[0].tones[0].sensitivity"),
+        ("[12.5, 4.0]", "[25, 0]", "20: sites[1].position_mm"),
+        ("9996000.0", "-9996000.0", "16: sites[0].tones[0].f0_hz[0]"),
+        ("9996000.0", "nan", "16: sites[0].tones[0].f0_hz[0]"),
+        ("9996003.0]", "]", "16: sites[0].tones[0].f0_hz"),
+        ('"force"', '"forse"', "15: sites[0].tones[0].signal"),
+        ("id = 3", "id = 7", "19: sites[1].id"),
+        ("[12.5, 4.0]", "[6.0, 4.0]", "20: sites[1].position_mm"),
+        ("[12.5, 4.0]", "[12.5, 10.5]", "20: sites[1].position_mm"),
         ("position_mm = [12.5", "position_m = [12.5", "18: sites[1].position_mm: missing"),
-        (
-            "force_max_newton = 10",
-            "force_max_newton = 10\noutline_m = []",
-            "6: outline_m: unknown key; did you mean outline_mm?",
-        ),
-        (
-            "[[0, 0], [20, 0], [20, 10], [0, 10]]\nt",
-            "[[0, 0], [20, 10]]\nt",
-            "3: outline_mm: got [[0, 0], [20, 10]]; must be a list of at least 3",
-        ),
-        (
-            "single-tone",
-            "single",
-            "7: counter.kind: got 'single'; allowed: single-tone, channelised; did you mean single-tone?",
-        ),
-        (
-            "1e9",
-            '"1 GHz"',
-            "8: counter.reference_hz: got '1 GHz'; must be a number: give it alone, as 1; the key says its unit",
-        ),
-        ("format = 1", "format = 2", "1: format: got 2; must be 1"),
+        ("force_max_newton = 10", "force_max_newton = 10\noutline_m = []", "6: outline_m: unknown key"),
+        ("[[0, 0], [20, 0], [20, 10], [0, 10]]\nt", "[[0, 0], [20, 10]]\nt", "3: outline_mm"),
+        ("single-tone", "single", "7: counter.kind"),
+        ("1e9", '"1 GHz"', "8: counter.reference_hz"),
+        ("format = 1", "format = 2", "1: format"),
         ("format = 1", "", " format: missing"),
-        ("force_max_newton = 10", "force_max_newton = 0", "5: force_max_newton: got 0; must be greater than 0"),
-        (
-            "[20, 10], [0, 10]]\ntrans",
-            "[10, 0]]\ntrans",
-            "3: outline_mm: got [[0.0, 0.0], [20.0, 0.0], [10.0, 0.0]]; encloses no area",
-        ),
-        ("[0, 10]]\nforce", "[0, 11]]\nforce", "4: transducers_mm[3]: got [0.0, 11.0]; lies outside outline_mm"),
-        (
-            "frame_rate_hz = 1000",
-            "frame_rate_hz = 1000\ndepth_mm = 1",
-            "10: counter.depth_mm: unknown key; did you mean skin.depth_mm?",
-        ),
-        ("force_max_newton = 10", "force_max_newton = true", "5: force_max_newton: got True; must be a valid number"),
+        ("force_max_newton = 10", "force_max_newton = 0", "5: force_max_newton"),
+        ("[20, 10], [0, 10]]\ntrans", "[10, 0]]\ntrans", "3: outline_mm"),
+        ("[0, 10]]\nforce", "[0, 11]]\nforce", "4: transducers_mm[3]"),
+        ("frame_rate_hz = 1000", "frame_rate_hz = 1000\ndepth_mm = 1", "10: counter.depth_mm: unknown key"),
+        ("force_max_newton = 10", "force_max_newton = true", "5: force_max_newton"),
     ],
 )
 def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
@@ -302,49 +264,19 @@ def test_one_mistake_in_a_force_plate(tmp_path: Path, before: str, after: str, e
 @pytest.mark.parametrize(
     ("before", "after", "expected"),
     [
-        ("[1, 3, 6]", "[1, 3, 5]", "20: grid.order: got [1, 3, 5]; gives 16 different tone numbers to 18 tones"),
-        ("[1, 3, 6]", "[1, 3]", "20: grid.order: got [1, 3]; must be a list of 3"),
-        ("[2, 3]", "[2, 0]", "15: grid.shape[1]: got 0; must be greater than or equal to 1"),
-        ("[2, 3]", "[2.0, 3]", "15: grid.shape[0]: got 2.0; must be a valid integer"),
-        ("[2, 3]", "[60000, 60000]", "15: grid.shape: got [60000, 60000]; gives 10800000000 tones; at most 46872 fit"),
-        ("pitch_mm = 0.4", "pitch_mm = 2.1", "16: grid.pitch_mm: got 2.1; puts 6 sites outside outline_mm"),
-        ("pitch_mm = 0.4", "pitch_m = 4e-4", "16: grid.pitch_m: unknown key; did you mean pitch_mm?"),
-        (
-            '"eps_yz"]',
-            '"p_n"]',
-            "17: grid.signals: got ['eps_xz', 'p_n', 'p_n']; must name each of p_n, eps_xz, eps_yz once",
-        ),
-        ('"eps_yz"]', '"force"]', "17: grid.signals[2]: got 'force'; allowed: p_n, eps_xz, eps_yz"),
-        (
-            "poisson_ratio = 0.5",
-            "poisson_ratio = 0.6",
-            "12: skin.poisson_ratio: got 0.6; must be less than or equal to 0.5",
-        ),
-        (
-            "depth_mm = 1.5",
-            "depth_mm = 1.5\ngain_std = -0.1",
-            "14: skin.gain_std: got -0.1; must be greater than or equal to 0",
-        ),
-        (
-            "depth_mm = 1.5",
-            "depth_mm = 1.5\ncorrelation_length_mm = 0",
-            "14: skin.correlation_length_mm: got 0; must be greater than or equal to 0.01",
-        ),
-        (
-            "depth_mm = 1.5",
-            "depth_mm = 1.5\ntangential_ratio = 101",
-            "14: skin.tangential_ratio: got 101; must be less than or equal to 100",
-        ),
-        (
-            "frame_rate_hz = 100",
-            "frame_rate_hz = 100\npilot_hz = 1e6",
-            "10: counter.pilot_hz: got 1000000.0; belongs to a single-tone",
-        ),
-        (
-            '"channelised"',
-            '"single-tone"\npilot_hz = 1e6',
-            "7: counter.kind: got 'single-tone'; one captured tone per corner carries forces alone",
-        ),
+        ("[1, 3, 6]", "[1, 3, 5]", "20: grid.order"),
+        ("[1, 3, 6]", "[1, 3]", "20: grid.order"),
+        ("[2, 3]", "[2, 0]", "15: grid.shape[1]"),
+        ("[2, 3]", "[60000, 60000]", "15: grid.shape"),
+        ("pitch_mm = 0.4", "pitch_mm = 2.1", "16: grid.pitch_mm"),
+        ('"eps_yz"]', '"p_n"]', "17: grid.signals"),
+        ('"eps_yz"]', '"force"]', "17: grid.signals[2]"),
+        ("poisson_ratio = 0.5", "poisson_ratio = 0.6", "12: skin.poisson_ratio"),
+        ("depth_mm = 1.5", "depth_mm = 1.5\ngain_std = -0.1", "14: skin.gain_std"),
+        ("depth_mm = 1.5", "depth_mm = 1.5\ncorrelation_length_mm = 0", "14: skin.correlation_length_mm"),
+        ("depth_mm = 1.5", "depth_mm = 1.5\ntangential_ratio = 101", "14: skin.tangential_ratio"),
+        ("frame_rate_hz = 100", "frame_rate_hz = 100\npilot_hz = 1e6", "10: counter.pilot_hz"),
+        ('"channelised"', '"single-tone"\npilot_hz = 1e6', "7: counter.kind"),
     ],
 )
 def test_one_mistake_in_a_grid_plate(tmp_path: Path, before: str, after: str, expected: str) -> None:
@@ -353,36 +285,19 @@ def test_one_mistake_in_a_grid_plate(tmp_path: Path, before: str, after: str, ex
     assert len([message for message in messages if "missing" not in message]) == 1, messages
 
 
-def test_a_grid_without_a_skin(tmp_path: Path) -> None:
-    start, end = GRID_PLATE.index("[skin]"), GRID_PLATE.index("[grid]")
-    assert refusals(tmp_path, GRID_PLATE[:start] + GRID_PLATE[end:]) == [
-        " skin: a plate with skin signals needs a [skin]: its elastic constants and its depth"
-    ]
-
-
-def test_sites_and_a_grid_or_neither(tmp_path: Path) -> None:
-    expected = "either [[sites]] or a [grid]"
-    assert any(expected in message for message in refusals(tmp_path, GRID_PLATE + SKIN_SITE))
-    head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
-    assert any(expected in message for message in refusals(tmp_path, head))
-    assert refusals(tmp_path, "sites = []\n" + head) == ["1: sites: got []; must be a list of at least 1: [[sites]]"]
-
-
-def test_force_and_skin_tones_do_not_mix(tmp_path: Path) -> None:
-    messages = refusals(tmp_path, FORCE_PLATE + SKIN_SITE)
-    mixed = "sites: got ['eps_xz', 'eps_yz', 'force', 'p_n']; mixes force and skin tones; a plate has either"
-    assert any(mixed in message for message in messages)
-
-
-def test_a_force_site_with_two_tones_and_a_skin_site_with_two(tmp_path: Path) -> None:
-    tone = FORCE_PLATE[FORCE_PLATE.rindex("[[sites.tones]]") :]
-    assert refusals(tmp_path, FORCE_PLATE + tone) == [
-        "18: sites[1].tones: got ['force', 'force']; a force site has one tone for its force, and at most one for its "
-        "temperature"
-    ]
-    head = GRID_PLATE[: GRID_PLATE.index("[grid]")]
-    (message,) = refusals(tmp_path, head + SKIN_SITE[: SKIN_SITE.rindex("[[sites.tones]]")])
-    assert "sites[0].tones: got ['eps_yz', 'p_n']; a skin site has one tone for each of p_n" in message
+def test_tones_that_do_not_go_together(tmp_path: Path) -> None:
+    skin, grid = GRID_PLATE.index("[skin]"), GRID_PLATE.index("[grid]")
+    head, tone = GRID_PLATE[:grid], FORCE_PLATE[FORCE_PLATE.rindex("[[sites.tones]]") :]
+    for text, expected in (
+        (GRID_PLATE[:skin] + GRID_PLATE[grid:], "skin: a plate with skin signals needs a [skin]"),
+        (GRID_PLATE + SKIN_SITE, "either [[sites]] or a [grid]"),
+        (head, "either [[sites]] or a [grid]"),
+        ("sites = []\n" + head, "1: sites: got []"),
+        (FORCE_PLATE + SKIN_SITE, "sites: got ['eps_xz', 'eps_yz', 'force', 'p_n']"),
+        (FORCE_PLATE + tone, "18: sites[1].tones: got ['force', 'force']"),
+        (head + SKIN_SITE[: SKIN_SITE.rindex("[[sites.tones]]")], "sites[0].tones: got ['eps_yz', 'p_n']"),
+    ):
+        assert any(expected in message for message in refusals(tmp_path, text)), expected
 
 
 def test_a_counter_needs_no_more_than_its_kind() -> None:
@@ -416,7 +331,7 @@ def test_what_a_calibration_says(tmp_path: Path) -> None:
     text = FORCE_PLATE + (
         "[thermal]\nrange_kelvin = [280, 320]\ncontact_std_kelvin = 4\n"
         "[response]\nhysteresis_newton = 0.1\ncreep_fraction = 0.005\ncreep_time_s = 20\n"
-        '[calibration]\nid = "c1"\ndate = 2026-11-01\nexpiry = 2027-11-01\nmodel_error = 0.01\n'
+        '[calibration]\nid = "c1"\ndate = 2026-11-01\nmodel_error = 0.01\n'
         "validity = { force_newton = [0.5, 5.0], kelvin = [293, 303] }\n"
         "coupling = [{ pressed = 7, heard = 3, ratio = 0.02 }]\n"
     )
@@ -425,8 +340,13 @@ def test_what_a_calibration_says(tmp_path: Path) -> None:
     assert plate.calibration.validity is not None
     assert (plate.response.hysteresis_newton, plate.thermal.contact_std_kelvin) == (0.1, 4.0)
     assert plate.calibration.validity.force_newton == (0.5, 5.0)
-    (message,) = refusals(tmp_path, text.replace("[0.5, 5.0]", "[5.0, 0.5]"))
-    assert "calibration.validity.force_newton: got [5.0, 0.5]; must rise: the lowest, then the highest" in message
+    assert (plate.calibration.id, str(plate.calibration.date), plate.calibration.expiry) == ("c1", "2026-11-01", None)
+    for before, after, key in (
+        ("[0.5, 5.0]", "[5.0, 0.5]", "validity.force_newton"),
+        ("2026-11-01", "20261101", "date"),
+    ):
+        (message,) = refusals(tmp_path, text.replace(before, after))
+        assert f"calibration.{key}: got" in message
 
 
 def test_every_finding_comes_at_once(tmp_path: Path) -> None:
@@ -457,21 +377,6 @@ def test_a_repeated_corner_of_the_outline_encloses_nothing_more(tmp_path: Path) 
     assert refusals(tmp_path, text) == ["20: sites[1].position_mm: got [25.0, 4.0]; lies outside outline_mm"]
 
 
-def test_calibration_is_optional_and_typed(tmp_path: Path) -> None:
-    text = FORCE_PLATE + '[calibration]\nid = "c1"\ndate = 2024-05-01\ntemperature_kelvin = 298.2\nresiduals = [1e-3]\n'
-    calibration = load_plate(written(tmp_path, text)).calibration
-    assert calibration.date
-    assert (calibration.id, calibration.date.isoformat(), calibration.expiry) == ("c1", "2024-05-01", None)
-    assert "calibration.date" in refusals(tmp_path, text.replace("2024-05-01", "20240501"))[0]
-
-
-def test_the_model_itself_checks_as_a_whole() -> None:
-    content: dict[str, Any] = tomllib.loads(GRID_PLATE)
-    content["grid"]["order"] = [0, 0, 0]
-    with pytest.raises(ValidationError, match="different tone numbers"):
-        Plate.model_validate(content)
-
-
 def explicit_sites(count: int) -> dict[str, Any]:
     content: dict[str, Any] = tomllib.loads(GRID_PLATE[: GRID_PLATE.index("[grid]")] + SKIN_SITE)
     tones = content["sites"][0]["tones"]
@@ -482,11 +387,6 @@ def explicit_sites(count: int) -> dict[str, Any]:
 
 def test_as_many_explicit_tones_as_a_frame_holds() -> None:
     """4 channels x 63 parts x 744 tones: 255 parts at most, so 46 872 tones; one site more is too many."""
-    assert len(Plate.model_validate(explicit_sites(15_624)).tones.f0_hz) == plate_module._MAX_TONES == 46_872
-
-
-def test_more_explicit_tones_than_a_frame_holds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plate_module, "_MAX_TONES", 12)
-    assert len(Plate.model_validate(explicit_sites(4)).tones.f0_hz) == 12
-    with pytest.raises(ValidationError, match="at most 12 tones fit into a frame"):
-        Plate.model_validate(explicit_sites(5))
+    assert len(Plate.model_validate(explicit_sites(15_624)).tones.f0_hz) == 46_872
+    with pytest.raises(ValidationError, match="46872"):
+        Plate.model_validate(explicit_sites(15_625))

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tone_fields import counted_fields
 
 from firmware_protocol.layouts import ToneFlag
 from resonator_daemon.arrays import Floats
@@ -15,15 +16,6 @@ GATE_TICKS = 1_250_000
 GATE_S = 5e-3
 PLATE, QUARTZ = load_plate("comb16"), load_plate("quartz16")
 INDEX = {int(site): index for index, site in enumerate(PLATE.site_ids)}
-RECORD = np.dtype(
-    [
-        ("phase_turn32", "<i4"),
-        ("offset_hz16", "<i4"),
-        ("attenuation_db256", "<u2"),
-        ("sigma_code", "u1"),
-        ("flags", "u1"),
-    ]
-)
 
 
 def held(force_newton: float, **keys: object) -> Touch:
@@ -36,10 +28,7 @@ def emulated(*touches: Touch, plate: Plate = PLATE, seed: int = 4, **physics: fl
 
 
 def count(plate: CombPlate, frames: int, at_s: float = 1.0, gate_ticks: int = GATE_TICKS) -> dict[str, Floats]:
-    """Fields (frames, channels, tones)."""
-    counted = plate.count(0, round(at_s * 250e6), gate_ticks, frames)
-    rows = np.array([[np.frombuffer(channel, RECORD) for channel in frame.channels] for frame in counted])
-    return {name: rows[name].astype(np.float64) for name in RECORD.names or ()}
+    return counted_fields(plate, frames, at_s, gate_ticks)
 
 
 def frequency_hz(plate: CombPlate, fields: dict[str, Floats]) -> Floats:
@@ -48,14 +37,6 @@ def frequency_hz(plate: CombPlate, fields: dict[str, Floats]) -> Floats:
         description.oscillator_millihertz + description.oscillator_spacing_millihertz * np.arange(description.tones)
     ) * 1e-3
     return fields["offset_hz16"] / 2**16 + oscillator_hz
-
-
-def test_its_sites_are_those_of_quartz16_in_the_order_of_frequency() -> None:
-    by_id = {site.id: site for site in QUARTZ.sites}
-    assert all(site == by_id[site.id] for site in PLATE.sites)
-    assert len(PLATE.sites) == len(by_id)
-    assert np.all(np.diff(PLATE.tones.f0_hz.mean(axis=1)) > 0)
-    assert (PLATE.counter.kind, PLATE.counter.reference_hz, PLATE.counter.frame_rate_hz) == ("channelised", 250e6, 200)
 
 
 @pytest.mark.parametrize("reference_error", [-12e-6, 0.0, 1.5e-6])
@@ -87,13 +68,6 @@ def test_noise_is_that_of_100_dbhz_at_the_best_corner_and_by_level_in_the_others
     assert np.abs(np.corrcoef(offset_hz[:, :, 3].T) - np.eye(4)).max() < 0.15
 
 
-def test_a_longer_gate_is_less_noisy_by_its_length_to_the_power_of_three_halves() -> None:
-    spread = [
-        (count(emulated(), 300, gate_ticks=ticks)["offset_hz16"] / 2**16).std(axis=0) for ticks in (10**6, 4 * 10**6)
-    ]
-    assert np.sqrt((spread[0] ** 2).mean() / (spread[1] ** 2).mean()) == pytest.approx(8.0, rel=0.03)
-
-
 def test_phase_goes_on_from_gate_to_gate_and_call_to_call() -> None:
     plate = emulated(held(3.0, site=9))
     parts = [count(plate, frames) for frames in (5, 1, 14)]
@@ -112,19 +86,6 @@ def test_oscillator_noise_is_common_to_the_corners_of_a_site_and_has_the_slope_o
     correlation = np.corrcoef(y[:, :, [2, 11]].reshape(3000, -1).T)  # channel 0's two tones, channel 1's, ...
     assert np.all(correlation[0::2, 0::2] > 0.98)
     assert np.abs(correlation[0::2, 1::2]).max() < 0.1
-
-
-def test_merged_phases_see_the_white_noise_of_the_whole_time() -> None:
-    plate = emulated(white_fm=1e-7)
-    fields = count(plate, 3001)
-    phase = fields["phase_turn32"][:, 0] / 2**32
-    turns = np.diff(phase, axis=0)
-    expected = PLATE.tones.f0_hz[:, 0] * GATE_S
-    nominal = np.median(fields["offset_hz16"][:, 0] / 2**16, axis=0) * GATE_S
-    strayed = (turns - nominal + 0.5) % 1.0 - 0.5
-    # Mean phases of two neighbouring gates differ by 2/3 of the variance of a gate, as means of a random walk do.
-    relative = strayed / expected
-    assert relative.var() / (1e-14 / GATE_S) == pytest.approx(2 / 3, rel=0.03)
 
 
 def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_that_is() -> None:
@@ -148,16 +109,6 @@ def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_tha
     assert force == pytest.approx(np.full(4, expected), abs=2e-3)
     others = [tone for tone in range(1, 32, 2) if tone != 2 * index + 1]
     assert hz[:, others] == pytest.approx(f0_hz[:, others], abs=0.1)
-
-
-def test_truth_tells_touches_and_warmth() -> None:
-    scenario = Scenario(
-        [held(2.0, site=9)], None, PLATE, physics=Physics(ideal=True), environment_kelvin=[(0.0, 301.0)]
-    )
-    (frame,) = CombPlate(PLATE, scenario, 1).count(0, 10**9, GATE_TICKS, 1)
-    (contact,) = frame.contacts
-    assert (contact.site, contact.force_newton) == (9, (0.0, 0.0, 2.0))
-    assert frame.plate_kelvin == pytest.approx(301.0, abs=0.1)
 
 
 def test_the_seed_fixes_everything_and_a_run_begins_anew() -> None:

@@ -6,7 +6,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -23,9 +22,6 @@ from resonator_daemon.session.compatibility import incompatibilities
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan
 from simulators.links import PtyLink
-from simulators.scenario import Scenario
-from simulators.skin_plate import SkinPlate
-from simulators.stamps import stamped_sums
 
 
 @pytest.mark.undisturbed
@@ -143,31 +139,6 @@ def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other
     assert np.diff(ticks).tolist() == [1_000_000] * (len(ticks) - 1)
 
 
-def test_a_skin_is_as_noisy_at_a_given_rate_as_one_whose_file_has_it() -> None:
-    def stated_noise(frame_rate_hz: float) -> bytes:
-        plate = at_rate(load_plate("skin32"), frame_rate_hz)
-        gate_ticks = round(plate.counter.reference_hz / frame_rate_hz)
-        (frame, *_) = SkinPlate(plate, Scenario((), None, plate), seed=1).count(0, 0, gate_ticks, 1)
-        return frame.channels[0][10::12]  # the codes of the standard deviation
-
-    assert stated_noise(250.0) == stated_noise(100.0)
-
-
-def test_a_comb_of_force_sites_sends_all_its_tones_on_four_channels_over_tcp(tmp_path: Path) -> None:
-    truth_path = tmp_path / "truth.jsonl"
-    with emulated(EmulatorOptions("comb16", tcp=("127.0.0.1", 0), truth=truth_path, scenario="held")) as emulator:
-        host_name, port = emulator.link.address.removeprefix("tcp://").rsplit(":", 1)
-        with socket.create_connection((host_name, int(port))) as client:
-            host = Host(client.fileno(), 1_250_000)
-            host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 50)
-    parts = [event for event in host.events if isinstance(event, FramePart)][:50]
-    tones = [part.block.tones for part in parts if part.sequence == 0]
-    assert sum(tones) == 4 * 16
-    assert [part.sequence for part in parts] == list(np.repeat(np.arange(50), len(tones))[:50])
-    (contact,) = truths(truth_path)[0]["contacts"]
-    assert (contact["site"], contact["force_newton"]) == (7, [0.0, 0.0, 1.0])
-
-
 @pytest.mark.parametrize(("given", "seeds_alike"), [(None, True), (7, True), (8, False)])
 def test_the_scenario_fixes_the_seed_unless_another_is_given(
     tmp_path: Path, given: int | None, seeds_alike: bool
@@ -185,15 +156,6 @@ def test_the_scenario_fixes_the_seed_unless_another_is_given(
         assert sum(report["dropped_by_cause"].values()) == report["frames_dropped"]
         assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"] + report["frames_unsent"]
     assert (lost[0] == lost[1]) == seeds_alike
-
-
-def test_a_counter_that_makes_every_stamp_sends_frames_like_the_other(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    options = EmulatorOptions("quartz16", pty=path, scenario="held", counter="stamps", speed=0.1)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 5)
-    assert [frame.sequence for frame in host.frames[:5]] == list(range(5))
-    assert emulator._board._plate._sums is stamped_sums
 
 
 def test_as_a_program_it_says_where_it_is_and_stops_cleanly_when_told(tmp_path: Path) -> None:
@@ -264,14 +226,6 @@ def test_a_host_on_usb_that_begins_anew_finds_an_idle_board(tmp_path: Path, monk
     assert report["dropped_by_cause"]["discarded"] > 100  # of those that were on their way
 
 
-def test_twice_the_speed_is_twice_the_ticks(tmp_path: Path) -> None:
-    path, truth_path = tmp_path / "board", tmp_path / "truth.jsonl"
-    with emulated(EmulatorOptions("quartz16", pty=path, truth=truth_path, speed=2.0)), opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 200)
-    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
-    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 2, abs=2e6)
-
-
 def test_a_fast_reference_makes_gates_short(tmp_path: Path) -> None:
     path, truth_path, scenario = tmp_path / "board", tmp_path / "truth.jsonl", tmp_path / "mine.toml"
     scenario.write_text("[plate]\nreference_error = 0.05\n")
@@ -280,24 +234,6 @@ def test_a_fast_reference_makes_gates_short(tmp_path: Path) -> None:
         host.read_until(lambda: len(host.frames) >= 200)
     stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
     assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
-
-
-def test_a_run_that_ends_while_it_is_being_stopped_does_not_pull_the_pipe_away(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    emulator = Emulator(EmulatorOptions("quartz16", pty=tmp_path / "board"))
-    running = threading.Thread(target=emulator.run)
-
-    def write_late(fd: int, data: bytes) -> int:
-        running.start()
-        running.join(0.2)  # where it would end, it ends first
-        return write(fd, data)
-
-    write = os.write
-    monkeypatch.setattr(os, "write", write_late)
-    emulator.stop()
-    running.join(10.0)
-    assert not running.is_alive()
 
 
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:

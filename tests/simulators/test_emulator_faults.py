@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulation import emulated
-from wire_host import WAIT_S, Host, opened, truths, wait_for
+from wire_host import Host, opened, truths, wait_for
 
-from firmware_protocol.host import Described, Frame, HostState, Located, Pong, Rebooted
+from firmware_protocol.host import Described, Frame, Located, Pong, Rebooted
 from firmware_protocol.messages import BoardStatus, ResetCause
 from simulators.emulator import OTHER_SERIAL_NUMBER, SERIAL_NUMBER, Emulator, EmulatorOptions
 from simulators.faults import FaultPlan, parse_faults
@@ -74,20 +74,6 @@ def test_a_board_that_reboots_has_another_boot_id(tmp_path: Path) -> None:
     assert host.frames[count].sequence == 0
 
 
-def test_damage_on_the_wire_is_what_the_report_says(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    faults = parse_faults("bit_error_rate=1e-4,garbage_rate_hz=50")
-    options = EmulatorOptions("quartz16", pty=path, scenario="still", faults=faults, seed=11)
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 400)
-    last = host.frames[-1].sequence
-    received = {frame.sequence for frame in host.frames}
-    counts = emulator.report()["faults"]
-    assert set(range(last + 1)) - received == {hit for hit in counts["frame_sequences_hit"] if hit <= last}
-    assert counts["frames_hit"] == len(counts["frame_sequences_hit"]) > 20
-    assert counts["garbage_bursts"] > 5
-
-
 def test_all_that_happens_to_bytes_at_once_is_what_the_report_says(tmp_path: Path) -> None:
     path = tmp_path / "board"
     faults = (
@@ -138,16 +124,6 @@ def test_a_frozen_board_leaves_its_port_open_and_its_gates_go_on(tmp_path: Path)
     assert [line["sequence"] for line in truths(truth_path)[:3000]] == list(range(3000))
     assert add_up(emulator)["freezes"] == 1
     assert emulator.report()["dropped_by_cause"]["queue_full"] >= told
-
-
-def test_what_is_delayed_arrives_while_nothing_else_happens(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    with emulated(quartz(path, "delay_ms=50,slow_reader_bytes_per_s=1000")), opened(path) as host:
-        os.write(host.fd, host.session.data_to_send())
-        answer = b""
-        while not host.session.receive(answer) and host.session.state is HostState.IDENTIFYING:
-            assert select.select([host.fd], [], [], WAIT_S)[0]
-            answer = os.read(host.fd, 1000)
 
 
 def test_a_silent_board_answers_and_sends_no_frames(tmp_path: Path) -> None:
@@ -227,33 +203,6 @@ def test_a_port_takes_another_name_and_is_gone_from_the_old_one(tmp_path: Path) 
             host.read_until(lambda: len(host.frames) >= 10)
     assert add_up(emulator)["renames"] == 1
     assert os.listdir(tmp_path) == []
-
-
-def test_random_hang_ups_come_again_and_again_and_leave_nothing_behind(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    fds = len(os.listdir("/proc/self/fd"))
-    options = quartz(path, "unplug_rate_hz=20,unplug_for_s=0.02")
-    with emulated(options) as emulator:
-        gone = 0
-        while gone < 10:
-            wait_for(path.exists)
-            try:
-                with opened(path) as host:
-                    host.read_until(lambda: False)
-                    gone += host.gone
-            except OSError:  # pulled again before it was open, or while a request went out
-                continue
-    assert add_up(emulator)["unplugs"] >= 10
-    assert os.listdir(tmp_path) == []
-    assert len(os.listdir("/proc/self/fd")) == fds
-
-
-def test_a_lying_board_lies_over_the_link(tmp_path: Path) -> None:
-    path = tmp_path / "board"
-    with emulated(quartz(path, "misbehave=channels5+other_product")), opened(path) as host:
-        host.read_until(lambda: bool(described(host)) or host.session.state is HostState.REFUSED)
-    assert (described(host) == []) == (host.session.state is HostState.REFUSED)
-    assert [event.description.channels for event in described(host)] in ([], [5])
 
 
 def test_a_board_that_is_to_be_seen_blinks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

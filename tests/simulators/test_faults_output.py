@@ -1,27 +1,15 @@
 """From a board's queue to its link, with a link that does as it is told; time passes by hand."""
 
-from firmware_protocol.layouts import SINGLE_TONE_STRUCT, MessageType
-from firmware_protocol.messages import Configuration, CounterKind, Description, Identity, ResetCause, encode_message
+from fake_plate import FakePlate, fake_board
+
+from firmware_protocol.layouts import MessageType
+from firmware_protocol.messages import Configuration, ResetCause, encode_message
 from firmware_protocol.packets import Packet, PacketDecoder, encode_packet
-from simulators.board import Board
 from simulators.faults import FaultPlan
 from simulators.output import Output
-from simulators.plate import CountedFrame
 
 GATE_TICKS = MS = 1_000_000  # ticks are ns here
 FRAME_BYTES = 204
-
-
-class Plate:
-    """Counts nothing, in frames that are well made."""
-
-    description = Description(CounterKind.SINGLE_TONE, 4, 1, 10**12, 10, 10**9, "fake")
-    block_frames = 1
-
-    def start(self) -> None: ...
-
-    def count(self, board_ticks: int, scenario_ticks: int, gate_ticks: int, frames: int) -> list[CountedFrame]:
-        return [CountedFrame([bytes(SINGLE_TONE_STRUCT.size)] * 4, []) for _ in range(frames)]
 
 
 class FakeLink:
@@ -64,7 +52,7 @@ class Bench:
     """A running board on a fake link."""
 
     def __init__(self, queue_frames: int = 1000, **faults: object) -> None:
-        self.board = Board(Plate(), Identity("test", "1", "1", 0), 77, queue_frames * FRAME_BYTES)
+        self.board = fake_board(FakePlate(block_frames=1, reference_millihertz=10**12), queue_frames * FRAME_BYTES)
         self.link = FakeLink()
         self.output = Output(self.board, self.link, FaultPlan.model_validate(faults), 1)
         self.now_ns = 0
@@ -119,15 +107,6 @@ def test_a_slow_reader_gets_its_bytes_per_second_and_the_newest_frames() -> None
     assert bench.output.frames_sent + unsent + dropped == 2000
     assert bench.output.next_ns is not None
     assert not bench.output.waits_for_room  # a link that could be written would wake the emulator at once
-
-
-def test_a_reader_that_takes_nothing_wakes_nobody() -> None:
-    bench = Bench(queue_frames=3, slow_reader_bytes_per_s=0.0)
-    bench.pass_ms(10)
-    assert bench.link.writes == []
-    assert bench.output.frames_unsent == 0  # the answer to CONFIGURE is before them
-    assert not bench.output.waits_for_room
-    assert bench.output.next_ns is None
 
 
 def test_pieces_and_clumps_carry_the_same_bytes() -> None:

@@ -57,19 +57,6 @@ def test_clumps_leave_whole_at_multiples_of_their_time() -> None:
     assert clumped.frames == 0
 
 
-def test_a_clump_keeps_its_accounts() -> None:
-    clumped = line(clump_ms=16.0)
-    for number in range(4):
-        harm = FaultCounts(bits_flipped=number) if number else None
-        clumped.put(Lot(b"ab", frames=number % 2, harm=harm), MS)
-    assert clumped.frames == 2
-    lot = clumped.pop(16 * MS)
-    assert lot is not None
-    assert lot.frames == 2
-    assert lot.harm is not None
-    assert lot.harm.bits_flipped == 6
-
-
 @pytest.mark.parametrize("kind", ["answer", "frame"])
 def test_a_late_one_is_passed_by_others_and_counted(kind: str) -> None:
     late = line(**{f"{kind}_delay_rate": 0.1, f"{kind}_delay_ms": 50.0})

@@ -78,10 +78,3 @@ def test_a_finger_warms_the_sites_that_bear_most_of_it() -> None:
     assert np.nanmin(result.contact_kelvin[1]) == 306.0
     assert result.touch_id[0, SITES[7]] == 0
     assert result.touch_id[1, [SITES[7], SITES[4]]].tolist() == [1, 2]
-
-
-def test_nothing_pressed_loads_nothing() -> None:
-    for result in (loads(times_s=(1.0, 2.0)), loads(touch(1.0, start_s=50.0, site=9), times_s=(1.0, 2.0))):
-        assert result.force_newton.tolist() == [[0.0] * 16] * 2
-        assert np.isnan(result.contact_kelvin).all()
-        assert result.touch_id.tolist() == [[0] * 16] * 2

@@ -69,11 +69,6 @@ def test_force_comes_back_through_equation_1(site: int, force_newton: float) -> 
         assert force == pytest.approx(force_newton, abs=4e-3)
 
 
-def test_the_reference_error_is_there_unless_asked_otherwise() -> None:
-    records = count(QuartzPlate(PLATE, scenario(), seed=1), 0.0, 50)
-    assert frequency_hz(records, 2) == pytest.approx(10.01e6 * (1 - 1.5e-6), abs=0.2)
-
-
 def test_oscillator_noise_is_white_and_common_to_the_corners() -> None:
     plate = QuartzPlate(PLATE, scenario(held(8.0, site=7), pilot_level_db=-300.0, noise_level_db=-200.0), seed=3)
     plate.count(0, 200_000_000, GATE_TICKS, 1)
@@ -121,29 +116,6 @@ def test_a_touch_captures_every_corner_once_and_its_release_gives_them_back() ->
         assert frequency_hz(records[510:], channel) == pytest.approx(10.01e6, abs=40)
 
 
-def test_another_tone_must_be_1_db_stronger_to_take_over() -> None:
-    plate = QuartzPlate(PLATE, scenario(), seed=2)
-    level_db = np.full((5, 17, 4), -np.inf)
-    level_db[:, 16] = -85.0
-    level_db[:, 3, 0] = [-60.0, -60.0, -60.0, -60.0, -np.inf]
-    level_db[:, 5, 0] = [-np.inf, -59.1, -58.9, -60.5, -np.inf]
-    captured = plate._capture(10 ** (level_db / 20))
-    assert captured[:, 0].tolist() == [3, 3, 5, 5, 16]
-    assert np.all(captured[:, 1:] == 16)
-
-
-def test_a_tone_weaker_than_all_others_together_is_flagged_and_one_that_is_stronger_is_not() -> None:
-    touches = [held(1.0, site=9), held(1.0, site=12)]
-    plate = QuartzPlate(PLATE, scenario(*touches), seed=2)
-    full = np.full((16, 4), 1e-3)
-    index = {int(site): i for i, site in enumerate(PLATE.site_ids)}
-    pilot = 10 ** (-85 / 20)
-    full[index[12]] = full[index[9]] + np.array([-1.1, -0.9, 1.05, -0.5]) * pilot
-    plate._full_amplitude = full
-    flags = [record.flags for record in count(plate, 0.2, 2)[1]]
-    assert flags == [0, RecordFlag.CAPTURE_SWITCH, 0, RecordFlag.CAPTURE_SWITCH]
-
-
 def test_a_corner_that_hears_nothing_says_so() -> None:
     plate = QuartzPlate(PLATE, scenario(held(1.0, site=9), pilot_level_db=-95.0), seed=2)
     records = count(plate, 0.05, 100)
@@ -185,22 +157,6 @@ def test_a_touch_between_sites_is_heard_at_the_share_of_a_site() -> None:
     assert force == pytest.approx(3.0 * share[6], abs=6e-3)
 
 
-def test_a_touch_of_the_whole_plate_and_its_warmth_reach_every_site() -> None:
-    warm = Touch(start_s=0.0, whole_plate=True, force_newton=2.0, rise_s=0.0, hold_s=90.0, kelvin=310.0)
-    pressed = scenario(warm, temperature_coefficient=-1e-6)
-    plate = QuartzPlate(PLATE, pressed, seed=1)
-    early, late = count(plate, 0.1, 100), count(plate, 0.2, 400)
-    assert {tuple(contact.force_newton) for contact in plate.count(0, 10**9, GATE_TICKS, 1)[0].contacts} == {(0, 0, 2)}
-    for channel in range(4):
-        hz = frequency_hz(early, channel) * (1 + 1.5e-6)
-        site = np.abs(PLATE.tones.f0_hz[:, channel] - hz).argmin()
-        force = (1 - PLATE.tones.f0_hz[site, channel] / hz) / PLATE.tones.sensitivity[site, channel]
-        assert force == pytest.approx(2.0, abs=0.06)  # 0.1 s of warming by 12 K in 5 s: 0.15 ppm, 20 mN
-        # From the middle of the early frames, 0.05 s, to that of the late ones, 0.3 s: 11.85 K (e^-0.01 - e^-0.06).
-        drift = frequency_hz(late, channel) / frequency_hz(early, channel) - 1
-        assert drift == pytest.approx(-1e-6 * 11.85 * (np.exp(-0.01) - np.exp(-0.06)), rel=0.02)
-
-
 @pytest.mark.parametrize("counter", ["sums", "stamps"])
 @pytest.mark.parametrize(("channel", "level_db"), [(0, -40.0), (2, -20.0)])
 def test_two_touches_beat_as_theory_has_it(counter: Literal["sums", "stamps"], channel: int, level_db: float) -> None:
@@ -231,74 +187,6 @@ def test_two_touches_beat_as_theory_has_it(counter: Literal["sums", "stamps"], c
     assert pi == pytest.approx(ratio / (np.pi * half_s * np.sqrt(2)), rel=0.06)
 
 
-def test_beats_run_on_from_gate_to_gate_so_that_a_merged_window_averages_them() -> None:
-    fine = PLATE.model_copy(update={"counter": PLATE.counter.model_copy(update={"reference_hz": 1e11})})
-    quiet = {"pilot_level_db": -300.0, "noise_level_db": -290.0, "white_fm": 0.0, "jitter_s": 0.0}
-    touches = scenario(held(1.0, site=9), held(2.0, site=7), plate=fine, **quiet)
-    plate = QuartzPlate(fine, touches, seed=2)
-    plate._full_amplitude = np.full((16, 4), 1e-3)
-    plate._full_amplitude[6] *= 0.1  # site 7
-    records = []
-    for block in range(20):  # in calls of several lengths
-        frames = plate.count(block * 10**9, round(0.2e11) + block * 10**9, 10**8, 7)
-        frames += plate.count(block * 10**9 + 7 * 10**8, round(0.2e11) + block * 10**9 + 7 * 10**8, 10**8, 3)
-        records += [[SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(c)) for c in frame.channels] for frame in frames]
-    (near, near_k), (far, far_k) = tone_of(9), tone_of(7)
-    for channel in range(4):
-        merged = [frequency_hz(records[at : at + 10], channel, 1e11) for at in range(0, 200, 10)]
-        beat_hz = (far / (1 - 2.0 * far_k) - near / (1 - near_k))[channel]
-        true_hz = near[channel] / (1 - near_k[channel]) / (1 + 1.5e-6)
-        assert np.abs(np.array(merged) - true_hz).max() < 1.1 * 3 * 0.1 / (np.pi**2 * beat_hz * 0.01**2)
-
-
-def test_sensitivity_scatters_from_touch_to_touch_and_corner() -> None:
-    twice = [
-        Touch(start_s=start_s, site=7, force_newton=5.0, rise_s=0.0, hold_s=0.4, fall_s=0.0) for start_s in (0.1, 0.6)
-    ]
-    plate = QuartzPlate(PLATE, scenario(*twice, sensitivity_scatter=0.02), seed=3)
-    f0_hz, sensitivity = tone_of(7)
-    parts = [count(plate, at_s, 60) for at_s in (0.2, 0.3, 0.7)]
-    hz = np.array([[frequency_hz(part, channel) for channel in range(4)] for part in parts]) * (1 + 1.5e-6)
-    ratio = (1 - f0_hz / hz) / sensitivity / 5.0
-    assert ratio[1] == pytest.approx(ratio[0], abs=1e-3)
-    assert np.abs(ratio[2] - ratio[0]).min() > 1e-3
-    assert 0.008 < (ratio[[0, 2]] - 1).std() < 0.035
-
-
-@pytest.mark.parametrize("sites", [(7,), (7, 9)])
-def test_stamps_and_sums_scatter_alike(sites: tuple[int, ...]) -> None:
-    def variances(counter: Literal["sums", "stamps"], frames: int) -> list[npt.NDArray[np.float64]]:
-        touches = [Touch(start_s=0.0, site=site, force_newton=1.0 + 0.1 * site, hold_s=99.0) for site in sites]
-        touched = scenario(*touches, pilot_level_db=-300.0, white_fm=3e-9)
-        plate = QuartzPlate(PLATE, touched, seed=1, counter=counter)
-        records = count(plate, 0.15, frames)
-        short = [[frequency_hz([frame], channel) for channel in range(4)] for frame in records]
-        merged = [[frequency_hz(records[at : at + 10], channel) for channel in range(4)] for at in range(0, frames, 10)]
-        return np.var(short, axis=0), np.var(merged, axis=0)
-
-    for ours, made, tolerance in zip(variances("sums", 1_000), variances("stamps", 1_000), (0.045, 0.18), strict=True):
-        # 10 ms: 100 windows of one white frequency noise, the same in both; what differs is a tenth of the variance.
-        assert (ours / made).mean() == pytest.approx(1.0, abs=tolerance)
-
-
-def test_pi_over_20_seconds_counts_through_many_wraps() -> None:
-    touched = scenario(Touch(start_s=0.0, site=7, force_newton=5.0, hold_s=99.0), pilot_level_db=-300.0, white_fm=0.0)
-    plate = QuartzPlate(PLATE, touched, seed=5)
-    count(plate, 0.5, 1)
-    f0_hz, sensitivity = tone_of(7)
-    records = []
-    for block in range(10):
-        counted = plate.count(block * 2 * 10**9, (1 + 2 * block) * 10**9, 50 * GATE_TICKS, 40)
-        records += [[SingleToneRecord(*SINGLE_TONE_STRUCT.unpack(c)) for c in frame.channels] for frame in counted]
-    for channel in range(4):
-        row = [frame[channel] for frame in records]
-        edges = sum((later.first_edge - earlier.first_edge) % 2**32 for earlier, later in pairwise(row))
-        ticks = sum((later.first_ticks - earlier.first_ticks) % 2**32 for earlier, later in pairwise(row))
-        assert ticks > 4 * 2**32
-        true_hz = f0_hz[channel] / (1 - sensitivity[channel] * 5.0) / (1 + 1.5e-6)
-        assert 1e9 * edges / ticks == pytest.approx(true_hz, rel=2e-10)
-
-
 def test_truth_is_what_pressed_during_the_gate() -> None:
     touch = Touch(start_s=0.1, site=9, force_newton=2.0, rise_s=0.2, hold_s=0.2, fall_s=0.2)
     plate = QuartzPlate(PLATE, scenario(touch, held(1.0, position_mm=(0.1, 0.2))), seed=1)
@@ -311,22 +199,6 @@ def test_truth_is_what_pressed_during_the_gate() -> None:
     assert (second.id, second.site) == (2, None)
     assert second.force_newton == (0.0, 0.0, 1.0)
     assert first.radius_m is None
-
-
-def test_the_seed_fixes_everything() -> None:
-    def bytes_of(seed: int) -> list[list[bytes]]:
-        plate = QuartzPlate(PLATE, scenario(held(1.0, site=9)), seed)
-        return [frame.channels for frame in plate.count(0, 0, GATE_TICKS, 3)]
-
-    assert bytes_of(7) == bytes_of(7)
-    assert bytes_of(7) != bytes_of(8)
-
-
-def test_a_run_begins_anew() -> None:
-    plate = QuartzPlate(PLATE, scenario(), seed=1)
-    assert [count(plate, 0.0, 2)[i][0].flags for i in range(2)] != [0, 0]
-    plate.start()
-    assert [frame[3].flags for frame in count(plate, 1.0, 2)] == [RecordFlag.STRIDE_BREAK, 0]
 
 
 def test_a_gate_of_the_longest_and_the_shortest_kind_fits_a_record() -> None:

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from resonator_daemon.plate import load_plate
-from simulators import scenario_file
 from simulators.faults import FaultEvent, FaultPlan
 from simulators.physics import Physics
 from simulators.scenario import Scenario, load_scenario
@@ -21,9 +20,6 @@ ON_FORCE_SITES = {
     "creep", "hysteresis", "real", "slide", "slow-drift", "thermal-shock", "warm-finger", "whole-plate"
 }  # fmt: skip
 ON_A_SKIN = {"press-and-shear"}
-
-
-SHIPPED = sorted(Path(scenario_file.__file__).with_name("scenarios").glob("*.toml"))
 
 
 def forces(scenario: Scenario, *times_s: float) -> list[list[float]]:
@@ -142,82 +138,11 @@ def test_shipped_scenarios_play_on_the_plates_they_are_for_and_refuse_others_in_
             assert np.isfinite(pressing.force_newton).all()
 
 
-def test_shipped_scenarios_begin_with_a_sentence_on_what_happens() -> None:
-    for path in SHIPPED:
-        first, second = path.read_text().splitlines()[:2]
-        assert first.startswith("# ")
-        assert first.endswith(".")
-        assert not second.startswith("#")
-
-
 def test_the_shipped_ones_are_those_that_are_named() -> None:
     others = {"touches", "still", "held", "between", "too-hard", "two-touches"}
     assert set(shipped_scenarios()) == ON_FORCE_SITES | ON_A_SKIN | others
     assert (default_scenario(QUARTZ), default_scenario(COMB)) == ("touches", "touches")
     assert default_scenario(SKIN) == "press-and-shear"
-
-
-def test_scenarios_of_one_effect_have_only_that() -> None:
-    ideal = Physics(ideal=True)
-    for name in ("touches", "held", "between", "too-hard", "two-touches", "slide", "whole-plate"):
-        assert load_scenario(name, QUARTZ).physics == ideal
-    assert load_scenario("creep", QUARTZ).physics == ideal.model_copy(update={"creep_fraction": 0.005})
-    assert load_scenario("hysteresis", QUARTZ).physics == ideal.model_copy(update={"hysteresis_fraction": 0.01})
-    for name in ("warm-finger", "slow-drift", "real"):
-        assert load_scenario(name, QUARTZ).physics == Physics()
-
-
-def test_two_touches_come_in_pairs_at_least_5_mm_apart() -> None:
-    scenario = load_scenario("two-touches", QUARTZ)
-    pressed = scenario.at(np.arange(0.0, 16.0, 0.01)).force_newton[..., 2] > 0
-    assert pressed.sum(axis=1).max() == 2
-    pairs = {tuple(np.flatnonzero(row).tolist()) for row in pressed if row.sum() == 2}
-    assert len(pairs) == 5
-    for a, b in pairs:
-        assert np.hypot(*(scenario.positions_m[a] - scenario.positions_m[b])) >= 5e-3
-
-
-def test_drift_shock_warmth_and_slide_are_what_they_are_called() -> None:
-    drift = load_scenario("slow-drift", QUARTZ)
-    times_s = np.arange(0.0, 660.0, 1.0)
-    kelvin = drift.environment_kelvin(times_s) - 298.15
-    assert (kelvin.min(), kelvin.max()) == (pytest.approx(-2.0), pytest.approx(2.0))
-    assert (drift.at(times_s).force_newton[..., 2] == 2.0).sum() >= 600
-    shock = load_scenario("thermal-shock", QUARTZ)
-    assert len(shock.positions_m) == 0
-    assert np.ptp(shock.environment_kelvin(np.array([10.0, 15.0]))) == 10.0
-    pressing = load_scenario("warm-finger", QUARTZ).at(np.arange(0.0, 480.0, 1.0))
-    assert set(pressing.contact_kelvin[pressing.force_newton[..., 2] > 0]) == {305.0}
-    assert ((pressing.force_newton[..., 2] > 0).sum(axis=0) >= 180).all()
-    path = load_scenario("slide", QUARTZ).at(np.arange(0.0, 14.0, 0.01)).position_m
-    assert (np.hypot(*np.moveaxis(path[-1] - path[0], -1, 0)) > 4e-3).all()
-
-
-def test_touches_visits_every_site_once_with_all_forces() -> None:
-    scenario = load_scenario("touches", QUARTZ)
-    assert sorted(site or 0 for site in scenario.site_ids) == list(range(1, 17))
-    force = scenario.at(np.arange(0.0, 32.0, 0.01)).force_newton[..., 2]
-    assert (force.max(axis=0).min(), force.max()) == (0.2, 8.0)
-    assert (force > 0).sum(axis=1).max() == 1
-    assert (force[:100] == 0).all()
-
-
-def test_press_and_shear_reaches_incipient_slip_at_1_newton() -> None:
-    scenario = load_scenario("press-and-shear", SKIN)
-    force = scenario.at(np.arange(0.0, 12.0, 0.01)).force_newton.sum(axis=1)
-    ratio = np.hypot(*force[:, :2].T) / (0.5 * np.maximum(force[:, 2], 1e-9))
-    assert ratio.max() == pytest.approx(0.9, abs=1e-3)
-    assert force[:, 2].max() == pytest.approx(1.2)
-    assert scenario.site_ids == (None,) * 4
-
-
-def test_still_held_between_and_too_hard_are_what_they_are_called() -> None:
-    assert forces(load_scenario("still", QUARTZ), 0.0, 10.0) == [[], []]
-    held = load_scenario("held", QUARTZ)
-    assert [sum(row) for row in forces(held, 0.0005, 2.9, 3.3, 5.5)] == [1.0, 1.0, 0.0, 1.0]
-    assert load_scenario("between", QUARTZ).site_ids == (None,) * 4
-    peaks = load_scenario("too-hard", QUARTZ).peak_newton
-    assert peaks.min() < QUARTZ.force_max_newton < peaks.max()
 
 
 def test_a_position_on_a_site_is_that_site() -> None:
@@ -258,6 +183,11 @@ def test_every_mistake_in_a_file_is_named(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize("value", ["[]", "[[5, 300], [5, 301]]", "[[5, 300], [4, 301]]"])
+def test_times_of_temperatures_rise(tmp_path: Path, value: str) -> None:
+    assert findings(tmp_path, f"environment_kelvin = {value}")[0].startswith("mine.toml: environment_kelvin: got [")
+
+
 def test_a_value_in_the_place_of_a_table_or_a_list_is_named(tmp_path: Path) -> None:
     lines = findings(tmp_path, 'plate = 3\nenvironment_kelvin = "warm"\ntouches = ["hard"]\nseed = {}\n')
     assert sorted(lines) == [
@@ -287,19 +217,6 @@ def test_faults_of_a_file_are_read_and_its_mistakes_named(tmp_path: Path) -> Non
         "events[1].for_sec: unknown key; did you mean for_s?",
         "misbehave[0]: got 'cheats'; allowed: channels0, channels5, o",
     ]
-
-
-@pytest.mark.parametrize("value", ["[]", "[[5, 300], [5, 301]]", "[[5, 300], [4, 301]]"])
-def test_times_of_temperatures_rise(tmp_path: Path, value: str) -> None:
-    (line,) = findings(tmp_path, f"environment_kelvin = {value}")
-    assert line.endswith("give a number, or points [[t_s, kelvin], ...] with times that rise")
-
-
-@pytest.mark.parametrize("value", ['"warm"', "[300, 301]", "[[1, 2, 3]]", "true"])
-def test_what_is_no_temperature_is_refused(tmp_path: Path, value: str) -> None:
-    assert all(
-        line.startswith("mine.toml: environment_kelvin") for line in findings(tmp_path, f"environment_kelvin = {value}")
-    )
 
 
 def test_a_scenario_that_does_not_fit_the_plate_is_refused(tmp_path: Path) -> None:

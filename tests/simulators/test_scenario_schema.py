@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
+from jsonschema import Draft202012Validator
 
 from resonator_daemon.plate import load_plate
 from simulators import scenario_file
@@ -18,78 +19,13 @@ from simulators.scenario_file import shipped_scenarios
 from simulators.scenario_schema import scenario_schema
 
 SCHEMA = scenario_schema()
+VALIDATOR = Draft202012Validator(SCHEMA)
 SHIPPED = sorted(Path(scenario_file.__file__).with_name("scenarios").glob("*.toml"))
-
-_TYPES: dict[str, tuple[type, ...]] = {
-    "object": (dict,), "array": (list,), "string": (str,), "boolean": (bool,), "integer": (int,), "number": (int, float)
-}  # fmt: skip
-_SILENT = {"$schema", "$defs", "title", "description", "default"}
-
-
-def complaints(schema: dict[str, Any], value: Any, where: str = "") -> Iterator[str]:
-    """Judge by the keywords that JSON Schema 2020-12 defines; a keyword that is not known here is a failure."""
-    for keyword, limit in schema.items():
-        match keyword:
-            case "$ref":
-                yield from complaints(SCHEMA["$defs"][limit.removeprefix("#/$defs/")], value, where)
-            case "anyOf":
-                if all(any(True for _ in complaints(one, value, where)) for one in limit):
-                    yield f"{where}: none of anyOf"
-            case "type":
-                right = isinstance(value, _TYPES[limit]) and (limit == "boolean" or not isinstance(value, bool))
-                if not right:
-                    yield f"{where}: type"
-                    return
-            case "minimum" | "exclusiveMinimum" | "maximum" | "exclusiveMaximum":
-                right = {
-                    "minimum": value >= limit,
-                    "exclusiveMinimum": value > limit,
-                    "maximum": value <= limit,
-                    "exclusiveMaximum": value < limit,
-                }
-                if not right[keyword]:
-                    yield f"{where}: {keyword}"
-            case "enum":
-                if value not in limit:
-                    yield f"{where}: enum"
-            case "minLength" | "pattern":
-                if (len(value) < limit) if keyword == "minLength" else not re.search(limit, value):
-                    yield f"{where}: {keyword}"
-            case "minItems" | "maxItems":
-                if (len(value) < limit) if keyword == "minItems" else (len(value) > limit):
-                    yield f"{where}: {keyword}"
-            case "prefixItems":
-                for index, (one, item) in enumerate(zip(limit, value, strict=False)):
-                    yield from complaints(one, item, f"{where}[{index}]")
-            case "items":
-                for index, item in enumerate(value):
-                    yield from complaints(limit, item, f"{where}[{index}]")
-            case "properties":
-                for key in limit.keys() & value.keys():
-                    yield from complaints(limit[key], value[key], f"{where}.{key}")
-            case "required":
-                yield from (f"{where}.{key}: required" for key in limit if key not in value)
-            case "additionalProperties":
-                assert limit is False
-                yield from (f"{where}.{key}: unknown" for key in value.keys() - schema["properties"].keys())
-            case _:
-                assert keyword in _SILENT, keyword
-
-
-def sorted_by_type_first(schema: Any) -> Any:
-    """Put each "type" first: a value of another type is judged no further."""
-    if isinstance(schema, dict):
-        first = {"type": schema["type"]} if isinstance(schema.get("type"), str) else {}
-        return first | {key: sorted_by_type_first(value) for key, value in schema.items() if key not in first}
-    return [sorted_by_type_first(item) for item in schema] if isinstance(schema, list) else schema
-
-
-SCHEMA = sorted_by_type_first(SCHEMA)
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_shipped_scenarios_keep_to_the_schema(path: Path) -> None:
-    assert list(complaints(SCHEMA, tomllib.loads(path.read_text()))) == []
+    VALIDATOR.validate(tomllib.loads(path.read_text()))
 
 
 def test_every_table_and_key_is_described() -> None:
@@ -159,6 +95,7 @@ TOUCH = "[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 1\n"
         ("[[touches]]\nstart_s = 0\nsite = 1.5\nforce_newton = 1\n", False),
         ('environment_kelvin = "warm"\n', False),
         ("environment_kelvin = [300, 301]\n", False),
+        ("environment_kelvin = true\n", False),
         ("period_s = 0\n", False),
         ("seed = 1.5\n", False),
         ("[plate]\ndrop_rate = 1.0\n", False),
@@ -181,7 +118,7 @@ TOUCH = "[[touches]]\nstart_s = 0\nsite = 1\nforce_newton = 1\n"
     ],
 )
 def test_it_takes_what_the_emulator_takes_and_nothing_else(tmp_path: Path, text: str, right: bool) -> None:
-    assert (not list(complaints(SCHEMA, tomllib.loads(text)))) == right
+    assert VALIDATOR.is_valid(tomllib.loads(text)) == right
     path = tmp_path / "mine.toml"
     path.write_text(text)
     if right:

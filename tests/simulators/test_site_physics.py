@@ -61,19 +61,6 @@ def test_ideal_sites_without_noise_feel_the_force_and_nothing_else() -> None:
     assert [frames.relative_shift.shape, frames.sensitivity_factor.shape] == [(30, SITES + 1), (30, SITES, 4)]
 
 
-def test_the_play_is_a_share_of_the_largest_force_whatever_the_file_believes() -> None:
-    believing = {"hysteresis_newton": 0.7, "creep_fraction": 0.2, "creep_time_s": 1.0}
-    for plate in (PLATE, plate_with(response=believing)):
-        frames = advance(made(plate, physics(hysteresis_fraction=0.01)), 5, force_newton=4.0)
-        assert frames.felt_newton == pytest.approx(np.full((5, SITES), 3.95))  # 4 N less half of 1 % of 10 N
-
-
-def test_creep_comes_as_late_and_as_large_as_given() -> None:
-    sites = made(PLATE, physics(creep_fraction=0.005, creep_time_s=20.0))
-    frames = advance(sites, 2000, force_newton=2.0, dt_s=0.01)
-    assert frames.felt_newton[-1, 0] == pytest.approx(2 * (1 - 0.005 * math.exp(-19.995 / 20)), abs=1e-12)
-
-
 def test_temperature_coefficients_are_drawn_for_sites_and_pilot() -> None:
     drawn = []
     for seed in range(200):
@@ -153,21 +140,6 @@ def test_a_touch_keeps_its_sensitivity_also_after_an_interruption() -> None:
     assert np.all(factor[:, 9] == factor[0, 9])
     assert np.all(factor[0, 9] != factor[1, 4])
     assert np.all(factor[:, 0] == 1)
-
-
-def test_oscillator_noise_has_the_given_levels_at_every_site_and_the_pilot() -> None:
-    white = advance(made(PLATE, physics(white_fm=3e-10)), 20_000)
-    assert white.relative_shift.std(axis=0) / 3e-10 == pytest.approx(np.full(SITES + 1, math.sqrt(1e3)), rel=0.03)
-    assert white.phase_mean_s.std() / 3e-10 == pytest.approx(math.sqrt(1e-3 / 12), rel=0.01)
-    assert white.regression_excess.std() / 3e-10 == pytest.approx(math.sqrt(0.2 * 1e3), rel=0.01)
-    walk = advance(made(PLATE, physics(random_walk_fm=2e-12)), 20_000).relative_shift
-    assert allan_deviation(walk) / 2e-12 == pytest.approx(math.sqrt(1e-3), rel=0.01)
-    flicker = advance(made(PLATE, physics(flicker_fm=1e-10)), 20_000).relative_shift
-    assert allan_deviation(flicker) / 1e-10 == pytest.approx(1.0, rel=0.05)
-
-
-def allan_deviation(shift: Floats) -> float:
-    return math.sqrt(0.5 * np.mean(np.diff(shift, axis=0) ** 2))
 
 
 def test_a_run_is_the_same_however_it_is_split_and_another_with_another_seed() -> None:

@@ -91,16 +91,6 @@ def test_sums_of_beats_are_those_of_displaced_edges(
     assert ours.roughness_ticks2.sum() == pytest.approx(rough, rel=roughness_off)
 
 
-def test_a_beat_that_stamps_see_stand_still_moves_them_all_alike() -> None:
-    stamps = 990
-    rates = np.array([0.0, 1 / PERIOD, 3 / PERIOD, 1e-13])[:, np.newaxis] * [1.0, 2.0, 0.0]
-    some = beats(np.tile((0.3, 0.1, 0.0), (4, 1)), np.tile((0.2, 0.9, 0.0), (4, 1)), rates)
-    ours = beat_sums(strides([10.0, 0.0, 0.0, 500.0], stamps), some)
-    assert ours.first_ticks[1:3] == pytest.approx(np.full((2, 1), ours.first_ticks[0, 0]))
-    assert ours.total_ticks == pytest.approx(stamps * ours.first_ticks, rel=0.01)
-    assert np.abs(ours.moment_ticks).max() < 1.0  # 1e-8 of what one end alone would make
-
-
 def test_a_record_of_stamps_is_what_its_definition_says() -> None:
     lines = strides([12.25, 873.5], 40)
     sums = stamped_sums(lines, no_errors(2), None, np.random.default_rng(1))
@@ -130,15 +120,3 @@ def test_a_phase_that_strays_moves_mean_and_slope_as_it_says(make: object) -> No
     assert bent[0] - straight[0] == pytest.approx(strayed, abs=0.1)
     assert (bent[1] - straight[1]) * stamps == pytest.approx(tilt, abs=0.1)
     assert abs(bent[2] - straight[2]) <= 1  # the ends stay
-
-
-def test_closed_form_and_stamps_are_cut_to_ticks_alike() -> None:
-    gates = 4000
-    first = np.random.default_rng(3).uniform(0, PERIOD, gates)
-    lines, errors = strides(first, 12, PERIOD), no_errors(gates, 0.4)
-    offset = []
-    for make in (closed_form_sums, stamped_sums):
-        sums = make(lines, errors, None, np.random.default_rng(4))
-        starts = sums.first_ticks[:, 0] - lines.gate_start_ticks[:, 0] - first
-        offset.append((starts.mean(), (sums.s1_ticks[:, 0] / 12 + starts).mean() - 5.5 * PERIOD))
-    assert np.array(offset) == pytest.approx(np.full((2, 2), -0.5), abs=0.03)

@@ -113,32 +113,6 @@ def test_a_reader_that_pauses_gets_all_lines_and_one_that_sleeps_only_whole_ones
     assert len(lines) + output.lines_lost == 42_001
 
 
-def test_what_a_reader_takes_until_the_end_still_goes_out(pipe: Path) -> None:
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    output = TruthOutput(pipe)
-    for _ in range(400):  # more than a pipe takes, less than two
-        output.write(LINE)
-    received = os.read(reader, 1 << 20)
-    output.close()
-    while data := os.read(reader, 1 << 20):
-        received += data
-    os.close(reader)
-    assert received.decode() == LINE * 400
-    assert output.lines_lost == 0
-
-
-def test_lines_that_a_reader_left_behind_are_counted(pipe: Path) -> None:
-    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-    output = TruthOutput(pipe)
-    for _ in range(1000):
-        output.write(LINE)
-    taken = 65536 // len(LINE)  # by the pipe; nobody can tell that they were not read
-    os.close(reader)
-    output.write(LINE)
-    assert output.lines_lost == pytest.approx(1001 - taken, abs=25)
-    output.close()
-
-
 def test_a_disk_that_takes_nothing_more_is_said_in_a_sentence() -> None:
     output = TruthOutput(Path("/dev/full"))
     with pytest.raises(OSError, match=r"^the truth cannot be written to /dev/full: No space left on device$"):
