@@ -16,6 +16,7 @@ from tomlkit.items import Table
 from resonator_daemon.calibration.coupling import Felt
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
+from resonator_daemon.host.whole_file import fresh_name, replace_file
 from resonator_daemon.plate import FORCE_SIGNAL, load_plate, shipped_plates
 from resonator_daemon.toml_files.reading import read_toml
 
@@ -162,32 +163,15 @@ def write_plate_file(text: str, target: Path) -> None:
         checked.flush()
         load_plate(checked.name)
     target = target.resolve()  # a link stays a link
-    fresh = _fresh(target)
     try:
-        with fresh.open("w", encoding="utf-8", newline="") as stream:
-            if target.exists():
-                os.fchmod(stream.fileno(), target.stat().st_mode & 0o7777)
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(fresh, target)
+        replace_file(target, text.encode(), target.stat().st_mode & 0o7777 if target.exists() else None)
     except OSError as error:
-        fresh.unlink(missing_ok=True)
         raise CalibrationRefusedError(f"{target}: cannot be written ({error.strerror}); it is as before") from None
-    directory = os.open(target.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)
-    finally:
-        os.close(directory)
 
 
 def remove_remains(target: Path) -> None:
     """Remove what a write that was killed has left beside the plate file."""
-    _fresh(target.resolve()).unlink(missing_ok=True)
-
-
-def _fresh(target: Path) -> Path:
-    return target.with_name(f".{target.name}.new")
+    fresh_name(target.resolve()).unlink(missing_ok=True)
 
 
 def _set_site(table: Any, site: SiteRecord) -> None:

@@ -4,9 +4,7 @@ import hashlib
 import logging
 import os
 import stat
-import tempfile
 import time
-from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Final, Literal, NamedTuple
@@ -16,6 +14,7 @@ from pydantic import BaseModel, Field, ValidationError
 from resonator_daemon.config import Config, config_from, load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
 from resonator_daemon.errors import ConfigurationError
+from resonator_daemon.host.whole_file import replace_file
 from resonator_daemon.sensors.code_check import findings
 from resonator_daemon.toml_files.reading import TomlFile, named, parse_toml, read_toml
 
@@ -127,7 +126,7 @@ class ConfigStore:
         copy = _Copy(file=name, saved_utc_ns=time.time_ns(), config=file.text, plate=plate_text(config.plate))
         try:
             if not self._kept(copy):
-                self._write(copy.model_dump_json().encode())
+                replace_file(self._copy, copy.model_dump_json().encode(), 0o600)
         except OSError as error:
             if (reason := _reason(error)) != self._reported:
                 log.warning("no copy of this configuration is kept for the day it is bad: %s: %s", self._copy, reason)
@@ -147,26 +146,6 @@ class ConfigStore:
         except (FileNotFoundError, ValidationError):
             return False
         return (present.config, present.plate) == (copy.config, copy.plate)
-
-    def _write(self, content: bytes) -> None:
-        """Put a file in place as a whole: the old one stays until the new one is on the disk."""
-        self._copy.parent.mkdir(parents=True, exist_ok=True)
-        number, name = tempfile.mkstemp(prefix=f".{self._copy.stem}-", dir=self._copy.parent)  # mode 0600
-        try:
-            with open(number, "wb") as file:
-                file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(name, self._copy)
-        except OSError:
-            with suppress(OSError):
-                os.unlink(name)
-            raise
-        directory = os.open(self._copy.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(directory)
-        finally:
-            os.close(directory)
 
 
 def load_checked(path: Path) -> Config:

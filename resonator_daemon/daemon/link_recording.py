@@ -4,7 +4,6 @@ import hashlib
 import secrets
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -23,9 +22,10 @@ from resonator_daemon.errors import (
 )
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
+    Arrival,
     BoardOnline,
     BoardRefused,
     ChannelisedFrame,
@@ -37,9 +37,7 @@ from resonator_daemon.session.frames import (
 if TYPE_CHECKING:
     from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 
-_OPEN_S: Final = 10.0  # in which a board must count
 _TURN_S: Final = 0.2
-_PROGRESS_S: Final = 1.0
 
 
 class NoBoardError(UserError):
@@ -70,6 +68,10 @@ class RecordOptions:
         After which the next file begins.
     derived
         Also record what is measured.
+    open_s
+        Time in which a board must count.
+    progress_s
+        Period of the progress line.
     """
 
     output: Path
@@ -77,6 +79,8 @@ class RecordOptions:
     max_mb: float | None = None
     max_minutes: float | None = None
     derived: bool = False
+    open_s: float = 10.0
+    progress_s: float = 1.0
 
     @property
     def place(self) -> Path | Series:
@@ -104,8 +108,8 @@ def record(config_path: Path, options: RecordOptions) -> dict[str, Any]:
     if config.link.recording_path is not None:
         raise ConfigurationError(f"link: {config.link} is a recording already; copy the file")
     recording = _LinkRecording(config, hashlib.sha256(config_path.read_bytes()).hexdigest(), options)
-    with recording.open() as arrived:
-        recording.wait(arrived, options.seconds)
+    with recording.open():
+        recording.wait(options)
     recording.check(options.seconds)
     return recording.result()
 
@@ -117,70 +121,66 @@ class _LinkRecording:
         boot_id = secrets.token_hex(8)
         self._recorder = Recorder(options.place, origin(config, config.name, boot_id, config_sha256))
         self._pipeline = _pipeline(config, boot_id, self._recorder) if options.derived else None
-        self._arrived = threading.Event()
-        self._reader = BoardReader(
-            config.link, config.plate, self._arrived.set, step_frames=(64,), on_event=self._recorder.put
-        )
+        self._loop = BlockingReader(config.link, config.plate, step_frames=(64,), on_event=self._recorder.put)
         self._board: BoardOnline | None = None
-        self._link = ""  # what was said of it last
+        self._link = ""  # its last reason
         self._first_frame_s: float | None = None
         self._ended_s = 0.0
         self._stopped = False
 
     @contextmanager
-    def open(self) -> Iterator[threading.Event]:
-        """Give what is set whenever something arrives; the file has its end afterwards."""
+    def open(self) -> Iterator[None]:
+        """Read the board, and end the file afterwards."""
         numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         handlers = {number: signal.signal(number, self._stop) for number in numbers}
         try:
-            self._reader.start()
-            yield self._arrived
+            with self._loop:
+                yield
+                self._ended_s = time.monotonic()
         finally:
-            self._ended_s = time.monotonic()
-            self._reader.stop()
             self._measure_the_rest()
             self._recorder.close()
-            is_kept = self._reader.counters().frames > 0
+            is_kept = self._loop.reader.counters().frames > 0
             if not is_kept:
                 self._recorder.path.unlink(missing_ok=True)  # it would only be in the way of the next attempt
             for number, handler in handlers.items():
                 signal.signal(number, handler)
             if is_kept:
-                self._say_progress(end="\n")
+                self._print_progress(end="\n")
             elif sys.stderr.isatty():
                 sys.stderr.write("\r\x1b[K")  # no line of a file that is gone
 
-    def wait(self, arrived: threading.Event, seconds: float | None) -> None:
-        begun_s = said_s = time.monotonic()
+    def wait(self, options: RecordOptions) -> None:
+        """Record until the time is over, a signal comes, or the file takes no more."""
+        begun_s = printed_s = time.monotonic()
         while not self._stopped and self._recorder.failure is None:
-            arrived.wait(_TURN_S)
-            arrived.clear()
-            self._take()
+            for arrival in self._loop.wait(_TURN_S):
+                self._handle(arrival)
             now_s = time.monotonic()
             if self._first_frame_s is None:
-                if now_s - begun_s > _OPEN_S:
-                    raise NoBoardError(f"no board counts after {_OPEN_S:g} s: {self._link}")
-            elif seconds is not None and now_s - self._first_frame_s >= seconds:
+                if now_s - begun_s > options.open_s:
+                    raise NoBoardError(f"no board counts after {options.open_s:g} s: {self._link}")
+            elif options.seconds is not None and now_s - self._first_frame_s >= options.seconds:
                 return
-            if now_s - said_s >= _PROGRESS_S:
-                said_s = now_s
-                self._say_progress()
+            if now_s - printed_s >= options.progress_s:
+                printed_s = now_s
+                self._print_progress()
 
     def check(self, seconds: float | None) -> None:
         """Raise what is wrong with a recording that has ended; `seconds` is what was asked for."""
         if self._recorder.failure is not None:
             raise RecordingEndedError(self._recorder.failure)
-        told = self.result()
-        if seconds is not None and self._stopped and told["seconds"] < seconds:
-            if not told["frames"]:
+        result = self.result()
+        if seconds is not None and self._stopped and result["seconds"] < seconds:
+            if not result["frames"]:
                 raise InterruptedCommandError("interrupted before a frame came; no file is kept")
-            words = f"{told['seconds']:.1f} of {seconds:g} s are recorded, which stay"
-            raise InterruptedCommandError(f"interrupted: {words}", told)
-        if not told["frames"]:
+            words = f"{result['seconds']:.1f} of {seconds:g} s are recorded, which stay"
+            raise InterruptedCommandError(f"interrupted: {words}", result)
+        if not result["frames"]:
             raise NoBoardError(f"no frame was recorded: {self._link}")
 
     def result(self) -> dict[str, Any]:
-        account = self._reader.counters()
+        counters = self._loop.reader.counters()
         counts = self._recorder.counts
         return {
             "file": str(self._recorder.path),
@@ -188,10 +188,10 @@ class _LinkRecording:
             "files": counts.files,
             "board": self._board.identity.serial_number if self._board is not None else None,
             "seconds": 0.0 if self._first_frame_s is None else round(self._ended_s - self._first_frame_s, 3),
-            "bytes_received": account.bytes_received,
-            "frames": account.frames,
-            "frames_lost": asdict(account.lost),
-            "connections": account.connections,
+            "bytes_received": counters.bytes_received,
+            "frames": counters.frames,
+            "frames_lost": asdict(counters.lost),
+            "connections": counters.connections,
             "events_missing": counts.events_missing,
             "messages": counts.messages,
             "messages_missing": counts.messages_missing,
@@ -200,31 +200,30 @@ class _LinkRecording:
     def _stop(self, *_: object) -> None:
         self._stopped = True
 
-    def _take(self) -> None:
-        for arrival in self._reader.pop_arrivals():
-            if self._pipeline is not None:
-                self._pipeline.handle(arrival)
-            match arrival:
-                case BoardOnline():
-                    self._recorder.name_board(arrival)
-                    self._board = arrival
-                case SingleToneFrame() | ChannelisedFrame() if self._first_frame_s is None:
-                    self._first_frame_s = arrival.gate_middle.monotonic_ns * 1e-9
-                case LinkChange():
-                    self._link = arrival.reason
-                case BoardRefused():
-                    raise IncompatibleBoardError(*arrival.problems)
-                case ReaderFailed():
-                    raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
+    def _handle(self, arrival: Arrival) -> None:
+        if self._pipeline is not None:
+            self._pipeline.handle(arrival)
+        match arrival:
+            case BoardOnline():
+                self._recorder.name_board(arrival)
+                self._board = arrival
+            case SingleToneFrame() | ChannelisedFrame() if self._first_frame_s is None:
+                self._first_frame_s = arrival.gate_middle.monotonic_ns * 1e-9
+            case LinkChange():
+                self._link = arrival.reason
+            case BoardRefused():
+                raise IncompatibleBoardError(*arrival.problems)
+            case ReaderFailed():
+                raise RecordingEndedError(f"the reader failed: {arrival.error!r}") from arrival.error
 
     def _measure_the_rest(self) -> None:
         """Measure what came before the reader stopped: its bytes are in the file."""
         if self._pipeline is not None:
-            for arrival in self._reader.pop_arrivals():
+            for arrival in self._loop.reader.pop_arrivals():
                 self._pipeline.handle(arrival)
 
-    def _say_progress(self, end: str = "") -> None:
-        line = _progress(self._reader.counters(), self._recorder)
+    def _print_progress(self, end: str = "") -> None:
+        line = _progress(self._loop.reader.counters(), self._recorder)
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{line}\x1b[K{end}")
         elif end:
@@ -241,9 +240,9 @@ def _pipeline(config: Config, boot_id: str, recorder: Recorder) -> "BoardPipelin
     return BoardPipeline(config, boot_id, messages.record)
 
 
-def _progress(account: LinkCounters, recorder: Recorder) -> str:
+def _progress(counters: LinkCounters, recorder: Recorder) -> str:
     counts = recorder.counts
-    line = f"{recorder.path}: {account.frames} frames, {account.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
+    line = f"{recorder.path}: {counters.frames} frames, {counters.lost.total} lost, {counts.file_bytes / 1e6:.1f} MB"
     if counts.files > 1:
         line += f", file {counts.files}"
     return line + (f", {counts.events_missing} events too many for the disk" if counts.events_missing else "")

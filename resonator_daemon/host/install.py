@@ -12,6 +12,7 @@ from importlib import resources
 from pathlib import Path, PurePosixPath
 
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.whole_file import replace_file
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
 _HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=
@@ -181,15 +182,8 @@ def _write(file: Placed) -> None:
     """Write whole files only: an interrupted one is begun again by the next run."""
     if file.action not in (Action.WRITTEN, Action.UPDATED):
         return
-    new = file.path.with_name(f".{file.path.name}.new")
     try:
-        file.path.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            new.write_text(file.content, "utf-8")
-            new.chmod(0o644)
-            new.replace(file.path)
-        finally:
-            new.unlink(missing_ok=True)
+        replace_file(file.path, file.content.encode(), 0o644)
     except OSError as error:
         raise InstallError(f"{file.path} cannot be written: {error.strerror}") from error
 

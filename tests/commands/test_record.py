@@ -122,17 +122,14 @@ def test_seconds_count_from_the_first_frame(tmp_path: Path) -> None:
     assert told["seconds"] >= 1.0
 
 
-def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.8)
+def test_a_board_that_sends_no_frame_is_not_waited_for_without_end(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("silence_at_s=0,silence_for_s=60")
     with (
         emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
         pytest.raises(NoBoardError, match=r"no board counts after 0\.8 s: "),
     ):
-        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap"))
+        record(config(tmp_path, f"serial:{port}?baud=4000000"), RecordOptions(tmp_path / "run.mcap", open_s=0.8))
 
 
 def test_an_interrupt_ends_a_recording_in_order(tmp_path: Path) -> None:
@@ -167,11 +164,10 @@ def test_a_board_that_is_refused_is_no_recording_of_a_plate(tmp_path: Path) -> N
     assert json.loads(refused.stdout)["error"]["code"] == "refused"
 
 
-def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.2)
+def test_no_board_is_said_with_what_is_the_matter(tmp_path: Path) -> None:
     path = config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000")
     with pytest.raises(NoBoardError, match=r"no board counts after 0\.2 s: no port ") as raised:
-        record(path, RecordOptions(tmp_path / "run.mcap"))
+        record(path, RecordOptions(tmp_path / "run.mcap", open_s=0.2))
     assert raised.value.exit_code == 69
 
 
@@ -181,11 +177,10 @@ def test_a_terminal_keeps_no_line_of_a_file_that_is_gone(tmp_path: Path, monkeyp
             return True
 
     terminal, output = Terminal(), tmp_path / "run.mcap"
-    monkeypatch.setattr("resonator_daemon.daemon.link_recording._OPEN_S", 0.2)
-    monkeypatch.setattr("resonator_daemon.daemon.link_recording._PROGRESS_S", 0.0)
     monkeypatch.setattr(sys, "stderr", terminal)
+    options = RecordOptions(output, open_s=0.2, progress_s=0.0)
     with pytest.raises(NoBoardError):
-        record(config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000"), RecordOptions(output))
+        record(config(tmp_path, f"serial:{tmp_path / 'none'}?baud=4000000"), options)
     assert f"\r{output}: 0 frames, " in terminal.getvalue()
     assert terminal.getvalue().endswith("MB\x1b[K\r\x1b[K")
 

@@ -1,13 +1,12 @@
 """What commands do to a daemon that is busy: under a touch, in a flood, and in a recording that is played again."""
 
-import json
 import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from brokers import Amqtt, Mosquitto
+from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
 
@@ -43,28 +42,6 @@ async def ask(bench: Bench, verb: str, **payload: Any) -> dict[str, Any]:
 
 def forces(heard: Observer) -> list[dict[str, Any]]:
     return heard.payloads("resonator/hand/forces")
-
-
-async def test_what_changes_nothing_is_answered_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
-    bench = Bench(tmp_path, broker.url)
-    async with (
-        bench.emulated(scenario="still"),
-        observe(broker.url) as heard,
-        bench.running(bench.service()) as service,
-    ):
-        await heard.until_count("resonator/hand/forces", 5)
-        pong = await ask(bench, "ping")
-        health = await ask(bench, "health")
-        snapshot = await ask(bench, "snapshot")
-        refused = await ask(bench, "set_rate", topic="forces", rate_hz=1)
-        info = heard.payloads("resonator/hand/info")[-1]
-    assert pong["daemon_boot_id"] == service.daemon_boot_id
-    assert health["health"]["frames"] > 0
-    assert snapshot["messages"]["state/link"]["state"] == "online"
-    assert set(snapshot["messages"]) >= {"state/daemon", "state/sensor", "info", "forces", "contacts", "health"}
-    assert refused["error"]["code"] == "not_permitted"
-    assert "allow" in refused["error"]["hint"]
-    assert set(info["commands"]) == {"ping", "health", "snapshot"}
 
 
 async def test_the_window_changes_under_a_touch_that_goes_on(bench: Bench, mosquitto: Mosquitto) -> None:
@@ -130,27 +107,3 @@ async def test_a_recording_that_a_command_made_plays_again(bench: Bench, mosquit
     assert len(same) > 40
     for message in same:
         assert abs(int(message["t_ns"]) - int(live[message["board_ticks"]]["t_ns"])) < 2 * message["t_unc_ns"] + 1e6
-
-
-async def test_a_hundred_at_once_are_not_obeyed(
-    bench: Bench, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    async with (
-        bench.emulated(scenario="still"),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service()) as service,
-    ):
-        await heard.until_last("resonator/hand/state/link", state="online")
-        for _ in range(100):
-            await heard.client.publish("resonator/hand/cmd/ping", b"{}", qos=1)
-        await heard.until(
-            lambda: any(
-                message.topic.value.endswith("rsp/ping") and b"too_many" in message.payload for message in heard.heard
-            )
-        )
-        await heard.until_count("resonator/hand/health", len(heard.raw("resonator/hand/health")) + 2)
-        health = json.loads(heard.raw("resonator/hand/health")[-1])
-        assert service.link_counters.lost.total == 0
-    assert sum(health["commands"].values()) == 100
-    assert health["commands"]["too_many"] + health["commands"]["unanswered"] >= 50
-    assert caplog.text.count("commands come faster") == 1

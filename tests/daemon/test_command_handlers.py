@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -121,12 +120,6 @@ async def test_a_window_must_fit_as_in_the_configuration(
     assert bench.daemon.acts == []
 
 
-async def test_no_window_without_a_chain(bench: Bench) -> None:
-    bench.daemon.counts = False
-    assert (await bench.refusal("set_window", window_ms=20)).code == "not_ready"
-    assert bench.daemon.acts == []
-
-
 async def test_rates_are_set_told_and_taken_back(bench: Bench) -> None:
     assert await bench.ask("set_rate", topic="forces", rate_hz=20) == {"topic": "forces", "rate_hz": 20.0}
     assert await bench.ask("set_rate", topic="contacts", rate_hz=5) == {"topic": "contacts", "rate_hz": 5.0}
@@ -149,17 +142,6 @@ async def test_identify_waits_for_the_boards_word(bench: Bench) -> None:
     bench.daemon.board_refuses = "no board is connected"
     refused = await bench.refusal("identify")
     assert (refused.code, refused.message) == ("not_located", "no board is connected")
-
-
-async def test_a_word_of_the_board_that_nobody_waits_for_is_no_harm(bench: Bench) -> None:
-    told: list[Callable[[str | None], None]] = []
-    object.__setattr__(bench.handlers._parts, "locate", told.append)
-    asking = asyncio.create_task(bench.ask("identify"))
-    await asyncio.sleep(0)
-    asking.cancel()
-    with pytest.raises(asyncio.CancelledError):
-        await asking
-    told[0](None)
 
 
 async def test_a_recording_from_start_to_stop(bench: Bench) -> None:

@@ -204,45 +204,6 @@ async def test_beyond_the_range_there_is_no_number(bench: Bench, mosquitto: Mosq
     assert all(site["force_newton"] <= 10.5 for site in sites if site["force_newton"] is not None)
 
 
-async def test_between_sites_what_is_not_seen_stays_within_the_bound(bench: Bench, mosquitto: Mosquitto) -> None:
-    places = ((-0.5, 1.5), (1.4, 2.75), (-2.0, -2.0), (6.2, -3.9))  # from half a millimetre off a site to midway
-    between = "".join(
-        LONG_TOUCH.format(hold_s=0.2).replace("site = 7", f"position_mm = [{x}, {y}]").replace("0.4", f"{start_s:.1f}")
-        for (x, y), start_s in zip(places, (0.4, 1.0, 1.6, 2.2), strict=True)
-    )
-    async with (
-        observe(mosquitto.url) as heard,
-        bench.measured(heard, bench.service(), scenario=bench.scenario(IDEAL + between)),
-    ):
-        await heard.until_count("resonator/hand/forces", 1)
-        start_ticks = int(heard.payloads("resonator/hand/forces")[0]["board_ticks"])
-        await heard.until(
-            lambda: int(heard.payloads("resonator/hand/forces")[-1]["board_ticks"]) - start_ticks > 2_900_000_000
-        )
-    seen = set()
-    for message, window in bench.windows(heard.payloads("resonator/hand/forces")):
-        true = mean_newton(window)
-        if true > 0.1:
-            seen.add(message["status"])
-            if message["sites"]:
-                seen_newton = sum(site["force_newton"] for site in message["sites"])
-                hidden = max(site["hidden_newton"] for site in message["sites"])
-                noise = sum(site["noise_newton"] for site in message["sites"])
-                assert -0.005 - 3 * noise <= true - seen_newton <= hidden
-    assert seen <= {"ok", "ambiguous", "settling", "rejected", "possibly_more"}
-    assert "ok" in seen
-
-
-async def test_without_a_name_the_serial_number_is_the_topic(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with (
-        bench.emulated(scenario="still"),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service(name=None)),
-    ):
-        await heard.until_last("resonator/EMU-0001/state/link", state="online")
-        await heard.until_last("resonator/EMU-0001/state/daemon", state="online")
-
-
 async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
     async with bench.emulated(scenario="still"):

@@ -3,7 +3,6 @@
 import json
 import logging
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -14,7 +13,6 @@ from resonator_daemon.config.text import load_plate_text, load_settings_text
 from resonator_daemon.daemon.recording_commands import RecordingCommands, recording_info
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.publishing.verbs import StartRecording, StopRecording
-from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording.file_series import Series
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.switch import RecordingSwitch
@@ -67,17 +65,6 @@ async def test_a_recording_without_end_begins_once_and_ends_where_it_is_not_want
         assert load_plate_text(it.plate_text, last).model_dump_json() == endless.plate.model_dump_json()
         settings = load_settings_text(it.settings_text, last)
         assert (settings.measurement, settings.decoding) == (endless.measurement, endless.decoding)
-
-
-async def test_a_recording_that_a_command_began_outlasts_another_configuration(tmp_path: Path) -> None:
-    switch = RecordingSwitch()
-    commands = RecordingCommands(config(tmp_path), "left", switch)
-    await commands.keep_recording()
-    assert switch.current is None
-    await commands.start(StartRecording(label="press"))
-    await commands.adopt(config(tmp_path, file_max_mb=5.0), None)
-    assert switch.current is not None
-    switch.stop()
 
 
 @pytest.mark.parametrize("config_began_before", [False, True])
@@ -160,18 +147,6 @@ async def test_limits_are_those_of_the_configuration(tmp_path: Path) -> None:
             resumes=True,
         )
     ]
-
-
-async def test_a_recording_without_end_waits_for_room_and_says_so(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(recording_budget.shutil, "disk_usage", lambda _: SimpleNamespace(free=1))
-    switch = RecordingSwitch()
-    await RecordingCommands(config(tmp_path, continuous=True), "left", switch).keep_recording()
-    told = json.loads(recording_info(switch).model_dump_json())
-    assert "MB are kept free" in told["failure"]
-    assert (told["files"], told["file_bytes"], told["file"]) == (0, 0, str(tmp_path))
-    switch.stop()
 
 
 async def test_counts_go_on_when_a_recording_ends_and_another_begins(tmp_path: Path) -> None:

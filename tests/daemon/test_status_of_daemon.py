@@ -1,7 +1,6 @@
 """The status and the metrics of a whole daemon, over a pulled cable."""
 
 import asyncio
-import json
 import logging
 import os
 import socket
@@ -113,24 +112,6 @@ async def test_counters_go_on_over_a_pulled_cable_and_the_status_tells_of_it(
     assert (status.config.in_use, status.config.problems) == ("file", ())
     assert status.health.frames > 1000
     assert "secret" not in status.model_dump_json()
-
-
-async def test_a_port_that_is_taken_keeps_no_daemon_from_measuring(
-    tmp_path: Path, mosquitto: Mosquitto, caplog: pytest.LogCaptureFixture
-) -> None:
-    bench = Bench(tmp_path, mosquitto.url)
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        other.listen()
-        service = service_with_metrics(bench, other.getsockname()[1])
-        async with bench.emulated(scenario="still"), bench.running(service), asyncio.timeout(DEADLINE_S):
-            status = await ask_status()
-            while not (status.health and status.health.frames):
-                await asyncio.sleep(0.05)
-                status = await ask_status()
-            assert json.loads(status.model_dump_json())["link"]["state"] == "online"
-    said = [record.getMessage() for record in caplog.records if "no metrics at" in record.getMessage()]
-    assert len(said) == 1
 
 
 async def test_hundreds_of_damaged_frames_are_figures_and_no_lines_of_the_log(
