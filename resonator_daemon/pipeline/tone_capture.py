@@ -1,13 +1,12 @@
 """Tone readings straight from a board on its link, for a caller that waits in its own thread."""
 
-import threading
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any
 
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors.kinds import sensor_of
-from resonator_daemon.session.board_reader import BoardReader
+from resonator_daemon.session.blocking_reader import BlockingReader
 from resonator_daemon.session.compatibility import oscillator_hz
 from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, ReaderFailed, SingleToneFrame
 from resonator_daemon.tones.tone_detector import ToneDetector, ToneReading, reading_frames
@@ -15,7 +14,7 @@ from resonator_daemon.tones.tone_detector import ToneDetector, ToneReading, read
 _TURN_S = 0.1
 
 
-class ToneCapture:
+class ToneCapture(BlockingReader):
     """Reads a board from entry to exit, whichever unit the plate was calibrated with.
 
     Parameters
@@ -27,27 +26,14 @@ class ToneCapture:
         Least number of frames in a reading.
     options
         Of `BoardReader`.
-
-    Attributes
-    ----------
-    reader
     """
 
     def __init__(self, target: LinkTarget, plate: Plate, *, fewest_frames: int = 1, **options: Any) -> None:
         self._sensor = sensor_of(plate)
         self._frames = reading_frames(1 / plate.counter.frame_rate_hz, fewest_frames)
         self._detector: ToneDetector | None = None
-        self._arrived = threading.Event()
         any_unit = plate.calibration.model_copy(update={"unit": None})
-        plate = plate.model_copy(update={"calibration": any_unit})
-        self.reader = BoardReader(target, plate, self._arrived.set, **options)
-
-    def __enter__(self) -> Self:
-        self.reader.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.reader.stop()
+        super().__init__(target, plate.model_copy(update={"calibration": any_unit}), **options)
 
     def arrivals(self) -> Iterator[tuple[Arrival | None, ToneReading | None]]:
         """Yield each arrival with the reading that it completes, and after each turn of 0.1 s at most None.
@@ -58,9 +44,7 @@ class ToneCapture:
             What the reader's thread failed with.
         """
         while True:
-            self._arrived.wait(_TURN_S)
-            self._arrived.clear()
-            for arrival in self.reader.pop_arrivals():
+            for arrival in self.wait(_TURN_S):
                 yield arrival, self._reading(arrival)
             yield None, None
 
