@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from resonator_daemon.arrays import Bools, Floats
 
@@ -31,14 +31,26 @@ class Decoded:
     @classmethod
     def stack(cls, frames: Sequence[Self], leading: tuple[int, ...], shape: tuple[int, ...]) -> Self:
         """Single frames, of surface arrays of `shape`, in row order of the `leading` axes."""
-        displacements = [frame.displacement_m for frame in frames if frame.displacement_m is not None]
+
+        def joined(name: str, each: tuple[int, ...], dtype: DTypeLike) -> Any:
+            return np.array([getattr(frame, name) for frame in frames], dtype).reshape(*leading, *each)
+
+        has_displacement = bool(frames) and frames[0].displacement_m is not None
         return cls(
-            traction_pascal=np.array([frame.traction_pascal for frame in frames]).reshape(*leading, *shape),
-            traction_std_pascal=np.array([frame.traction_std_pascal for frame in frames]).reshape(*leading, *shape),
-            displacement_m=np.array(displacements).reshape(*leading, *shape) if displacements else None,
-            border_contact=np.array([frame.border_contact for frame in frames], np.bool_).reshape(leading),
-            log_evidence=np.array([frame.log_evidence for frame in frames], np.float64).reshape(leading),
-            chi2=np.array([frame.chi2 for frame in frames], np.float64).reshape(leading),
-            status=np.array([frame.status for frame in frames], np.str_).reshape(leading),
-            reason=np.array([frame.reason for frame in frames], np.str_).reshape(leading),
+            joined("traction_pascal", shape, np.float64),
+            joined("traction_std_pascal", shape, np.float64),
+            joined("displacement_m", shape, np.float64) if has_displacement else None,
+            joined("border_contact", (), np.bool_),
+            joined("log_evidence", (), np.float64),
+            joined("chi2", (), np.float64),
+            joined("status", (), np.str_),
+            joined("reason", (), np.str_),
         )
+
+    @classmethod
+    def unknown(
+        cls, shape: tuple[int, ...], displacement: bool, log_evidence: float, chi2: float, status: str, reason: str
+    ) -> Self:
+        """Return one frame of which no surface is known, with arrays of `shape`."""
+        traction, std, displaced = np.full((3, *shape), np.nan)
+        return cls(traction, std, displaced if displacement else None, False, log_evidence, chi2, status, reason)

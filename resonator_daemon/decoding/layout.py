@@ -72,12 +72,7 @@ def as_grid(positions_m: Floats) -> Grid | None:
 
 def at_border(sites_m: Floats, places_m: Floats) -> Bools:
     """Return which places lie outside the sites or among the outermost of them: (m,)."""
-    try:
-        hull = ConvexHull(sites_m)
-    except QhullError:  # all on a line, or fewer than three
-        return np.ones(len(places_m), np.bool_)
-    inward_m = -(places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
-    return np.asarray(inward_m < 0.5 * spacing_m(sites_m), np.bool_)
+    return np.asarray(_beyond_hull_m(sites_m, places_m) > -0.5 * spacing_m(sites_m), np.bool_)
 
 
 def cell_areas_m2(positions_m: Floats) -> Floats:
@@ -91,14 +86,15 @@ def cell_areas_m2(positions_m: Floats) -> Floats:
     raster = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     nearest = np.asarray(cKDTree(positions_m).query(raster)[1], np.intp)
     off = np.abs(raster - positions_m[nearest]).max(axis=1)
-    inside = (off <= half_m) | ~_outside(positions_m, raster)
+    inside = (off <= half_m) | (_beyond_hull_m(positions_m, raster) <= 0.0)
     counts = np.bincount(nearest[inside], minlength=len(positions_m))
     return np.asarray(np.maximum(counts, 1) * steps.prod(), np.float64)  # a cell may lie between the raster's points
 
 
-def _outside(sites_m: Floats, places_m: Floats) -> Bools:
+def _beyond_hull_m(sites_m: Floats, places_m: Floats) -> Floats:
+    """Return how far places lie outside the sites' hull, below 0 inside of it, (m,); infinite where it has no area."""
     try:
         hull = ConvexHull(sites_m)
     except QhullError:  # all on a line, or fewer than three
-        return np.ones(len(places_m), np.bool_)
-    return np.asarray((places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1) > 0.0, np.bool_)
+        return np.full(len(places_m), np.inf)
+    return np.asarray((places_m @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1), np.float64)

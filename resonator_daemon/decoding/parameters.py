@@ -35,12 +35,13 @@ def noise_of_signals(noise_std: ArrayLike, sites: tuple[int, ...]) -> Floats:
     return positive("noise_std", by_channel, (3, *sites))
 
 
-def positive(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Broadcast to `shape`."""
+def positive(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+    """Broadcast values to a shape; ValueError where that cannot be, or for one that is not finite and above 0."""
+    given = np.asarray(values, np.float64)
     try:
-        whole = np.broadcast_to(values, shape)
+        whole = np.broadcast_to(given, shape)
     except ValueError:
-        raise ValueError(f"{name} has shape {values.shape}, must broadcast to {shape}") from None
+        raise ValueError(f"{name} has shape {given.shape}, must broadcast to {shape}") from None
     if not ((whole > 0.0) & (whole < np.inf)).all():
         raise ValueError(f"{name} spans {whole.min()} .. {whole.max()}, must be finite and above 0")
     return whole

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from resonator_daemon.arrays import Bools, Floats, Indices, Labels
 from resonator_daemon.decoding.layout import as_grid, at_border, neighbours, spacing_m
+from resonator_daemon.decoding.parameters import positions, positive
 
 _THRESHOLD = 0.15  # of the map's peak pressure: what belongs to a patch
 _PEAK = 0.25  # of the map's peak pressure: what a patch must reach ...
@@ -69,7 +70,7 @@ class PatchFinder:
     Parameters
     ----------
     positions_m
-        Indices of the map, (m, 2).
+        Places of the map, (m, 2).
     cell_area_m2
         Area that each stands for: of all, or (m,).
     depth_m
@@ -82,18 +83,11 @@ class PatchFinder:
     """
 
     def __init__(self, positions_m: ArrayLike, cell_area_m2: ArrayLike, depth_m: float) -> None:
-        self._places_m = np.asarray(positions_m, np.float64)
-        if self._places_m.ndim != 2 or self._places_m.shape[1] != 2 or len(self._places_m) < 2:
+        self._places_m = positions("positions_m", positions_m)
+        if len(self._places_m) < 2:
             raise ValueError(f"positions_m has shape {self._places_m.shape}, must be (m, 2), m at least 2")
-        areas = np.asarray(cell_area_m2, np.float64)
-        if areas.shape not in ((), (len(self._places_m),)):
-            raise ValueError(f"cell_area_m2 has shape {areas.shape}, must be () or ({len(self._places_m)},)")
-        if not ((areas > 0.0) & (areas < np.inf)).all():
-            raise ValueError(f"cell_area_m2 spans {areas.min()} .. {areas.max()}, must be finite and above 0")
-        if not 0.0 < depth_m < np.inf:
-            raise ValueError(f"depth_m is {depth_m}, must be finite and above 0")
-        self._area_m2 = np.broadcast_to(areas, len(self._places_m))
-        self._depth_m = depth_m
+        self._area_m2 = positive("cell_area_m2", cell_area_m2, (len(self._places_m),))
+        self._depth_m = float(positive("depth_m", depth_m, ()))
         tree = cKDTree(self._places_m)
         length_m = _CORRELATION_DEPTHS * depth_m
         apart = tree.sparse_distance_matrix(tree, _CORRELATION_REACH * length_m, output_type="coo_matrix")

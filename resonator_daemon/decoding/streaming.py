@@ -145,6 +145,5 @@ def failed(decoder: SkinDecoder, error: Exception) -> SurfaceReading:
 
 def nothing_decoded(decoder: SkinDecoder, status: str, reason: str, events: tuple[SkinEvent, ...]) -> SurfaceReading:
     """Return a reading without a surface, with the events that end its contacts."""
-    unknown = np.full((3, *decoder.shape), np.nan)
-    decoded = Decoded(unknown, unknown, unknown, False, np.nan, np.nan, status, reason)
+    decoded = Decoded.unknown((3, *decoder.shape), True, np.nan, np.nan, status, reason)
     return SurfaceReading(decoder.name, decoded, events=events)

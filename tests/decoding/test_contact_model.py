@@ -85,7 +85,7 @@ def test_flat_as_summed_point_loads() -> None:
     ("sites", "depth", "radius", "match"),
     [
         (np.zeros(3), 1e-3, 1e-3, "site_positions_m has shape"),
-        ([[0.0, np.nan]], 1e-3, 1e-3, "not finite"),
+        ([[0.0, np.nan]], 1e-3, 1e-3, "site_positions_m holds nan"),
         (np.zeros((2, 2)), [1e-3] * 3, 1e-3, "depth_m has shape"),
         (np.zeros((2, 2)), 0.0, 1e-3, "depth_m spans"),
         (np.zeros((2, 2)), 1e-3, np.nan, "radius_max_m spans"),

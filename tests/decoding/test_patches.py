@@ -113,7 +113,7 @@ def test_refuses() -> None:
         (np.zeros((1, 2)), 1e-7, 1e-3, "positions_m has shape"),
         (SITES_M, np.ones(3), 1e-3, "cell_area_m2 has shape"),
         (SITES_M, 0.0, 1e-3, "cell_area_m2 spans"),
-        (SITES_M, 1e-7, np.nan, "depth_m is"),
+        (SITES_M, 1e-7, np.nan, "depth_m spans"),
     ):
         with pytest.raises(ValueError, match=match):
             PatchFinder(positions, area, depth)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -80,30 +80,16 @@ class Fit:
         return -0.5 * (self.chi_square / excess + self.count * math.log(excess) + penalty)
 
 
-class Quadratic(Protocol):
+@dataclass(frozen=True)
+class Expansion:
     """Chi-square about some parameters, to second order in them."""
 
-    @property
-    def chi_square(self) -> float: ...
-    @property
-    def gradient(self) -> Floats:
-        """(p,), half of the fall of chi-square by the parameters."""
-        ...
-
-    @property
-    def precision(self) -> Floats:
-        """(p, p), half of its second derivative."""
-        ...
-
-
-@dataclass(frozen=True)
-class _Expansion:
     chi_square: float
-    gradient: Floats
-    precision: Floats
+    gradient: Floats  # (p,), half of the fall of chi-square by the parameters
+    precision: Floats  # (p, p), half of its second derivative
 
 
-Expanded = TypeVar("Expanded", bound=Quadratic)
+Expanded = TypeVar("Expanded", bound=Expansion)
 
 
 def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floats, noise_std: Floats) -> Fit:
@@ -134,12 +120,12 @@ def fit(model: Model, start: Floats, lower: Floats, upper: Floats, signals: Floa
     if not everything:
         whiten, target = whiten[known], target[known]
 
-    def expand(parameters: Floats) -> _Expansion:
+    def expand(parameters: Floats) -> Expansion:
         value, slopes = model(parameters)
         if not everything:
             value, slopes = value[known], slopes[:, known]
         left, slopes = target - value * whiten, slopes * whiten
-        return _Expansion(float(left @ left), slopes @ left, slopes @ slopes.T)
+        return Expansion(float(left @ left), slopes @ left, slopes @ slopes.T)
 
     parameters, found = minimise(expand, start, lower, upper, count)
     return Fit(parameters, found.precision, found.chi_square, count, float(target @ target))

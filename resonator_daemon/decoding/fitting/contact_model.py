@@ -1,7 +1,7 @@
 """Signals at the sites of a load spread over a disc, by Hankel integrals of the half-space's transfer matrices."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -10,6 +10,7 @@ from scipy.special import j0, j1
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.slip_signals import SlipSignals
+from resonator_daemon.decoding.parameters import positions, positive
 from resonator_daemon.elastic import HalfSpace
 
 Profile = Literal["hertz", "flat"]
@@ -69,32 +70,22 @@ class DiscModel:
         radius_max_m: float,
         profile: Profile = "hertz",
     ) -> None:
-        sites = np.asarray(site_positions_m, np.float64)
-        if sites.ndim != 2 or sites.shape[1] != 2 or not len(sites):
-            raise ValueError(f"site_positions_m has shape {sites.shape}, must be (n, 2), n at least 1")
-        if not np.isfinite(sites).all():
-            raise ValueError("site_positions_m holds a value that is not finite; all must be finite")
-        depths = np.asarray(depth_m, np.float64)
-        if depths.shape not in ((), (len(sites),)):
-            raise ValueError(f"depth_m has shape {depths.shape}, must be () or ({len(sites)},)")
-        for name, value in (("depth_m", depths), ("radius_max_m", np.asarray(radius_max_m))):
-            if not ((value > 0.0) & (value < np.inf)).all():
-                raise ValueError(f"{name} spans {value.min()} .. {value.max()}, must be finite and above 0")
+        sites = positions("site_positions_m", site_positions_m)
+        self.depth_m = positive("depth_m", depth_m, (len(sites),))
+        positive("radius_max_m", radius_max_m, ())
         if profile not in ("hertz", "flat"):
             raise ValueError(f"profile is {profile!r}, must be 'hertz' or 'flat'")
         self.half_space = half_space
         self.sites_m = sites
         self.radius_max_m = radius_max_m
         self.lowest_m, self.highest_m = sites.min(axis=0), sites.max(axis=0)
-        diagonal_m = max(float(np.hypot(*(self.highest_m - self.lowest_m))), 4.0 * float(depths.max()))
-        if diagonal_m > _WIDEST * float(depths.min()):
-            span = f"{diagonal_m / float(depths.min()):.0f} depths, must be at most {_WIDEST:.0f}"
-            raise ValueError(f"sites span {span}; is a depth of {depths.min():g} m meant?")
+        diagonal_m = max(float(np.hypot(*(self.highest_m - self.lowest_m))), 4.0 * float(self.depth_m.max()))
+        self.shallowest_m = shallow = float(self.depth_m.min())
+        if diagonal_m > _WIDEST * shallow:
+            span = f"{diagonal_m / shallow:.0f} depths, must be at most {_WIDEST:.0f}"
+            raise ValueError(f"sites span {span}; is a depth of {shallow:g} m meant?")
         self.margin_m = _BEYOND * diagonal_m  # beyond the sites, where a centre may lie
-        self.depth_m = np.broadcast_to(depths, len(sites))
-        self.shallowest_m = float(depths.min())
-        self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(depths)]
-        shallow = float(depths.min())
+        self._groups = [(float(z), np.flatnonzero(self.depth_m == z)) for z in np.unique(self.depth_m)]
         self._table = _table(half_space, 2.0 * diagonal_m / shallow, radius_max_m / shallow, profile)
 
     def signals(self, centre_m: Floats, radius_m: float) -> DiscSignals:
@@ -200,6 +191,7 @@ def _hermite(fraction: Floats | float) -> tuple[Floats, Floats]:
     return weights, slopes
 
 
+@lru_cache(maxsize=4)  # a skin whose noise changes gets another model over the same table
 def _table(half_space: HalfSpace, reach: float, radius_max: float, profile: Profile) -> Floats:
     """Return integrals at knots in depths: (radii; value, slope; distances; value, slope; 5)."""
     radii = np.arange(2 + int(np.ceil(radius_max / _RADIUS_STEP))) * _RADIUS_STEP
@@ -234,6 +226,7 @@ def _table(half_space: HalfSpace, reach: float, radius_max: float, profile: Prof
         for index, integrand in enumerate(integrands):
             table[:, :, some, 0, index] = (spectra * integrand) @ kernels[index].T
             table[:, :, some, 1, index] = (spectra * integrand) @ slopes[index].T * _DISTANCE_STEP
+    table.flags.writeable = False
     return table
 
 

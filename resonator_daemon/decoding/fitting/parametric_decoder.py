@@ -96,12 +96,11 @@ class ParametricDecoder:
         gain_std: float = 0.0,
         query_positions_m: ArrayLike | None = None,
     ) -> None:
-        sites = np.asarray(site_positions_m, np.float64)
-        depths = np.asarray(depth_m, np.float64)
-        positive("depth_m", depths, depths.shape)
+        sites = positions("site_positions_m", site_positions_m)
+        count = len(sites)
+        depths = positive("depth_m", depth_m, (count,))
         check_gain(gain_std)
         self._model = DiscModel(half_space, sites, depths, _LARGEST_RADIUS_DEPTHS * float(depths.max()))
-        count = len(sites)
         if 3 * count <= _UNKNOWNS:
             raise ValueError(f"{count} sites make {3 * count} signals, must be more than {_UNKNOWNS}, the unknowns")
         refuse_duplicates(sites, self._model.depth_m)
@@ -297,9 +296,8 @@ class ParametricDecoder:
         return Decoded(zero, std, moved, False, evidence, nothing.chi2, "ok", f"{self._why}; no contact")
 
     def _unknown(self, displacement: bool, log_evidence: float, chi2: float, status: str, reason: str) -> Decoded:
-        traction, std, moved = np.full((3, 3, len(self.query_positions_m)), np.nan)
-        reason = f"{self._why}; {reason}"
-        return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)
+        shape = 3, len(self.query_positions_m)
+        return Decoded.unknown(shape, displacement, log_evidence, chi2, status, f"{self._why}; {reason}")
 
 
 def _begin(place: Candidate) -> Floats:

@@ -1,5 +1,6 @@
 """Which shape presses, how curved and how deep: hypotheses fitted to the signals of a frame, compared by evidence."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -116,10 +117,6 @@ class ShapeFitter:
         # a^3 = 3 F R (1 - nu^2) / (4 E), indentation a^2 / R (Johnson, section 4.2)
         curvature_m = 4.0 * a**3 / (3.0 * force * self._compliance)
         indentation_m = a**2 / curvature_m
-        pair = slip.covariance[np.ix_([RADIUS, FORCE_Z], [RADIUS, FORCE_Z])] / np.outer([a, force], [a, force])
-        curvature_std, indentation_std = (
-            float(np.sqrt(powers @ pair @ powers)) for powers in (np.array([3.0, -1.0]), np.array([-1.0, 1.0]))
-        )
         return Shape(
             "paraboloid",
             evidence,
@@ -131,9 +128,9 @@ class ShapeFitter:
             a,
             slip.radius_std_m,
             radius_of_curvature_m=curvature_m,
-            radius_of_curvature_std_m=curvature_std * curvature_m,
+            radius_of_curvature_std_m=_relative_std(slip.covariance, a, force, [3.0, -1.0]) * curvature_m,
             indentation_m=indentation_m,
-            indentation_std_m=indentation_std * indentation_m,
+            indentation_std_m=_relative_std(slip.covariance, a, force, [-1.0, 1.0]) * indentation_m,
         )
 
     def _describe_flat(self, found: Fit, evidence: dict[Kind, float]) -> Shape:
@@ -141,18 +138,23 @@ class ShapeFitter:
         std = np.sqrt(np.diag(found.covariance))
         # Indentation F (1 - nu^2) / (2 E a), tilt 3 T (1 - nu^2) / (4 E a^3) (Johnson, sections 3.4 and 5.3)
         indentation_m = force * self._compliance / (2.0 * a)
-        pair = found.covariance[np.ix_([RADIUS, FORCE_Z], [RADIUS, FORCE_Z])] / np.outer([a, force], [a, force])
-        powers = np.array([-1.0, 1.0])
         per_moment = 0.75 * self._compliance / a**3
         tilt_x, tilt_y = found.parameters[6:] * per_moment
         tilt_std_x, tilt_std_y = std[6:] * per_moment
         return replace(
             _disc("flat", found, evidence),
             indentation_m=float(indentation_m),
-            indentation_std_m=float(np.sqrt(powers @ pair @ powers) * indentation_m),
+            indentation_std_m=float(_relative_std(found.covariance, a, force, [-1.0, 1.0]) * indentation_m),
             tilt_rad=(float(tilt_x), float(tilt_y)),
             tilt_std_rad=(float(tilt_std_x), float(tilt_std_y)),
         )
+
+
+def _relative_std(covariance: Floats, radius_m: float, force_newton: float, powers: Sequence[float]) -> float:
+    """Return the relative standard deviation of a product of powers of radius and force, to first order."""
+    relative = np.zeros(len(covariance))
+    relative[[RADIUS, FORCE_Z]] = np.divide(powers, [radius_m, force_newton])
+    return float(np.sqrt(relative @ covariance @ relative))
 
 
 def _describe_edge(found: Fit, evidence: dict[Kind, float]) -> Shape:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting.contact_fit import minimise
+from resonator_daemon.decoding.fitting.contact_fit import Expansion, minimise
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.decoding.fitting.contact_start import ContactStart, Friction, bounds, clipped
 from resonator_daemon.decoding.fitting.friction_law import (
@@ -46,12 +46,10 @@ class Settled:
     linearisation: Linearisation  # near the parameters
 
 
-class _Expansion(NamedTuple):
+@dataclass(frozen=True)
+class _Expansion(Expansion):
     """Chi-square about some parameters, the laws of friction included."""
 
-    chi_square: float
-    gradient: Floats
-    precision: Floats
     at: Linearisation
 
 

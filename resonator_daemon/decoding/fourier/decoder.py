@@ -193,7 +193,7 @@ class FourierDecoder:
         worst = float(known.mean(axis=(1, 2)).min())
         if worst < KNOWN_LIMIT:
             reason = f"{worst:.0%} of a channel known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
-            return self._unknown(displacement, np.nan, np.nan, "no_signal", reason)
+            return Decoded.unknown((3, *self._shape), displacement, np.nan, np.nan, "no_signal", reason)
         filled, settled = self._imputation.fill(frame, known)
         reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
         reason += "" if settled else "; too many side by side for that to settle"
@@ -227,7 +227,7 @@ class FourierDecoder:
             evidence = float(log_evidence[n])
             if rejected[n]:
                 why = f"chi2 {chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left[n]:.0%} of the energy remain unexplained"
-                decoded.append(self._unknown(displacement, evidence, chi2, "rejected", why))
+                decoded.append(Decoded.unknown((3, *self._shape), displacement, evidence, chi2, "rejected", why))
                 continue
             decoded.append(
                 Decoded(
@@ -242,10 +242,6 @@ class FourierDecoder:
                 )
             )
         return decoded
-
-    def _unknown(self, displacement: bool, log_evidence: float, chi2: float, status: str, reason: str) -> Decoded:
-        traction, std, moved = np.full((3, 3, *self._shape), np.nan)
-        return Decoded(traction, std, moved if displacement else None, False, log_evidence, chi2, status, reason)
 
 
 def _spectra(spectra: Literal["prior", "white"] | Spectra, prior: Prior) -> Spectra:

@@ -70,7 +70,7 @@ class OpenPlaneDecoder:
     ) -> None:
         sites = positions("site_positions_m", site_positions_m)
         count = len(sites)
-        depths = positive("depth_m", np.asarray(depth_m, np.float64), (count,))
+        depths = positive("depth_m", depth_m, (count,))
         noise = noise_of_signals(noise_std, (count,))
         places = sites if query_positions_m is None else positions("query_positions_m", query_positions_m)
         check_gain(gain_std)

@@ -120,6 +120,8 @@ class GridCovariance:
 class GridModes(Modes):
     """Eigenmodes in bases that serve up to a level."""
 
+    traction: _Synthesis
+
     def __init__(self, covariance: GridCovariance, level: Level) -> None:
         self._grid = covariance.grid
         scale = min(level.power / covariance.mean_power, _HEADROOM * covariance.largest_scale)
@@ -154,9 +156,9 @@ class GridModes(Modes):
         self.eigenvalues = np.concatenate(values_of_class)
         self._sensor = bases["sensor"]
         self._rotation = np.array(rotations)
-        self._to_traction = _Synthesis(bases["traction"], surface["traction"])
-        self._to_pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
-        self._to_displacement = _Synthesis(bases["displacement"], surface["displacement"])
+        self.traction = _Synthesis(bases["traction"], surface["traction"])
+        self.pressure = _Synthesis(bases["traction"], surface["traction"], (2,))
+        self.displacement = _Synthesis(bases["displacement"], surface["displacement"])
         self._x = np.ascontiguousarray(self._sensor.x.T, np.float32)
         self._y = np.ascontiguousarray(self._sensor.y, np.float32)
         self._to_modes = np.ascontiguousarray(self._rotation.swapaxes(1, 2), np.float32)
@@ -167,20 +169,11 @@ class GridModes(Modes):
         modes: Singles = (self._to_modes @ coefficients[..., None]).ravel()
         return modes
 
-    def traction(self, modes: Singles) -> Singles:
-        return self._to_traction(modes)
-
-    def pressure(self, modes: Singles) -> Singles:
-        return self._to_pressure(modes)
-
-    def displacement(self, modes: Singles) -> Singles:
-        return self._to_displacement(modes)
-
     def explained_variance(self, scales: Floats) -> Floats:
         ny, nx = self._grid.shape
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
         of_class = [
-            np.tensordot(gains, self._to_traction.quarter(index) ** 2, (1, 0))
+            np.tensordot(gains, self.traction.quarter(index) ** 2, (1, 0))
             for index, gains in enumerate(np.split(gain, len(CLASSES), axis=1))
         ]
         quarter = np.sum(of_class, axis=0)  # parity gives the rest

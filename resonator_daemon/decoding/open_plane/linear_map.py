@@ -55,91 +55,63 @@ class Estimate:
 
     def decoded(self, displacement: bool) -> Decoded:
         """Return all that the linear decoder gives, the displacement only where asked for."""
+        outcome = self.log_evidence, self.chi2, self.status, self.reason
         if self.surface is None:
-            traction, std, moved = np.full((3, *self.shape), np.nan)
-            moved, border = (moved if displacement else None), False
-        else:
-            traction = self.surface.traction.astype(np.float64).reshape(self.shape)
-            std, border = self.surface.std().reshape(self.shape), self.surface.reaches_border
-            moved = self.surface.displacement().reshape(self.shape) if displacement else None
-        return Decoded(traction, std, moved, border, self.log_evidence, self.chi2, self.status, self.reason)
+            return Decoded.unknown(self.shape, displacement, *outcome)
+        traction = self.surface.traction.astype(np.float64).reshape(self.shape)
+        moved = self.surface.displacement().reshape(self.shape) if displacement else None
+        return Decoded(traction, self.surface.std().reshape(self.shape), moved, self.surface.reaches_border, *outcome)
 
 
+@dataclass(frozen=True)
 class Surface:
-    """Surface of a frame, out of its modes.
+    """Surface of a frame, out of its modes."""
 
-    Parameters
-    ----------
-    modes
-    amplitudes
-        Of the modes, (r,).
-    std
-        Posterior standard deviation of the traction at the declared noise, (3, m).
-    excess
-        Factor of the standard deviation by noise beyond the declared one.
-    contact_factor
-        Further factor under a contact.
-    least_pressure
-        That a contact may have.
-    border
-        Indices of the places at the border.
-    """
-
-    def __init__(
-        self,
-        modes: Modes,
-        amplitudes: Singles,
-        std: Floats,
-        excess: float,
-        contact_factor: float,
-        least_pressure: float,
-        border: Indices,
-    ) -> None:
-        self._modes = modes
-        self._amplitudes = amplitudes
-        self._std = std
-        self._excess = excess
-        self._contact_factor = contact_factor
-        self._least_pressure = least_pressure
-        self._border = border
+    modes: Modes
+    amplitudes: Singles  # of the modes, (r,)
+    declared_std: Floats  # posterior standard deviation of the traction at the declared noise, (3, m)
+    excess: float  # factor of the standard deviation by noise beyond the declared one
+    contact_factor: float  # further factor under a contact
+    least_pressure: float  # that a contact may have
+    border: Indices  # places at the border
 
     @cached_property
     def traction(self) -> Singles:
         """Traction, (3 m,)."""
-        return self._modes.traction(self._amplitudes)
+        return self.modes.traction(self.amplitudes)
 
     @cached_property
     def pressure(self) -> Singles:
         """f_z, (m,)."""
         whole = self.__dict__.get("traction")
-        return self._modes.pressure(self._amplitudes) if whole is None else whole[-whole.size // 3 :]
+        return self.modes.pressure(self.amplitudes) if whole is None else whole[-whole.size // 3 :]
 
     def displacement(self) -> Floats:
         """Return the displacement, (3 m,)."""
-        return self._modes.displacement(self._amplitudes).astype(np.float64)
+        return self.modes.displacement(self.amplitudes).astype(np.float64)
 
     def std(self) -> Floats:
         """Return the standard deviation of the traction, (3, m)."""
         under = self.pressure > self._threshold
-        return self._std * np.where(under, self._excess * self._contact_factor, self._excess)
+        return self.declared_std * np.where(under, self.excess * self.contact_factor, self.excess)
 
     @cached_property
     def significance(self) -> float:
         """Largest pressure over its standard deviation."""
         highest = int(self.pressure.argmax())
-        std = float(self._std[2, highest]) * self._excess
+        std = float(self.declared_std[2, highest]) * self.excess
         pressure = float(self.pressure[highest])
-        return pressure / (std * self._contact_factor if pressure > self._threshold else std)
+        return pressure / (std * self.contact_factor if pressure > self._threshold else std)
 
     @property
     def reaches_border(self) -> bool:
         """Whether the load goes on beyond the border."""
-        at_border = float(self.pressure.take(self._border).max(initial=0.0))
+        at_border = float(self.pressure.take(self.border).max(initial=0.0))
         return at_border > _BORDER_RATIO * self._threshold
 
     @cached_property
     def _threshold(self) -> float:
-        return max(_SUPPORT_SHARE * float(self.pressure.max()), self._least_pressure)
+        return max(_SUPPORT_SHARE * float(self.pressure.max()), self.least_pressure)
 
 
 class LinearMap:

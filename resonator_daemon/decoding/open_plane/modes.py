@@ -1,10 +1,14 @@
 """Eigenmodes of the signals' prior covariance: what a frame looks like in them, and what each means on the surface."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
 from resonator_daemon.arrays import Floats, Indices, Singles
+
+Transform = Callable[[Singles], Singles]
 
 # A mode is left out where its signal stays a tenth of the noise, in frames up to 50 dB over the noise.
 _FAINTEST = 1e-2
@@ -18,22 +22,13 @@ class Modes(ABC):
     """
 
     eigenvalues: Floats  # L, (r,)
+    traction: Transform  # F times modes: (r,) to (3 m,)
+    pressure: Transform  # the same of f_z alone: (m,)
+    displacement: Transform  # the same of the displacement
 
     @abstractmethod
     def project(self, whitened: Singles) -> Singles:
         """V' times the whitened signals: (3 n,) to the modes (r,)."""
-
-    @abstractmethod
-    def traction(self, modes: Singles) -> Singles:
-        """F times modes: (r,) to (3 m,)."""
-
-    @abstractmethod
-    def pressure(self, modes: Singles) -> Singles:
-        """As `traction`, of f_z alone: (m,)."""
-
-    @abstractmethod
-    def displacement(self, modes: Singles) -> Singles:
-        """As `traction`, of the displacement."""
 
     @abstractmethod
     def explained_variance(self, scales: Floats) -> Floats:
@@ -45,7 +40,7 @@ class Modes(ABC):
 
 
 class DenseModes(Modes):
-    """Of any layout.
+    """Modes of any layout.
 
     Parameters
     ----------
@@ -66,21 +61,14 @@ class DenseModes(Modes):
         kept = min(scales.max(), _POWER_RATIO / eigenvalues.mean()) * eigenvalues > _FAINTEST
         self.eigenvalues, self._vectors = eigenvalues[kept], vectors[:, kept]
         scaled = self._vectors / noise_std[:, None]
-        self._project = np.ascontiguousarray(self._vectors.T, np.float32)
         self._traction = (traction @ scaled).astype(np.float32)
-        self._displacement = (displacement @ scaled).astype(np.float32)
+        self._project = np.ascontiguousarray(self._vectors.T, np.float32)
+        self.traction = partial(np.matmul, self._traction)
+        self.pressure = partial(np.matmul, self._traction[-len(self._traction) // 3 :])
+        self.displacement = partial(np.matmul, (displacement @ scaled).astype(np.float32))
 
     def project(self, whitened: Singles) -> Singles:
         return self._project @ whitened
-
-    def traction(self, modes: Singles) -> Singles:
-        return self._traction @ modes
-
-    def pressure(self, modes: Singles) -> Singles:
-        return self._traction[-len(self._traction) // 3 :] @ modes
-
-    def displacement(self, modes: Singles) -> Singles:
-        return self._displacement @ modes
 
     def explained_variance(self, scales: Floats) -> Floats:
         gain = scales[:, None] ** 2 / (scales[:, None] * self.eigenvalues + 1.0)
