@@ -91,7 +91,7 @@ class DeviceSession:
 
     def frame(self, sequence: int, board_ticks: int, records: bytes) -> bytes:
         """Return the packet of one single-tone frame."""
-        return encode_packet(MessageType.FRAME, sequence, records, board_ticks=board_ticks, boot_id=self._boot_id)
+        return self._packet(MessageType.FRAME, sequence, board_ticks, records)
 
     def frame_parts(self, sequence: int, board_ticks: int, channels: list[bytes]) -> list[bytes]:
         """Return the packets of one channelised frame from each channel's tone records."""

@@ -78,36 +78,26 @@ def struct_of(fields: tuple[Field, ...]) -> struct.Struct:
     return struct.Struct("<" + "".join(field.code for field in fields))
 
 
-# One captured tone on one channel in one gate: exact integer sums over the time stamps t_k, k = 0..stamps-1, of every
-# stride-th edge. s1 = sum(t_k - t_0), s2 = sum(k (t_k - t_0)), q2 = sum((t_k - 2 t_(k-1) + t_(k-2))^2).
-SINGLE_TONE_FIELDS = (
-    Field("first_edge", "I"),  # index of the edge of stamp 0, wraps at 2^32
-    Field("first_ticks", "I"),  # t_0, wraps at 2^32
-    Field("stamps", "H"),
-    Field("stride_edges", "H"),
-    Field("span_ticks", "I"),  # t_last - t_0
-    Field("s1_ticks", "Q"),
-    Field("s2_ticks", "Q"),
-    Field("q2_ticks2", "Q"),
-    Field("attenuation_db256", "H"),  # level below full scale, 1/256 dB
-    Field("flags", "H"),
-)
-
-
 class SingleToneRecord(NamedTuple):
-    """One reading of a single-tone counter; the fields of SINGLE_TONE_FIELDS in their order."""
+    """One captured tone on one channel in one gate: exact sums over the time stamps t_k, k = 0..stamps-1.
 
-    first_edge: int
-    first_ticks: int
+    The stamps are of every stride-th edge. s1 = sum(t_k - t_0), s2 = sum(k (t_k - t_0)),
+    q2 = sum((t_k - 2 t_(k-1) + t_(k-2))^2).
+    """
+
+    first_edge: int  # index of the edge of stamp 0, wraps at 2^32
+    first_ticks: int  # t_0, wraps at 2^32
     stamps: int
     stride_edges: int
-    span_ticks: int
+    span_ticks: int  # t_last - t_0
     s1_ticks: int
     s2_ticks: int
     q2_ticks2: int
-    attenuation_db256: int
+    attenuation_db256: int  # level below full scale, 1/256 dB
     flags: int
 
+
+SINGLE_TONE_FIELDS = tuple(map(Field, SingleToneRecord._fields, "IIHHIQQQHH"))
 
 # One tone of a channelised counter on one channel in one gate.
 TONE_FIELDS = (
@@ -118,19 +108,9 @@ TONE_FIELDS = (
     Field("flags", "B"),
 )
 
-# Head of a frame part: which tones of which channel follow.
-BLOCK_FIELDS = (
-    Field("channel", "B"),
-    Field("encoding", "B"),
-    Field("first_tone", "H"),
-    Field("tones", "H"),
-    Field("part", "B"),
-    Field("parts", "B"),
-)
-
 
 class Block(NamedTuple):
-    """Head of a frame part; the fields of BLOCK_FIELDS in their order."""
+    """Head of a frame part: which tones of which channel follow."""
 
     channel: int
     encoding: int
@@ -138,6 +118,9 @@ class Block(NamedTuple):
     tones: int
     part: int
     parts: int
+
+
+BLOCK_FIELDS = tuple(map(Field, Block._fields, "BBHHBB"))
 
 
 class BlockEncoding(IntEnum):

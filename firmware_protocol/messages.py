@@ -110,47 +110,20 @@ class Refusal:
 
 
 class TaggedField(NamedTuple):
-    """One field of a message: its number on the wire, its name with unit, and whether it is a number or a text."""
+    """One field of a message: its number on the wire, its name with unit, and whether it is a text or a number."""
 
     tag: int
     name: str
-    kind: type[int] | type[str]
+    is_text: bool
 
+
+MESSAGE_FIELDS: dict[type[Any], tuple[TaggedField, ...]] = {
+    kind: tuple(TaggedField(tag, field.name, field.type is str) for tag, field in enumerate(fields(kind), 1))
+    for kind in (Identity, Description, Configuration, BoardStatus, BoardLog, Refusal)
+}
+"""Fields of each message: their tags count from 1 in the order of the class."""
 
 # A field whose attribute has a default may be absent, which means that default.
-MESSAGE_FIELDS: dict[type[Any], tuple[TaggedField, ...]] = {
-    Identity: (
-        TaggedField(1, "product", str),
-        TaggedField(2, "serial_number", str),
-        TaggedField(3, "firmware", str),
-        TaggedField(4, "protocol_minor", int),
-        TaggedField(5, "credit_bytes", int),
-        TaggedField(6, "reset_cause", int),
-    ),
-    Description: (
-        TaggedField(1, "counter_kind", int),
-        TaggedField(2, "channels", int),
-        TaggedField(3, "tones", int),
-        TaggedField(4, "reference_millihertz", int),
-        TaggedField(5, "gate_ticks_min", int),
-        TaggedField(6, "gate_ticks_max", int),
-        TaggedField(7, "plate", str),
-        TaggedField(8, "oscillator_millihertz", int),
-        TaggedField(9, "oscillator_spacing_millihertz", int),
-        TaggedField(10, "queue_bytes", int),
-        TaggedField(11, "capabilities", int),
-        TaggedField(12, "gate_ticks_step", int),
-    ),
-    Configuration: (TaggedField(1, "gate_ticks", int),),
-    BoardStatus: (
-        TaggedField(1, "frames_dropped", int),
-        TaggedField(2, "temperature_millikelvin", int),
-        TaggedField(3, "bytes_discarded", int),
-    ),
-    BoardLog: (TaggedField(1, "level", int), TaggedField(2, "text", str)),
-    Refusal: (TaggedField(1, "code", int), TaggedField(2, "text", str)),
-}
-
 OPTIONAL_FIELDS: dict[type[Any], frozenset[str]] = {
     kind: frozenset(field.name for field in fields(kind) if field.default is not MISSING) for kind in MESSAGE_FIELDS
 }
@@ -168,7 +141,7 @@ def encode_message(message: Identity | Description | Configuration | BoardStatus
         value = getattr(message, field.name)
         if value is None:
             continue
-        raw = _number(value) if field.kind is int else _text(value)
+        raw = _text(value) if field.is_text else _number(value)
         parts.append(bytes((field.tag, len(raw))) + raw)
     return b"".join(parts)
 
@@ -208,7 +181,7 @@ def decode_message(kind: type[Message], payload: bytes) -> Message:
         position += 2 + size
         if (field := table.get(tag)) is None:
             continue
-        if field.kind is str:
+        if field.is_text:
             values[field.name] = _printable(raw.decode(errors="replace"))
         elif 1 <= size <= _MAX_NUMBER_BYTES:
             values[field.name] = int.from_bytes(raw, "little")

@@ -5,8 +5,6 @@ import os
 import select
 import threading
 import time
-from types import TracebackType
-from typing import Self
 
 from resonator_daemon.links.inotify import DirectoryEvent, DirectoryEvents
 
@@ -47,14 +45,6 @@ class PortWatch:
             else:
                 self._ready.register(self._events, select.POLLIN)
                 self._aim(self._events, path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
-    ) -> None:
-        self.close()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait; return True as soon as the port may have come or may be permitted now, False after time or `wake`."""

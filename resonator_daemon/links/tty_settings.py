@@ -5,16 +5,9 @@ import logging
 import os
 import struct
 import termios
-from collections.abc import Callable
 from pathlib import Path
 
 log = logging.getLogger(__name__)
-
-_TIOCGSERIAL, _TIOCSSERIAL = 0x541E, 0x541F
-_SERIAL_STRUCT_BYTES = 72
-_FLAGS = struct.Struct("@i")
-_FLAGS_AT = 16
-_ASYNC_LOW_LATENCY = 1 << 13
 
 _TIOCGICOUNT = 0x545D
 _COUNTS = struct.Struct("@20i")
@@ -36,16 +29,8 @@ def configure_tty(descriptor: int) -> None:
     termios.tcsetattr(descriptor, termios.TCSANOW, settings)
 
 
-def set_low_latency(descriptor: int, path: str, sys_tty: Path = SYS_TTY) -> None:
-    """Ask an adapter to deliver bytes at once instead of collecting them; log it where that fails."""
-    try:
-        serial = bytearray(_SERIAL_STRUCT_BYTES)
-        fcntl.ioctl(descriptor, _TIOCGSERIAL, serial)
-        flags = _FLAGS.unpack_from(serial, _FLAGS_AT)[0]
-        _FLAGS.pack_into(serial, _FLAGS_AT, flags | _ASYNC_LOW_LATENCY)
-        fcntl.ioctl(descriptor, _TIOCSSERIAL, bytes(serial))
-    except OSError:
-        pass  # a driver without this flag; its timer, if it has one, is set below
+def shorten_latency_timer(path: str, sys_tty: Path = SYS_TTY) -> None:
+    """Set the timer of an adapter that collects bytes before it delivers them to 1 ms; log it where that fails."""
     name = os.path.basename(os.path.realpath(path))
     timer = sys_tty / name / "device" / "latency_timer"
     timer_ms = _latency_ms(timer)
@@ -57,29 +42,12 @@ def set_low_latency(descriptor: int, path: str, sys_tty: Path = SYS_TTY) -> None
         if timer not in _logged:
             _logged.add(timer)
             log.info(
-                "%s hands bytes on only every %d ms (%s); a udev rule mends it: "
+                "%s delivers bytes only every %d ms (%s); a udev rule corrects it: "
                 'ACTION=="add", SUBSYSTEM=="usb-serial", ATTR{latency_timer}="1"',
                 path,
                 timer_ms,
                 error.strerror,
             )
-
-
-def overrun_counter(descriptor: int) -> Callable[[], int]:
-    """Return a counter of the losses of driver and terminal since now; always 0 where they do not count."""
-    first = _overruns(descriptor)
-    if first is None:
-        return lambda: 0
-    last = 0
-
-    def since() -> int:
-        nonlocal last
-        now = _overruns(descriptor)
-        if now is not None:  # else the port went away; what was lost before stays lost
-            last = (now - first) & 0xFFFFFFFF
-        return last
-
-    return since
 
 
 def _latency_ms(timer: Path) -> int | None:
@@ -89,7 +57,8 @@ def _latency_ms(timer: Path) -> int | None:
         return None
 
 
-def _overruns(descriptor: int) -> int | None:
+def overrun_count(descriptor: int) -> int | None:
+    """Return how often driver and terminal have lost bytes, modulo 2^32; None where they do not count."""
     counts = bytearray(_COUNTS.size)
     try:
         fcntl.ioctl(descriptor, _TIOCGICOUNT, counts)

@@ -10,7 +10,6 @@ from resonator_daemon.replay.recorded_pipeline import Moment
 from resonator_daemon.session.host_time import HostTime
 
 _AT_ONCE_S: Final = 1e-3  # a wait takes longer than this
-_TURN: Final = 64  # moments that follow each other without a wait, before others of the event loop have their turn
 
 
 class Pacing(Protocol):
@@ -19,25 +18,13 @@ class Pacing(Protocol):
     async def wait_for(self, moment: Moment) -> None: ...
 
 
-class AtOnce:
-    """As fast as it goes."""
-
-    def __init__(self) -> None:
-        self._count = 0
-
-    async def wait_for(self, moment: Moment) -> None:
-        self._count += 1
-        if self._count % _TURN == 0:
-            await asyncio.sleep(0)
-
-
 class AtSpeed:
     """Recorded time passes this many times as fast as it did, from the first moment on.
 
     Parameters
     ----------
     speed
-        Above 0.
+        Above 0; infinite: as fast as it goes.
     clock_ns, sleep
         Of the present.
     """

@@ -17,7 +17,7 @@ from resonator_daemon.publishing.payloads import Info
 from resonator_daemon.publishing.topics import Topic
 from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.outputs import Lines, Output
-from resonator_daemon.replay.pacing import AtOnce, AtSpeed, Pacing, StepByStep
+from resonator_daemon.replay.pacing import AtSpeed, Pacing, StepByStep
 from resonator_daemon.replay.progress import Progress
 from resonator_daemon.replay.recorded_pipeline import Moment, Playback, Published
 from resonator_daemon.replay.source import open_playback
@@ -122,9 +122,7 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
         told["name"] = name
     with open_playback(path, config, boot_id) as playback:
-        pacing: Pacing = AtOnce() if speed == math.inf else AtSpeed(speed)
-        if options.step:
-            pacing = StepByStep(span.begun)
+        pacing: Pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
         with Progress(path, shown=options.show_progress and not options.step) as progress:
             async with output:
                 await play(playback, span, pacing, output, progress, tally)

@@ -146,33 +146,6 @@ class Model:
         return sent
 
 
-def test_status_comes_before_the_next_frame_and_the_oldest_go_first() -> None:
-    frames = [f"frame {1000 * (n + 1)} {bytes([n] * 176).hex()}" for n in range(7)]
-    commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID)]
-    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
-    commands += [*frames, "skipped", "output 10000"]
-    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
-    found = PacketDecoder(from_board=True).feed(bytes.fromhex(outputs[1]))
-    status = encode_message(BoardStatus(3, None, 0))
-    assert [(packet.type, packet.sequence) for packet in found] == [
-        (0x92, 0),
-        (0x90, 3),
-        (0x90, 4),
-        (0x90, 5),
-        (0x90, 6),
-    ]
-    assert found[0].payload == status  # the frame skipped after number 6 is not counted yet
-
-
-def test_a_frame_that_has_begun_is_finished() -> None:
-    commands = [board_command(IDENTITY, replace(DESCRIPTION, queue_bytes=CHUNK_BYTES * 6), BOOT_ID)]
-    commands += [f"receive 0 {CONFIGURE.hex()}", f"receive 0 {START.hex()}", "output 1000"]
-    commands += [f"frame 1 {'00' * 176}", "output 1", f"frame 2 {'01' * 176}", f"frame 3 {'02' * 176}", "output 1000"]
-    outputs = [line.split()[1] for line in run_commands(commands) if line.startswith("output ")]
-    found = PacketDecoder(from_board=True).feed(bytes.fromhex(outputs[1] + outputs[2]))
-    assert [(packet.type, packet.sequence) for packet in found] == [(0x90, 0), (0x92, 0), (0x90, 2)]
-
-
 def test_board_says_nothing_before_it_is_asked() -> None:
     commands = [board_command(IDENTITY, DESCRIPTION, BOOT_ID), "log 5 20 6869", "status", "output 1000"]
     assert run_commands(commands) == ["ok", "queued 0", "output "]

@@ -36,12 +36,6 @@ def test_promised_credit_is_used() -> None:
     assert [host.ping(PING) for _ in range(6)] == [True] * 5 + [False]
 
 
-def test_before_identity_the_least_credit_holds() -> None:
-    host = HostSession()
-    assert [host.ping(PING), host.ping(PING)] == [True, False]  # IDENTIFY and one PING fill 64 bytes
-    assert types(host.data_to_send()) == [MessageType.IDENTIFY, MessageType.PING]
-
-
 def test_requests_wait_in_order_until_there_is_room() -> None:
     host, device = running()
     host.ping(PING)
@@ -98,17 +92,6 @@ def test_a_repeated_request_goes_before_those_that_wait() -> None:
     assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
 
 
-def test_a_repeated_request_goes_before_the_one_that_waits() -> None:
-    host, device = HostSession(), new_device()
-    exchange(host, device)
-    host.configure(GATE)
-    host.locate()
-    host.locate()  # the second waits
-    assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
-    host.ask_again()
-    assert types(host.data_to_send()) == [MessageType.CONFIGURE, MessageType.LOCATE]
-
-
 def test_of_one_kind_one_waits() -> None:
     host, device = running()
     host.ping(PING)
@@ -133,12 +116,6 @@ def test_a_malformed_answer_is_still_awaited() -> None:
     assert (host.messages.malformed, host.awaits_answer) == (1, True)
     host.ask_again()
     assert host.data_to_send() == first
-
-
-def test_an_answer_under_another_number_moves_nothing() -> None:
-    host, device = HostSession(), new_device()
-    assert host.receive(device.receive(encode_packet(MessageType.IDENTIFY, 9), 0)) == []
-    assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
 
 
 def test_a_host_that_stops_withdraws_what_still_waits() -> None:

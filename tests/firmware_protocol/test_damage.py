@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Callable
-from unittest.mock import ANY
 
 import pytest
 
@@ -108,20 +107,6 @@ def test_no_damaged_packet_is_accepted_and_the_next_one_is_found(corrupt: Corrup
     forged, lost, damaged = play(corrupt, 41_000, seed=2)
     assert (forged, lost) == (0, 0)
     assert damaged >= 40_000
-
-
-@pytest.mark.parametrize("corrupt", CORRUPTIONS)
-def test_without_both_checks_damage_passes(corrupt: Corruption, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packets, "crc32", lambda *_: ANY)
-    monkeypatch.setattr(packets, "crc_hqx", lambda *_: ANY)
-    forged, _, _ = play(corrupt, 2000, seed=2)
-    assert forged > 0
-
-
-def test_without_the_crc_damage_of_the_payload_passes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(packets, "crc32", lambda *_: ANY)
-    forged, _, _ = play(one_bit, 2000, seed=2)
-    assert forged > 0
 
 
 AWKWARD_FRAME = FRAMES[1]

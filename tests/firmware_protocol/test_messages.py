@@ -33,12 +33,6 @@ def test_description_round_trip(description: Description) -> None:
     assert decode_message(Description, encode_message(description)) == description
 
 
-def test_bytes_are_those_of_the_page() -> None:
-    assert encode_message(Configuration(1_000_000)) == bytes((1, 3, 0x40, 0x42, 0x0F))
-    assert encode_message(BoardStatus(0)) == bytes((1, 1, 0))
-    assert encode_message(BoardStatus(258, 298_150)) == bytes((1, 2, 2, 1, 2, 3, 0xA6, 0x8C, 0x04))
-
-
 def test_fields_that_may_be_absent_have_the_meanings_of_the_page() -> None:
     identity = decode_message(Identity, bytes((1, 0, 2, 0, 3, 0, 4, 1, 0)))
     assert (identity.credit_bytes, identity.reset_cause) == (64, ResetCause.UNKNOWN)
@@ -47,30 +41,6 @@ def test_fields_that_may_be_absent_have_the_meanings_of_the_page() -> None:
     assert description == Description(1, 1, 1, 1, 1, 1, "", 0, 0, None, 0, 1)
     assert encode_message(description) == required + bytes((8, 1, 0, 9, 1, 0, 11, 1, 0, 12, 1, 1))  # no queue_bytes
     assert decode_message(BoardStatus, bytes((1, 1, 0))) == BoardStatus(0, None, None)
-
-
-def test_the_last_of_repeated_fields_counts() -> None:
-    assert decode_message(Configuration, bytes((1, 1, 3, 1, 1, 4))) == Configuration(4)
-
-
-def test_unknown_fields_are_skipped_and_order_is_free() -> None:
-    payload = bytes((9, 2, 0, 0)) + bytes((2, 1, 5)) + bytes((1, 1, 7)) + bytes((200, 0))
-    assert decode_message(BoardStatus, payload) == BoardStatus(7, 5)
-
-
-@pytest.mark.parametrize(
-    ("payload", "complaint"),
-    [
-        (b"", "missing gate_ticks"),
-        (bytes((1,)), "byte 0 is cut off"),
-        (bytes((1, 4, 0, 0)), "byte 0 is cut off"),
-        (bytes((1, 0)), "gate_ticks must have 1 to 8 bytes, got 0"),
-        (bytes((1, 9, *range(9))), "gate_ticks must have 1 to 8 bytes, got 9"),
-    ],
-)
-def test_malformed(payload: bytes, complaint: str) -> None:
-    with pytest.raises(MalformedMessageError, match=complaint):
-        decode_message(Configuration, payload)
 
 
 @given(st.binary(max_size=80))

@@ -15,7 +15,6 @@ from firmware_protocol.packets import (
     SYNC,
     Damage,
     Defect,
-    ForeignVersion,
     Packet,
     PacketDecoder,
     encode_packet,
@@ -86,50 +85,6 @@ def test_any_cutting_gives_the_same_packets(pieces: list[Packet | bytes], data: 
     assert cut.counts == whole.counts
 
 
-@given(st.lists(packets, min_size=1, max_size=6))
-def test_clean_stream_gives_every_packet_and_nothing_else(sent: list[Packet]) -> None:
-    decoder = PacketDecoder(from_board=True)
-    assert decoder.feed(b"".join(map(encoded, sent))) == sent
-    assert decoder.counts.discarded == 0
-    assert decoder.waiting_bytes == 0
-
-
-@pytest.mark.parametrize(
-    ("spoiled_byte", "defect"),
-    [(0, Defect.GARBAGE), (5, Defect.BAD_HEADER), (23, Defect.BAD_HEADER), (30, Defect.BAD_CRC)],
-)
-def test_damage_says_what_and_how_much(spoiled_byte: int, defect: Defect) -> None:
-    raw = bytearray(encode_packet(0x90, 1, b"payload", boot_id=1))
-    raw[spoiled_byte] ^= 0x01
-    decoder = PacketDecoder(from_board=True)
-    damage, packet = decoder.feed(bytes(raw) + encode_packet(0x90, 2, boot_id=1))
-    assert damage == Damage(defect, len(raw))
-    assert isinstance(packet, Packet)
-    assert packet.sequence == 2
-
-
-def test_an_impossible_length_is_not_waited_for() -> None:
-    head = struct.pack("<2sBBIQIH", SYNC, 1, 0x90, 0, 0, 1, 0xFFFF)
-    decoder = PacketDecoder(from_board=True)
-    found = decoder.feed(head + crc16_bit_by_bit(head).to_bytes(2, "little") + encode_packet(0x90, 2, boot_id=1))
-    assert found[0] == Damage(Defect.BAD_LENGTH, 24)
-    assert isinstance(found[1], Packet)
-
-
-def test_other_major_version_is_named_and_counted() -> None:
-    raw = encode_packet(0x81, 1, b"later", boot_id=1, major=2)
-    decoder = PacketDecoder(from_board=True)
-    assert decoder.feed(raw) == [ForeignVersion(2, 0x81, 1)]
-    assert decoder.counts.other_version == len(raw)
-
-
-def test_an_echo_is_no_message() -> None:
-    raw = encode_packet(0x01, 1)
-    decoder = PacketDecoder(from_board=True)
-    assert decoder.feed(raw) == []
-    assert decoder.counts.echo == len(raw)
-
-
 def test_memory_stays_bounded_whatever_comes() -> None:
     rng = random.Random(3)
     decoder = PacketDecoder(from_board=True)
@@ -137,14 +92,6 @@ def test_memory_stays_bounded_whatever_comes() -> None:
         decoder.feed(rng.choice([rng.randbytes(1000), SYNC * 500, b"\xa5" * 1000, encode_packet(0x90, 1)[:-1]]))
         assert decoder.waiting_bytes < MAX_PACKET_BYTES
         check_accounts(decoder)
-
-
-def test_a_receiver_takes_no_longer_packets_than_it_has_room_for() -> None:
-    fits, too_long = encode_packet(0x05, 1, bytes(36)), encode_packet(0x05, 2, bytes(37))
-    decoder = PacketDecoder(from_board=False, max_packet_bytes=64)
-    taken, damage, taken_again = decoder.feed(fits + too_long + fits)
-    assert damage == Damage(Defect.BAD_LENGTH, 65)
-    assert taken == taken_again == Packet(0x05, 1, 0, 0, bytes(36))
 
 
 @pytest.mark.parametrize("cut", range(1, 31))
@@ -171,14 +118,6 @@ def test_a_long_packet_in_single_bytes() -> None:
         assert decoder.waiting_bytes == count
     assert decoder.feed(b"") == []
     assert len(decoder.feed(raw[-1:])) == 1
-
-
-def test_half_a_sync_word_is_decided_by_the_next_byte() -> None:
-    decoder = PacketDecoder(from_board=True)
-    decoder.feed(b"\xa5")
-    assert decoder.waiting_bytes == 1
-    decoder.feed(b"\x00")
-    assert (decoder.waiting_bytes, decoder.counts.discarded) == (0, 2)
 
 
 def test_too_large_a_payload_is_refused() -> None:

@@ -108,7 +108,7 @@ def test_field_tables(kind: type) -> None:
         [
             str(field.tag),
             field.name,
-            "number" if field.kind is int else "text",
+            "text" if field.is_text else "number",
             "may be absent" if field.name in OPTIONAL_FIELDS[kind] else "always",
         ]
         for field in MESSAGE_FIELDS[kind]

@@ -9,15 +9,12 @@ from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
 from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Pong, Rebooted, Started
 from firmware_protocol.layouts import TONE_STRUCT, MessageType
 from firmware_protocol.messages import (
-    BoardLog,
     BoardStatus,
     Configuration,
     Refusal,
     RefusalCode,
-    decode_message,
-    encode_message,
 )
-from firmware_protocol.packets import MAX_PAYLOAD_BYTES, ForeignVersion, Packet, PacketDecoder, encode_packet
+from firmware_protocol.packets import MAX_PAYLOAD_BYTES, encode_packet
 from firmware_protocol.states import BoardState, HostState
 
 
@@ -104,16 +101,6 @@ def test_a_frame_of_another_boot_is_no_frame() -> None:
     assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
 
 
-def test_frames_before_the_start_are_stale() -> None:
-    host, device = HostSession(), new_device()
-    assert host.receive(device.frame(0, 1, RECORDS)) == []
-    assert host.messages.stale == 1
-
-
-def test_other_major_version_is_an_event() -> None:
-    assert HostSession().receive(encode_packet(0x81, 1, b"?", boot_id=1, major=2)) == [ForeignVersion(2, 0x81, 1)]
-
-
 def test_a_request_of_another_version_is_no_event_of_a_board() -> None:
     assert HostSession().receive(encode_packet(0x01, 1, b"?", major=2)) == []
 
@@ -143,41 +130,6 @@ def test_board_takes_the_gates_of_its_limits(gate_ticks: int) -> None:
     assert exchange(host, device) == [Started(Configuration(gate_ticks))]
 
 
-def refusal(device: DeviceSession, message_type: int, payload: bytes = b"", major: int = 1) -> Refusal:
-    request = encode_packet(message_type, 3, payload, major=major)
-    (packet,) = PacketDecoder(from_board=True).feed(device.receive(request, 0))
-    assert isinstance(packet, Packet)
-    assert (packet.type, packet.sequence) == (MessageType.REFUSED, 3)
-    return decode_message(Refusal, packet.payload)
-
-
-def test_board_refuses_by_code() -> None:
-    assert refusal(new_device(), MessageType.START).code == RefusalCode.NOT_IN_THIS_STATE
-    assert refusal(new_device(), 0x44) == Refusal(RefusalCode.UNKNOWN_MESSAGE, "unknown message 0x44")
-    assert refusal(new_device(), MessageType.CONFIGURE, b"\x01").code == RefusalCode.MALFORMED
-    assert refusal(new_device(), MessageType.PING, b"7 bytes") == Refusal(
-        RefusalCode.MALFORMED, "PING needs 8 bytes, got 7"
-    )
-    assert refusal(new_device(), MessageType.IDENTIFY, major=2) == Refusal(
-        RefusalCode.OTHER_VERSION, "this board speaks version 1, not 2"
-    )
-
-
-def test_board_with_a_fault_refuses_to_start() -> None:
-    host, device = HostSession(), new_device()
-    exchange(host, device)
-    device.fault = "no reference clock"
-    host.configure(GATE)
-    assert exchange(host, device) == [Refusal(RefusalCode.FAULT, "no reference clock")]
-    assert device.state is BoardState.CONFIGURED
-
-
-def test_board_answers_no_answer_of_another_version() -> None:
-    device = new_device()
-    assert device.receive(encode_packet(MessageType.PONG, 3, major=2), 0) == b""
-    assert device.counts.other_version == 28
-
-
 def test_board_without_a_light_cannot_be_located() -> None:
     host, dark = HostSession(), DeviceSession(IDENTITY, replace(DESCRIPTION, capabilities=0), BOOT)
     exchange(host, dark)
@@ -193,30 +145,9 @@ def test_located_board_shows_itself_and_goes_on() -> None:
     assert (device.located, device.state, host.state) == (1, BoardState.RUNNING, HostState.RUNNING)
 
 
-def test_payloads_of_empty_requests_are_left_to_later_versions() -> None:
-    assert new_device().receive(encode_packet(MessageType.STOP, 1, b"later"), 0)[3] == MessageType.STOPPED
-
-
-def test_a_request_longer_than_the_credit_is_damage() -> None:
-    device = new_device()
-    assert device.receive(encode_packet(MessageType.STOP, 1, bytes(37)), 0) == b""
-    assert device.counts.discarded > 0
-    assert new_device().receive(encode_packet(MessageType.STOP, 1, bytes(36)), 0)
-
-
 def test_board_promises_no_less_than_the_least_credit() -> None:
     with pytest.raises(ValueError, match="at least 64, got 63"):
         new_device(identity=replace(IDENTITY, credit_bytes=63))
-
-
-def test_begin_gives_up_what_was_under_way() -> None:
-    _, device = running()
-    device.receive(encode_packet(MessageType.PING, 9, bytes(8))[:30], 0)
-    device.begin()
-    assert (device.state, device.configuration) == (BoardState.IDLE, None)
-    assert (device.counts.discarded, device.waiting_bytes) == (30, 0)
-    assert exchange(HostSession(), device) == [Described(IDENTITY, DESCRIPTION, BOOT)]
-    assert refusal(device, MessageType.START).code == RefusalCode.NOT_IN_THIS_STATE
 
 
 def test_resumed_board_begins_a_run_only_if_it_had_stopped() -> None:
@@ -244,26 +175,6 @@ def test_stopped_host_can_configure_again() -> None:
     host.configure(GATE)
     assert exchange(host, device) == [Started(GATE)]
     assert device.started == 2
-
-
-def test_stop_and_configure_end_a_run() -> None:
-    host, device = running()
-    host.stop()
-    exchange(host, device)
-    assert device.state is BoardState.CONFIGURED
-    _, device = running()
-    device.receive(encode_packet(MessageType.CONFIGURE, 9, encode_message(Configuration(2 * 10**6))), 0)
-    assert device.state is BoardState.CONFIGURED
-    assert device.configuration == Configuration(2 * 10**6)
-    _, device = running()
-    device.receive(encode_packet(MessageType.STOP, 1), 0)
-    device.receive(encode_packet(MessageType.START, 2), 0)
-    assert device.started == 2
-
-
-def test_board_ignores_its_own_echo() -> None:
-    device = new_device()
-    assert device.receive(device.log(BoardLog(20, "hello"), 1), 2) == b""
 
 
 def test_malformed_and_unknown_messages_are_counted() -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 import pytest
-from protocol_sessions import BOOT, GATE, IDENTITY, exchange, new_device
+from protocol_sessions import BOOT, GATE, IDENTITY, new_device
 
 from firmware_protocol.device import DeviceSession
 from firmware_protocol.host import HostSession
@@ -38,16 +38,6 @@ def test_board_reacts_as_the_table_says(state: BoardState, request_type: Message
     assert device.state is reaction.next_state
     if reaction.refusal is not None:
         assert answer.payload[2] == reaction.refusal
-
-
-@pytest.mark.parametrize("request_type", REQUESTS)
-@pytest.mark.parametrize("state", BoardState)
-def test_a_repeated_request_has_no_second_effect(state: BoardState, request_type: MessageType) -> None:
-    once, twice = device_in(state), device_in(state)
-    request = encode_packet(request_type, 77, PAYLOADS.get(request_type, b""))
-    answer = once.receive(request, 5)
-    assert twice.receive(request + request, 5) == answer * 2
-    assert (twice.state, twice.started, twice.configuration) == (once.state, once.started, once.configuration)
 
 
 STEPS_TO = {
@@ -164,8 +154,3 @@ def test_every_request_has_its_own_number() -> None:
     host.stop()
     carry()
     assert seen == list(range(1, 8))
-
-
-def test_exchange_ends() -> None:
-    host, device = HostSession(), new_device()
-    assert len(exchange(host, device)) == 1

@@ -143,17 +143,6 @@ def test_closing_never_fails(port: Terminal, monkeypatch: pytest.MonkeyPatch) ->
         link.close()
 
 
-def test_closing_twice_leaves_the_port_of_the_next_holder_alone(port: Terminal) -> None:
-    first = open_serial(SerialTarget(port.path, BAUD))
-    first.close()
-    second = open_serial(SerialTarget(port.path, BAUD))  # takes over the descriptor's number
-    first.close()
-    exclusive = array.array("i", [0])
-    fcntl.ioctl(port.slave, TIOCGEXCL, exclusive)
-    assert exclusive[0] == 1
-    second.close()
-
-
 def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal) -> None:
     held = open_serial(SerialTarget(port.path, BAUD))
     said = refusal(port.path)
@@ -262,6 +251,29 @@ def test_closing_waits_a_moment_for_a_board_to_take_the_last_bytes(
     assert not queued
 
 
+def test_the_driver_is_asked_for_low_latency_and_for_nothing_else(
+    port: Terminal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = fcntl.ioctl
+    settings = bytearray(range(72)) + bytes(56)
+    struct.pack_into("@i", settings, 16, 0x10)  # flags
+    given: list[bytes] = []
+
+    def driver(descriptor: int, asked: int, *rest: Any) -> Any:
+        if asked == termios.TIOCGSERIAL:
+            memoryview(rest[0]).cast("B")[:] = settings
+            return 0
+        if asked == termios.TIOCSSERIAL:
+            given.append(bytes(rest[0]))
+            return 0
+        return real(descriptor, asked, *rest)
+
+    monkeypatch.setattr(fcntl, "ioctl", driver)
+    open_serial(SerialTarget(port.path, BAUD)).close()
+    struct.pack_into("@i", settings, 16, 0x10 | 0x2000)
+    assert given == [bytes(settings)]
+
+
 def test_losses_of_the_driver_are_counted_from_the_opening_on(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     real = fcntl.ioctl
     overrun, buffer_overrun = 2**31 - 1, 5
@@ -318,16 +330,6 @@ def test_a_link_that_points_nowhere_is_a_missing_port(tmp_path: Path) -> None:
     assert refusal(link).startswith(f"no port {link}; ")
 
 
-def test_a_path_through_a_file_is_a_missing_port(tmp_path: Path) -> None:
-    (tmp_path / "dev").touch()
-    assert refusal(tmp_path / "dev" / "ttyACM0").startswith(f"no port {tmp_path}/dev/ttyACM0; ")
-
-
-def test_a_port_that_is_back_already_was_missing(tmp_path: Path) -> None:
-    error = FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
-    assert serial_link._why_not(SerialTarget(str(tmp_path), BAUD), error).startswith(f"no port {tmp_path}; ")
-
-
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
 def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
     path = tmp_path / "notes.txt"
@@ -337,10 +339,36 @@ def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path,
     assert "present" in said
 
 
-def test_any_other_error_is_said_once_and_without_its_number(tmp_path: Path) -> None:
-    error = serial.SerialException(errno.EMFILE, f"could not open port {tmp_path}: [Errno 24] Too many open files: 'x'")
-    said = serial_link._why_not(SerialTarget(str(tmp_path), BAUD), error)
-    assert said == f"{tmp_path} cannot be opened: {os.strerror(errno.EMFILE)}"
+@pytest.mark.parametrize(
+    ("code", "group", "remedy"),
+    [
+        (errno.EACCES, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in anew"),
+        (errno.EPERM, "dialout", "join its group: sudo usermod -aG dialout $USER, then log in anew"),
+        (errno.EACCES, "root", "give it to a group of this user with a udev rule (docs/links.md)"),
+        (errno.EACCES, None, "give it to a group of this user with a udev rule (docs/links.md)"),
+        (errno.EMFILE, None, os.strerror(errno.EMFILE)),
+        (errno.ENXIO, None, f"({os.strerror(errno.ENXIO)}); plug it in"),
+    ],
+)
+def test_why_a_port_cannot_be_opened_is_said_with_a_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int, group: str | None, remedy: str
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise serial.SerialException(code, f"could not open port: [Errno {code}] {os.strerror(code)}: 'x'")
+
+    def named(number: int) -> SimpleNamespace:
+        if group is None:
+            raise KeyError(f"getgrgid(): gid not found: {number}")
+        return SimpleNamespace(gr_name=group)
+
+    path = tmp_path / "ttyACM0"
+    path.touch()
+    monkeypatch.setattr(grp, "getgrgid", named)
+    monkeypatch.setattr(serial, "Serial", refuse)
+    said = refusal(path)
+    assert said.startswith(f"{path} ")
+    assert said.endswith(remedy)
+    assert f"Errno {code}" not in said
 
 
 def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,35 +377,6 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
         said = refusal(port.path, 2_345_678)
     assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
     open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind
-
-
-@pytest.mark.parametrize("code", [errno.EACCES, errno.EPERM])
-def test_a_port_that_is_not_permitted_names_the_group_to_join(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
-) -> None:
-    monkeypatch.setattr(grp, "getgrgid", lambda _number: SimpleNamespace(gr_name="dialout"))
-    path = tmp_path / "ttyACM0"
-    path.touch()
-    said = serial_link._why_not(SerialTarget(str(path), BAUD), PermissionError(code, os.strerror(code)))
-    assert said == (
-        f"{path} may not be opened by this user; join its group: sudo usermod -aG dialout $USER, then log in anew"
-    )
-
-
-@pytest.mark.parametrize("group", [None, "root"])
-def test_a_group_that_nobody_should_join_asks_for_a_rule(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, group: str | None
-) -> None:
-    def resolve_host(number: int) -> SimpleNamespace:
-        if group is None:
-            raise KeyError(f"getgrgid(): gid not found: {number}")
-        return SimpleNamespace(gr_name=group)
-
-    path = tmp_path / "ttyACM0"
-    path.touch()
-    monkeypatch.setattr(grp, "getgrgid", resolve_host)
-    said = serial_link._why_not(SerialTarget(str(path), BAUD), PermissionError(errno.EACCES, "Permission denied"))
-    assert said.endswith("give it to a group of this user with a udev rule (docs/links.md)")
 
 
 def test_a_port_that_goes_away_while_it_is_set_up_is_no_crash(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:

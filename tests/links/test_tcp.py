@@ -5,14 +5,12 @@ import ctypes
 import os
 import socket
 import struct
-import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import pytest
 
-from resonator_daemon.links import link as link_module
 from resonator_daemon.links.carriers import tcp as tcp_link
 from resonator_daemon.links.carriers.tcp import TcpTarget, open_tcp
 from resonator_daemon.links.link import FileDescriptorLink, LinkLostError, LinkUnavailableError
@@ -48,83 +46,11 @@ def target(listener: socket.socket) -> TcpTarget:
     return TcpTarget("127.0.0.1", listener.getsockname()[1])
 
 
-def test_bytes_pass_both_ways_until_either_end_closes(listener: socket.socket) -> None:
-    link = open_tcp(target(listener))
-    board, _ = listener.accept()
-    with board:
-        board.settimeout(AMPLE_S)
-        board.sendall(b"frame")
-        assert link.read(AMPLE_S) == b"frame"
-        link.write(b"start")
-        assert board.recv(100) == b"start"
-    with pytest.raises(LinkLostError):
-        link.read(AMPLE_S)
-    link.close()
-
-
-def test_closing_ends_the_connection(listener: socket.socket) -> None:
-    link = open_tcp(target(listener))
-    board, _ = listener.accept()
-    with board:
-        board.settimeout(AMPLE_S)
-        link.close()
-        assert board.recv(1) == b""
-
-
 def test_the_socket_never_blocks_and_sends_at_once(connected: Connected) -> None:
     descriptor = connected.link._descriptor
     assert not os.get_blocking(descriptor)
     with socket.socket(fileno=os.dup(descriptor)) as near:
         assert near.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
-
-
-def test_bytes_that_come_one_by_one_come_all_and_in_order(connected: Connected) -> None:
-    data = bytes(range(256)) * 4
-
-    def send() -> None:
-        for value in data:
-            connected.board.sendall(bytes((value,)))
-
-    sender = threading.Thread(target=send)
-    sender.start()
-    received = b""
-    while len(received) < len(data):
-        piece = connected.link.read(AMPLE_S)
-        assert piece
-        received += piece
-    sender.join()
-    assert received == data
-
-
-def test_what_a_board_said_before_it_reset_the_connection_is_no_crash(connected: Connected) -> None:
-    connected.board.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
-    connected.board.close()
-    for _ in range(2):  # the system says it once, the link every time
-        with pytest.raises(LinkLostError, match=r"unplugged \(Connection reset by peer\)"):
-            connected.link.read(AMPLE_S)
-
-
-def test_a_board_that_ends_its_half_of_the_connection_is_gone_after_its_last_bytes(connected: Connected) -> None:
-    connected.board.sendall(b"last words")
-    connected.board.shutdown(socket.SHUT_WR)
-    received = b""
-    with pytest.raises(LinkLostError, match="end of stream"):  # noqa: PT012 - the bytes may come in pieces
-        while True:
-            received += connected.link.read(AMPLE_S)
-    assert received == b"last words"
-
-
-def test_a_board_that_accepts_and_says_nothing_is_silence(connected: Connected) -> None:
-    assert connected.link.read(0.0) == b""
-    assert connected.link.read(0.01) == b""
-    connected.link.write(b"who are you?")
-
-
-def test_a_board_that_never_reads_ends_a_write(connected: Connected, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(link_module, "WRITE_TIMEOUT_S", 0.05)
-    with pytest.raises(LinkLostError, match="took no bytes"):
-        connected.link.write(bytes(32 << 20))
-    connected.link.close()
 
 
 def cut_off(board: socket.socket) -> None:

@@ -104,24 +104,6 @@ def test_bytes_go_both_ways_and_what_is_old_is_thrown_away(board: UsbBoardEnd, h
     host.run("link.close(); link.close()")
 
 
-def test_frames_arrive_whole_and_in_order(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    frames = b"".join(number.to_bytes(4, "little") * (FRAME_BYTES // 4) for number in range(2000))
-    host.begin("?", f"take({len(frames)})")
-    for start in range(0, len(frames), FRAME_BYTES):  # a transfer each, as of a counter that sends each when it is due
-        board.send(frames[start : start + FRAME_BYTES])
-    assert host.end().strip() == repr(frames)
-
-
-def test_large_frames_arrive_whole_and_in_order(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    frame = os.urandom(SKIN_FRAME_BYTES)
-    host.begin("?", f"digest(take({40 * len(frame)}))")
-    board.send(40 * frame)
-    received = host.end()
-    assert received.strip() == repr(host.value(f"digest(40 * bytes.fromhex({frame.hex()!r}))"))
-
-
 def test_the_next_transfers_are_always_in_flight(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     assert host.value("usb_transfers.TRANSFERS") == 8
@@ -129,11 +111,6 @@ def test_the_next_transfers_are_always_in_flight(board: UsbBoardEnd, host: UsbHo
     board.send(b"x")
     assert host.value("take(1)") == b"x"
     assert host.value("link._reader._in_flight") == 8
-
-
-def test_nothing_comes_is_no_loss(host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    assert host.value("[link.read(0.01), link.read(0.0), link.overruns]") == [b"", b"", 0]
 
 
 def test_a_stall_is_cleared(board: UsbBoardEnd, host: UsbHost) -> None:
@@ -199,36 +176,6 @@ def test_a_board_that_stalls_without_end_is_given_up(board: UsbBoardEnd, host: U
     assert loss(host, "link.write(b'x')") == "the board answers with stalls again and again"
 
 
-def test_unplugged_and_plugged_in_again(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r}); link.close(); before = held()")
-    for round_number in range(20):
-        host.run(f"open_link({LINK!r})")
-        assert board.begins == round_number + 2
-        data = bytes([round_number]) * 1000
-        board.send(data)
-        assert host.value("take(1000)") == data
-        host.begin("!", "link.read(20.0)")
-        board.link.hang_up()
-        with pytest.raises(HostError, match="LinkLostError: unplugged"):
-            host.end()
-        assert loss(host, "link.read(1.0)").startswith("unplugged")
-        assert loss(host, "link.write(b'x')").startswith("unplugged")
-        host.run("link.close()")
-        while host.value("links()"):  # udev's word comes when it comes
-            pass
-        assert refusal(host, LINK) == f"no board is {LINK}; no board is on any USB bus"
-        board.link.plug_in()
-        while not host.value("links()"):
-            pass
-    assert host.value("held() == before")
-
-
-def test_unplugged_while_it_writes(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r})")
-    board.link.hang_up()
-    assert loss(host, "while True: link.write(b'x')").startswith("unplugged")
-
-
 def test_a_board_that_takes_no_bytes(board: UsbBoardEnd, host: UsbHost) -> None:
     host.run(f"open_link({LINK!r})")
     board.answers.clear()
@@ -285,17 +232,6 @@ def test_closing_waits_for_no_driver_that_hangs(board: UsbBoardEnd, host: UsbHos
     host.run("link.close()")
     assert host.value("len(usb_transfers._left_behind)") == 1
     assert loss(host, "link.read(1.0)") == "closed here"
-
-
-def test_closing_leaves_nothing_behind(board: UsbBoardEnd, host: UsbHost) -> None:
-    host.run(f"open_link({LINK!r}); link.close(); before = held()")
-    for _ in range(30):
-        host.run(f"open_link({LINK!r})")
-        board.send(b"x")
-        host.run("link.close()")
-    assert host.value("held() == before")
-    assert host.value("len(usb_transfers._left_behind)") == 0
-    assert host.value("[link._handle, link._reader._in_flight, link._reader._transfers]") == [None, 0, []]
 
 
 def a_board(serial_number: str | None, node_number: int) -> UsbBoard:

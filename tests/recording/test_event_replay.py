@@ -13,7 +13,6 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.event_replay import Pace, replay_of
@@ -24,7 +23,6 @@ from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     Arrival,
     BoardRefused,
-    ChannelisedFrame,
     Gap,
     LinkChange,
     Outage,
@@ -109,25 +107,6 @@ def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
     assert sitting.counters.connections > 1
     assert len(sitting.counters.boots) == 2
     assert sitting.counters.bytes_discarded > 0
-
-
-def test_channelised_frames_are_replayed_to_the_bit(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
-        link = parse_link(emulator.link.address)
-        with Sitting(link, SKIN, path) as sitting:
-            sitting.wait_for(ChannelisedFrame, 10)
-    check_same(sitting, path, SKIN)
-
-
-def test_a_refused_board_is_refused_again(tmp_path: Path) -> None:
-    port, path = tmp_path / "board", tmp_path / "run.mcap"
-    with (
-        emulated(EmulatorOptions("skin32", pty=port)),
-        Sitting(SerialTarget(str(port), 4000000), PLATE, path) as sitting,
-    ):
-        sitting.wait_for(BoardRefused, 1)
-    check_same(sitting, path, PLATE)
 
 
 def replaying(path: str, woken: threading.Event) -> BoardReader:

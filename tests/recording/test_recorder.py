@@ -3,9 +3,6 @@
 import errno
 import os
 import resource
-import signal
-import subprocess
-import sys
 import threading
 import time
 from contextlib import suppress
@@ -13,7 +10,6 @@ from pathlib import Path
 from random import Random
 
 import pytest
-import recording_bench
 from connection_bench import DESCRIPTION, IDENTITY
 from hypothesis import given
 from hypothesis import strategies as st
@@ -94,22 +90,6 @@ def test_every_time_and_byte_comes_back(now: HostTime, data: bytes, flag: bool) 
     for event in (Received(now, data), Sent(now, data), TimersRun(now, flag), Opened(now)):
         again = decode(encode(event), now.monotonic_ns, now.utc_ns)
         assert (type(again), again) == (type(event), event)
-
-
-@pytest.mark.parametrize(
-    "data",
-    [
-        b"",
-        b"\0" * 8,
-        b"\xff" + bytes(8),
-        b"\0" + bytes(8) + b"{",
-        b"\0" + bytes(8) + b'["a"]',
-        b"\7" + bytes(8) + b"[1]",
-    ],
-)
-def test_what_is_no_event_is_refused(data: bytes) -> None:
-    with pytest.raises(ValueError, match=r"event|cannot be read|Expecting"):
-        decode(data, 0, 0)
 
 
 @given(st.binary(max_size=40))
@@ -278,50 +258,6 @@ def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monke
     assert recorder.failure is not None
     assert "no number, no text" in recorder.failure
     assert recorder.counts.events_missing == 3  # the one that failed, the large one, and the one that waited behind it
-
-
-KILLED = """
-import sys
-from recording_bench import PLATE, at
-from pathlib import Path
-from resonator_daemon.recording.recorder import Recorder
-from resonator_daemon.recording.reader import Origin
-from resonator_daemon.session.link_events import Received
-recorder = Recorder(Path(sys.argv[1]), Origin(PLATE, "tcp://board:1"))
-for number in range(5):
-    recorder.put(Received(at(number), bytes([number])))
-print("put", flush=True)
-sys.stdin.read()
-"""
-
-
-def test_a_recording_that_is_killed_is_readable(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    here = str(Path(recording_bench.__file__).parent)
-    process = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(path)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": here},
-    )
-    assert process.stdout is not None
-    assert process.stdin is not None
-    assert process.stdout.readline() == b"put\n"
-    deadline = time.monotonic() + DEADLINE_S
-    events: list[WireEvent] = []
-    while len(events) < 5:  # flushed after a second
-        assert time.monotonic() < deadline
-        threading.Event().wait(0.05)
-        if path.exists() and path.stat().st_size:
-            try:
-                events, _ = read(path)
-            except LinkUnavailableError:
-                continue
-    os.kill(process.pid, signal.SIGKILL)
-    process.communicate()
-    events, damage = read(path)
-    assert events == [Received(at(number), bytes([number])) for number in range(5)]
-    assert damage == "cut off"
 
 
 def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) -> None:

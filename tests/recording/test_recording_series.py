@@ -12,7 +12,7 @@ from random import Random
 from types import SimpleNamespace
 
 import pytest
-from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, record, snapshot
+from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read, snapshot
 
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording import file_series as recording_budget
@@ -23,7 +23,7 @@ from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder, RecorderTimes
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import Opened, Received, Skipped, SnapshotTaken, TimersRun, WireEvent
+from resonator_daemon.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
 
 DEADLINE_S = 30.0
 MINUTE_NS = 60 * 10**9
@@ -133,14 +133,6 @@ def test_a_file_that_was_cut_still_gives_the_texts_of_its_beginning(tmp_path: Pa
         assert (it.plate_text, it.settings_text) == (plate_text, "[decoding]\n")
         assert list(it.events()) == []
         assert it.damage == "cut off"
-
-
-def test_what_a_file_says_of_itself_is_on_its_way_to_the_disk_at_once(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    recorder = Recorder(path, Origin(PLATE, "tcp://board:1", plate_text="x = 1\n"))
-    with open_recording(str(path), PLATE) as it:
-        assert it.plate_text == "x = 1\n"
-    recorder.close()
 
 
 def test_messages_give_way_to_the_link(tmp_path: Path) -> None:
@@ -270,13 +262,6 @@ def test_after_an_error_a_recording_goes_on_in_a_new_file(tmp_path: Path) -> Non
     assert contents(tmp_path) == [[snapshot(at(2))]]
 
 
-def test_events_that_did_not_fit_are_told_before_a_standing_that_begins(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    record(path, [Received(at(0), bytes(50_000)), snapshot(at(1)), TimersRun(at(2), idle=True)], queue_bytes=40_000)
-    events, _ = read(path)
-    assert events == [Skipped(at(1), 1, 50_000), snapshot(at(1)), TimersRun(at(2), idle=True)]
-
-
 def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synchronised: list[str] = []
     monkeypatch.setattr(os, "fsync", lambda number: synchronised.append(os.readlink(f"/proc/self/fd/{number}")))
@@ -326,31 +311,6 @@ def test_a_file_that_nobody_finds_any_more_is_said_once_and_another_begun(tmp_pa
         assert first.read_bytes() == b"theirs"
     gone = f"{first} was removed, moved or replaced: a new file is begun as soon as that can be"
     assert said == [(logging.WARNING, gone), (logging.INFO, f"recording goes on in {second}")]
-
-
-def test_why_no_file_can_follow_one_that_was_removed_is_said_too_and_once(tmp_path: Path) -> None:
-    said: list[tuple[int, str]] = []
-    directory = tmp_path / "recordings"
-    with Recorder(
-        Series(directory, "left", resumes=True),
-        LEFT,
-        log_line=log_to(said),
-        times=NO_PAUSE,
-    ) as recorder:
-        recorder.put(snapshot(at(0)))
-        wait_until(lambda: recorder.events == 1)
-        directory.rename(tmp_path / "elsewhere")
-        directory.touch()
-        wait_until(lambda: recorder.failure is not None)
-        for ms in (1, 2):
-            recorder.put(snapshot(at(ms)))
-            recorder.put(Received(at(ms), b"x"))
-        wait_until(lambda: recorder.counts.events_missing == 2)
-        directory.unlink()
-        recorder.put(snapshot(at(3)))
-        wait_until(lambda: recorder.failure is None)
-    assert [level for level, _ in said] == [logging.WARNING, logging.WARNING, logging.INFO]
-    assert said[1][1].startswith(f"{directory} cannot be used: ")
 
 
 def test_a_file_of_a_recording_that_does_not_resume_is_not_said_to_stay_where_it_was_removed(tmp_path: Path) -> None:

@@ -1,13 +1,11 @@
 """Recordings switched on and off while a board is read: what a replay of each gives, and what is said of it."""
 
 import json
-import resource
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from random import Random
 
 import pytest
 from connection_bench import DESCRIPTION, IDENTITY
@@ -36,7 +34,6 @@ from resonator_daemon.recording.switch import (
 from resonator_daemon.recording.writer import Published
 from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
 from resonator_daemon.session.link_events import (
-    Closed,
     Opened,
     Received,
     Skipped,
@@ -153,25 +150,6 @@ def test_a_channelised_frame_under_way_is_not_recorded_in_half(tmp_path: Path) -
     assert all(frame.known.all() for frame in again[:-1] if isinstance(frame, ChannelisedFrame))
 
 
-def test_recordings_follow_each_other_and_each_stands_by_itself(tmp_path: Path) -> None:
-    options, link = pseudo_terminal(tmp_path / "board")
-    paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
-    with emulated(options), listening(link) as (it, switch):
-        switch.start(paths[0], Origin(PLATE, str(link)))
-        it.wait_for_frames(300)
-        switch.stop()
-        wait_for_frames(it, 500)
-        switch.start(paths[1], Origin(PLATE, str(link)))
-        wait_for_frames(it, 300)
-        switch.stop()
-        it.take_the_rest()
-        assert switch.stop() is None
-        assert switch.current is None
-    one, two = (frames(check_replay(it.arrivals, path)) for path in paths)
-    assert one[0].index == 0
-    assert one[-1].index < two[0].index
-
-
 def have_happen(emulator: Emulator, fault: str) -> None:
     """Have something happen to the board now, whatever time it is on a busy computer."""
     now_s = emulator._elapsed_s(emulator._now_ticks())
@@ -261,42 +239,6 @@ def test_a_mark_is_a_line_of_text_at_its_time(tmp_path: Path, caplog: pytest.Log
     assert f"{path}: mark: the finger slips" in caplog.messages
 
 
-def test_a_disk_without_room_is_said_and_the_reader_goes_on(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    switch = RecordingSwitch()
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    random = Random(1)
-    deadline = time.monotonic() + DEADLINE_S
-    put = 0
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, hard))
-    try:
-        switch.start(path, ORIGIN)
-        while (now := switch.current) is not None and now.failure is None:
-            assert time.monotonic() < deadline
-            switch.put(Received(at(put), random.randbytes(100_000)))
-            put += 1
-            threading.Event().wait(0.005)
-        switch.put(Closed(at(put)))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-    said = f"{path}: File too large: nothing more is recorded; what was written stays"
-    assert now is not None
-    assert now.failure == said
-    with pytest.raises(NothingRecordedError, match="File too large"):
-        switch.mark("too late")
-    summary = switch.stop()
-    assert summary is not None
-    assert summary.failure == said
-    assert summary.events + summary.events_missing == put + 1
-    assert summary.events_missing >= 1
-    assert summary.events == len(read(path)[0]) >= 1
-    assert summary.all_bytes == path.stat().st_size > 0
-    switch.start(tmp_path / "next.mcap", ORIGIN)
-    assert switch.current is not None
-    assert switch.current.failure is None
-    switch.stop()
-
-
 def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -371,16 +313,6 @@ def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
         "away": None,
         "there": "T-1",
     }
-
-
-def test_a_board_that_comes_while_it_is_recorded_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    switch = RecordingSwitch()
-    switch.start(path, ORIGIN)
-    switch.put(Opened(at(0)))
-    switch.name_board(BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False))
-    switch.stop()
-    assert board_of(path) == "T-1"
 
 
 def test_each_file_names_the_board_that_sends_and_has_the_last_states(

@@ -1,21 +1,15 @@
 """A recording whose plate file or settings are not what was written gives no numbers with them, and says so."""
 
 import json
-import threading
 from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
 from resonator_daemon.commands import main
-from resonator_daemon.config import load_config
 from resonator_daemon.config.text import load_plate_text, plate_text
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.plate import Plate
-from resonator_daemon.recording.event_replay import replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
-from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.frames import SingleToneFrame
 
 RECORDING = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
 WHOLE = RECORDING.read_bytes()
@@ -101,23 +95,6 @@ def without_reasons(path: Path) -> list[object]:
     return [message for message in messages if not message["topic"].startswith("state/")]
 
 
-def test_a_link_of_it_has_the_plate_of_the_configuration(
-    tmp_path: Path, config: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    path = flipped(tmp_path / "bent.mcap", in_plate())
-    woken = threading.Event()
-    link, plate = parse_link(f"replay:{path}"), load_config(config).plate
-    reader = BoardReader(link, plate, woken.set, replay=replay_of(link, plate))
-    reader.start()
-    try:
-        while not any(isinstance(arrival, SingleToneFrame) for arrival in reader.pop_arrivals()):
-            assert woken.wait(30.0)
-            woken.clear()
-    finally:
-        reader.stop()
-    assert caplog.messages == [f"{path}: its attachment plate.toml is damaged; the configuration counts"]
-
-
 @pytest.mark.parametrize("name", [b"plate.toml", b"settings.toml"])
 def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
     content = content_of(name)
@@ -129,16 +106,6 @@ def test_each_byte_counts(tmp_path: Path, name: bytes) -> None:
             assert (recording.settings_text is None) == (name == b"settings.toml")
             next(recording.events())
             assert recording.damage is None
-
-
-def test_without_a_check_sum_it_is_taken_as_it_is(tmp_path: Path) -> None:
-    content = content_of(b"plate.toml")
-    bent = bytearray(WHOLE)
-    bent[content[-4] : content[-1] + 1] = bytes(4)
-    (tmp_path / "bent.mcap").write_bytes(bent)
-    with open_recording(str(tmp_path / "bent.mcap")) as recording:
-        assert recording.damaged_attachments == ()
-        assert recording.plate_text is not None
 
 
 def carrying(path: Path, plate: Plate, text: bytes) -> Path:

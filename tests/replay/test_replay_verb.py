@@ -162,12 +162,6 @@ async def test_beside_a_live_daemon_a_replay_needs_another_name(
         await heard.until_last("resonator/again/state/daemon", state="offline")
 
 
-async def test_without_a_broker_there_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    told = await replay_to(capsys, "mqtt://127.0.0.1:1")
-    assert told["code"] == 69
-    assert told["stderr"].startswith("resonatord: no broker at 127.0.0.1:1 (")
-
-
 def test_step_by_step_waits_for_enter(tmp_path: Path) -> None:
     output = tmp_path / "steps.jsonl"
     ours, theirs = pty.openpty()
@@ -232,14 +226,6 @@ def newer() -> bytes:
     place = content.index(b"format") + len(b"format")  # then its length, 4 bytes, and the number
     assert content[place + 4 : place + 5] == FORMAT.encode()
     return content[: place + 4] + b"9" + content[place + 5 :]
-
-
-def test_another_plate_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    config = tmp_path / "board.toml"
-    for plate, said in (("comb16", "is a recording of plate 'quartz16'"), ("quartz16", "with another [counter]")):
-        config.write_text(f'plate = "{plate}"\nlink = "serial:/dev/null?baud=4000000"\n')
-        assert replay(TOUCHES, "--config", config, "--to", "-") == 69
-        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

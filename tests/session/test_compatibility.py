@@ -55,7 +55,13 @@ def test_boards_of_the_shipped_plates_fit() -> None:
         ({"counter_kind": 1}, ("counter kind", "channelised", "single-tone")),
         ({"counter_kind": 7}, ("counter kind", "number 7", "single-tone")),
         ({"channels": 3}, ("channels", "describes 3", "has 4")),
+        ({"channels": 0}, ("channels", "describes 0", "has 4")),
         ({"reference_millihertz": 999 * 10**9}, ("reference_hz", "999000000", "1000000000")),
+        ({"reference_millihertz": 0}, ("reference_hz", "describes 0.0")),
+        ({"gate_ticks_min": 10, "gate_ticks_max": 9}, ("gate", "at least 10 and at most 9")),
+        ({"gate_ticks_min": 0, "gate_ticks_max": 0}, ("frame rate",)),
+        ({"gate_ticks_step": 300_000}, ("frame rate", "300000", "1000000")),
+        ({"gate_ticks_step": 0}, ("gate", "multiples of 0 ticks")),
     ],
 )
 def test_what_does_not_fit_is_said_with_both_sides(change: dict[str, object], words: tuple[str, ...]) -> None:

@@ -4,7 +4,7 @@ import pytest
 
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.counters import FrameLoss
-from resonator_daemon.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering
+from resonator_daemon.session.frame_numbers import Accepted, BrokenSpacingError, FrameNumbering, NumberingSnapshot
 from resonator_daemon.session.frames import Gap
 
 GATE_TICKS = 1000
@@ -86,8 +86,7 @@ def test_what_the_hosts_driver_lost_is_a_cause_of_its_own() -> None:
 
 def test_the_number_wraps_and_the_index_does_not() -> None:
     it = numbering()
-    it._next_sequence = 2**32 - 1
-    it._next_index = 2**32 - 1
+    it.restore(NumberingSnapshot(2**32 - 1, 2**32 - 1, 0, (1, (2**32 - 2) * GATE_TICKS, at(2**32 - 2))))
     assert accept(it, 2**32 - 1) == (2**32 - 1, None)
     assert accept(it, 2, gate=2**32 + 2) == (2**32 + 2, Gap(2**32, FrameLoss(link_gap=2)))
 

@@ -70,16 +70,6 @@ def test_gaps_apart_stay_apart() -> None:
     assert queue.pop_all()[:2] == [Gap(0, FrameLoss(ring_overflow=1)), Gap(5, FrameLoss(ring_overflow=1))]
 
 
-def test_news_before_frames_that_gave_way_stay_before_what_comes_later() -> None:
-    queue = FrameQueue(2 * FRAME_BYTES, lambda: None)
-    for index in range(1000):
-        queue.put(BoardLogLine(20, str(index)))
-        queue.put_frames([frame(index)])
-    taken = queue.pop_all()
-    assert [news.text for news in taken if isinstance(news, BoardLogLine)] == [str(index) for index in range(1000)]
-    assert taken[-3:] == [frame(998), BoardLogLine(20, "999"), frame(999)]
-
-
 def fresh_single_tone(index: int) -> SingleToneFrame:
     """Return a frame that shares no object with another, as those from the link."""
     big = 2**40 + index

@@ -2,6 +2,7 @@ import json
 import struct
 
 import pytest
+from recording_bench import snapshot
 
 from resonator_daemon.conditions import Condition
 from resonator_daemon.session.host_time import HostTime
@@ -10,7 +11,6 @@ from resonator_daemon.session.link_events import (
     Lost,
     Refused,
     Skipped,
-    SnapshotTaken,
     StateAnnounced,
     decode,
     encode,
@@ -38,6 +38,12 @@ def raw(kind: int, body: object) -> bytes:
         raw(11, {"state": ["doubtful", "", 0, []]}),
         raw(11, b"[" * 100_000),
         raw(7, b"[" * 100_000),
+        raw(0, b"{"),
+        raw(0, ["a"]),
+        raw(7, [1]),
+        raw(255, b""),
+        b"",
+        bytes(8),
     ],
 )
 def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
@@ -47,18 +53,12 @@ def test_what_no_daemon_wrote_is_damage(data: bytes) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_standing_in_an_unknown_state_is_damage(told_standing: SnapshotTaken) -> None:
-    data = encode(told_standing)
-    assert decode(data, 5, 12) == told_standing
+def test_a_snapshot_in_an_unknown_state_is_damage() -> None:
+    taken = snapshot(NOW)
+    data = encode(taken)
+    assert decode(data, 5, 12) == taken
     with pytest.raises(ValueError, match="SnapshotTaken cannot be read"):
         decode(data.replace(b'"waiting"', b'"tired.."'), 5, 12)
-
-
-@pytest.fixture
-def told_standing() -> SnapshotTaken:
-    from recording_bench import snapshot
-
-    return snapshot(NOW)
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,7 @@ def test_memory_is_short_and_goes_far_back_where_every_bound_stays_on_the_hull(p
     it = TickBounds(RATES, 0, -100, 100)
     for number in range(1, 1000):
         assert it.add(number * period_ns, -100, 100)
-        assert max(len(it._floor), len(it._ceiling)) <= 16
-        oldest = min(it._floor[0].nominal_ns, it._ceiling[0].nominal_ns)
+        bounds = it.snapshot()
+        assert max(len(bounds.floor), len(bounds.ceiling)) <= 16
+        oldest = min(bounds.floor[0].nominal_ns, bounds.ceiling[0].nominal_ns)
         assert min(number * period_ns, 100 * S) <= number * period_ns - oldest <= 128 * S

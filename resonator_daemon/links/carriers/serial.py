@@ -20,7 +20,7 @@ from resonator_daemon.links.link import FileDescriptorLink, LinkUnavailableError
 from resonator_daemon.links.port_holders import is_pseudo_terminal, port_holders
 from resonator_daemon.links.port_identity import PortIdentity, find_port, port_identity, serial_ports
 from resonator_daemon.links.target import FoundPort, LinkTarget, options_of
-from resonator_daemon.links.tty_settings import configure_tty, overrun_counter, set_low_latency
+from resonator_daemon.links.tty_settings import configure_tty, overrun_count, shorten_latency_timer
 
 _LAST_BYTES_S = 0.05
 BY_ID = Path("/dev/serial/by-id")
@@ -54,7 +54,19 @@ class SerialTarget(LinkTarget):
         return open_serial(self)
 
     def opener(self) -> Callable[[], "SerialPortLink"]:
-        return _Reopening(self)
+        """Return a function that opens the port; an adapter that came back under another name is opened there."""
+        adapter: PortIdentity | None = None
+
+        def open_again() -> SerialPortLink:
+            nonlocal adapter
+            target = self
+            if adapter is not None and (moved_to := find_port(adapter, self.path)):
+                target = replace(self, path=moved_to)
+            link = open_serial(target)
+            adapter = port_identity(target.path)
+            return link
+
+        return open_again
 
     def leads_to_the_same(self, other: LinkTarget) -> bool:
         return other.serial_port is not None and os.path.realpath(self.path) == os.path.realpath(other.serial_port)
@@ -96,34 +108,20 @@ class SerialTarget(LinkTarget):
         return ports
 
 
-class _Reopening:
-    """Opens a port again and again; an adapter that has come back under another name is opened there."""
-
-    def __init__(self, target: SerialTarget) -> None:
-        self._target = target
-        self._adapter: PortIdentity | None = None
-
-    def __call__(self) -> "SerialPortLink":
-        target = self._target
-        if self._adapter is not None and (moved_to := find_port(self._adapter, target.path)):
-            target = replace(target, path=moved_to)
-        link = open_serial(target)
-        self._adapter = port_identity(target.path)
-        return link
-
-
 class SerialPortLink(FileDescriptorLink):
     """A serial port that this process holds alone."""
 
     def __init__(self, descriptor: int, close: Callable[[], None]) -> None:
         super().__init__(descriptor, close)
-        self._count_overruns = overrun_counter(descriptor)
+        self._overruns_before = overrun_count(descriptor)
         self._overruns = 0
 
     @property
     def overruns(self) -> int:
-        if self._close is not None:
-            self._overruns = self._count_overruns()
+        if self._close is None or self._overruns_before is None:
+            return self._overruns
+        if (count := overrun_count(self._descriptor)) is not None:  # else the port went away
+            self._overruns = (count - self._overruns_before) & 0xFFFFFFFF
         return self._overruns
 
 
@@ -162,7 +160,9 @@ def open_serial(target: SerialTarget) -> SerialPortLink:
     if sharing := _shared_with(target.path):
         close()
         raise LinkUnavailableError(f"{target.path} is also held by {sharing}; each would get some of the bytes")
-    set_low_latency(descriptor, target.path)
+    with suppress(ValueError):  # a driver without such a mode; its timer, if it has one, is set below
+        port.set_low_latency_mode(True)
+    shorten_latency_timer(target.path)
     return SerialPortLink(descriptor, close)
 
 
