@@ -10,7 +10,7 @@ import pytest
 
 from resonator_daemon.commands import main
 from resonator_daemon.config import Config, example_config
-from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained, key_list
+from resonator_daemon.config.help import UnknownKeyError, config_keys, config_schema, explained
 from resonator_daemon.errors import ExitCode
 
 SCHEMA = config_schema()
@@ -54,11 +54,6 @@ def test_it_is_a_schema_that_takes_the_example() -> None:
 )
 def test_it_refuses_what_the_models_refuse(change: dict[str, Any], where: str) -> None:
     assert says(MINIMAL | change) == [where]
-
-
-def test_it_asks_for_plate_and_link() -> None:
-    assert SCHEMA["required"] == ["plate", "link"]
-    assert says({}) == ["required", "required"]
 
 
 def test_every_table_and_key_says_what_it_is() -> None:
@@ -140,16 +135,3 @@ def test_a_terminal_gets_lines_that_fit_it(
     wrapped = run(capsys, "explain", *arguments)
     assert max(map(len, whole.splitlines())) > 80 >= max(map(len, wrapped.splitlines()))
     assert wrapped.split() == whole.split()
-
-
-def test_a_long_line_goes_on_below_its_own_beginning() -> None:
-    (key,) = explained("mqtt.url")
-    lines = key_list((key,), 50).splitlines()
-    assert lines[0].startswith("mqtt.url  the broker: ")
-    assert len(lines) > 1
-    assert all(line.startswith(" " * 10) and line[10] != " " for line in lines[1:])
-
-
-def test_the_verb_refuses_an_unknown_key(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["config", "explain", "mqtt.ulr"]) == ExitCode.USAGE
-    assert "did you mean mqtt.url?" in capsys.readouterr().err

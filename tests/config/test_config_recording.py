@@ -50,26 +50,6 @@ def test_all_of_recording_can_be_set(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("continuous = 1", "4: recording.continuous: got 1; must be true or false, without quotes"),
-        ("file_max_mb = 0.5", "4: recording.file_max_mb: got 0.5; must be greater than or equal to 1"),
-        ("file_max_minutes = 0", "4: recording.file_max_minutes: got 0; must be greater than 0"),
-        ("keep_free_mb = -1", "4: recording.keep_free_mb: got -1; must be greater than or equal to 0"),
-        ('budget_mb = "10 GB"', "4: recording.budget_mb: got '10 GB'; must be a number"),
-        (
-            "file_max_mb = 50\nbudget_mb = 49",
-            "5: recording.budget_mb: got 49; must be at least file_max_mb = 50; raise it, or lower file_max_mb",
-        ),
-        ("file_max_mb = 10_001", "3: recording.budget_mb: got 10000.0; must be at least file_max_mb = 10001"),
-        ('directory = ""', "4: recording.directory: got ''; must be a string: a directory"),
-    ],
-)
-def test_a_recording_that_cannot_be(tmp_path: Path, text: str, expected: str) -> None:
-    assert refusal(tmp_path, f"[recording]\n{text}\n").startswith(expected)
-
-
-@pytest.mark.parametrize(
     ("text", "listen", "loopback"),
     [
         ("127.0.0.1:9464", Listen("127.0.0.1", 9464), True),

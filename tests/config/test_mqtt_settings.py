@@ -1,7 +1,6 @@
 """The table [mqtt]: addresses, names and files, each mistake told with its remedy and without a password."""
 
 import os
-import socket
 from pathlib import Path
 
 import pytest
@@ -220,13 +219,3 @@ def test_a_password_in_clear_over_a_network_is_noted(tmp_path: Path, host: str, 
     notes = loaded(tmp_path, f'url = "mqtt://robot:sesame@{host}"\n').notes
     assert notes == ((f"mqtt.url: the password goes to {host} unencrypted; use mqtts://",) if noted else ())
     assert loaded(tmp_path, f'url = "mqtts://robot:sesame@{host}"\n').notes == ()
-
-
-@pytest.mark.usefixtures("_files")
-def test_checking_opens_no_connection(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        pytest.fail("a socket was made")
-
-    monkeypatch.setattr(socket, "socket", refuse)
-    monkeypatch.setattr(socket, "getaddrinfo", refuse)
-    loaded(tmp_path, 'url = "mqtts://broker.example"\nca_file = "ca.crt"\n')

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from resonator_daemon.config import Config, load_config
-from resonator_daemon.config.changes import Changes, applied, changes, takes_live
+from resonator_daemon.config.changes import Changes, applied, changes
 from resonator_daemon.config.text import plate_text
 from resonator_daemon.plate import load_plate
 
@@ -50,14 +50,6 @@ def test_keys_that_changed(tmp_path: Path, text: str, live: tuple[str, ...], res
     assert changes(merged, new) == ((), restart)
 
 
-def test_name_plate_and_link_need_a_restart(tmp_path: Path) -> None:
-    old = loaded(tmp_path, BASE)
-    new = loaded(tmp_path, 'plate = "skin32"\nlink = "tcp://127.0.0.1:5001"\n')
-    assert changes(old, new) == ((), ("name", "plate", "link"))
-    assert applied(old, new) == old
-    assert str(changes(old, new)) == "restart for name, plate, link"
-
-
 def test_windows_of_a_new_plate_wait_for_it(tmp_path: Path) -> None:
     plate = load_plate("quartz16")
     slow = plate.model_copy(update={"counter": plate.counter.model_copy(update={"frame_rate_hz": 250.0})})
@@ -74,10 +66,3 @@ def test_windows_of_a_new_plate_wait_for_it(tmp_path: Path) -> None:
     merged = applied(old, new)
     assert merged.measurement == old.measurement
     assert merged.commands == new.commands
-
-
-def test_whether_a_key_is_taken() -> None:
-    assert takes_live("measurement.window_ms")
-    assert takes_live("recording.keep_free_mb")
-    assert not takes_live("mqtt.url")
-    assert not takes_live("link")

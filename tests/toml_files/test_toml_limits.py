@@ -4,7 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from resonator_daemon.config.text import load_settings_text
 from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.toml_files import limits as toml_limits
 from resonator_daemon.toml_files.limits import (
@@ -12,7 +11,6 @@ from resonator_daemon.toml_files.limits import (
     MAX_DEPTH,
     MAX_KEYS,
     MAX_LINES,
-    MAX_NAMES,
     MAX_NESTED,
     MAX_VALUES,
     excess,
@@ -70,12 +68,6 @@ def test_dots_of_texts_comments_and_numbers_are_no_keys(text: str) -> None:
     parse_toml(text, PATH)
 
 
-def test_forty_kilobytes_of_dots_are_refused_at_once() -> None:
-    message = refusal("a." * 20_000 + "=1")
-    assert message.startswith("x.toml:1: a.a.a.a.a.")
-    assert len(message) < 200
-
-
 def test_signs_that_terminals_obey_are_not_shown() -> None:
     assert refusal('"\x1b[2J".' + "a." * 20 + "a=1").isprintable()
 
@@ -114,15 +106,6 @@ def test_rows_of_numbers_are_no_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(parse_toml(text, PATH).content["a"]) == 50
 
 
-def test_the_largest_plate_is_within_the_limits() -> None:
-    site = "[[sites]]\nid = 1\nposition_mm = [0.1, 0.2]\n"
-    tone = '[[sites.tones]]\nsignal = "p_n"\n' + "".join(
-        f"{key} = [1.5, 2.5, 3.5, 4.5]\n" for key in ("f0_hz", "sensitivity")
-    )
-    assert MAX_NAMES < 4 * 46_872
-    assert excess((site + tone) * 46_872) is None
-
-
 @pytest.mark.parametrize("sign", ["1", "a", "-"])
 def test_a_number_or_name_of_many_signs_is_refused(sign: str) -> None:
     assert excess(f"a = {sign * LONGEST_WORD}") is None
@@ -142,16 +125,6 @@ def test_brackets_within_each_other_are_refused_from_a_depth_on(opening: str, cl
     assert f" more than {MAX_NESTED} brackets within each other; close" in refusal(nested(MAX_NESTED + 1))
 
 
-def test_the_line_of_brackets_that_are_not_closed() -> None:
-    assert refusal("a = 1\nx=" + "[" * 100_000).startswith(f"x.toml:2: more than {MAX_NESTED} brackets")
-
-
 def test_headers_and_rows_are_not_within_each_other() -> None:
     parse_toml("[[a]]\n[a.b]\nc = [[1, 2], [3, 4]]\n" * (2 * MAX_NESTED), PATH)
     parse_toml("a = [\n" + '["b", {c = 1}],\n' * (2 * MAX_NESTED) + "]", PATH)
-
-
-@pytest.mark.parametrize("depth", [100, 400, 480, 10_000])
-def test_deep_lists_are_refused_with_a_sentence(depth: int) -> None:
-    with pytest.raises(ConfigurationError, match=r"x\.toml"):
-        load_settings_text("measurement = " + "[" * depth + "]" * depth, PATH)
