@@ -15,7 +15,13 @@ from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.whole_file import replace_file
 
 _PROGRAM_IN_UNITS = "/opt/resonatord/bin/resonatord"
-_HIDDEN = ("/home", "/root", "/run/user", "/tmp", "/var/tmp")  # from the service, by ProtectHome= and PrivateTmp=
+HIDDEN_FROM_SERVICES = (
+    "/home",
+    "/root",
+    "/run/user",
+    "/tmp",
+    "/var/tmp",
+)  # from the service, by ProtectHome= and PrivateTmp=
 _PLACES = {
     "resonatord@.service": "/etc/systemd/system/resonatord@.service",
     "resonatord-decode@.service": "/etc/systemd/system/resonatord-decode@.service",
@@ -25,14 +31,17 @@ _PLACES = {
 }
 EXAMPLE = "/etc/resonatord/example.toml"
 _SEAL = re.compile(r"# resonatord install [0-9a-f]{64}\n\Z")
-_SYSTEMD, _UDEV = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
+SYSTEMD_RUNNING, UDEV_RUNNING = Path("/run/systemd/system"), Path("/run/udev/control")  # there while they run
 # Those that need nobody running prepare an image, too.
 _COMMANDS: tuple[tuple[tuple[str, ...], Path | None], ...] = (
     (("systemd-sysusers", "/etc/sysusers.d/resonatord.conf"), None),
     (("systemd-tmpfiles", "--create", "/etc/tmpfiles.d/resonatord.conf"), None),
-    (("systemctl", "daemon-reload"), _SYSTEMD),
-    (("udevadm", "control", "--reload"), _UDEV),
-    (("udevadm", "trigger", "--action=change", "--attr-match=idVendor=1209", "--attr-match=idProduct=0001"), _UDEV),
+    (("systemctl", "daemon-reload"), SYSTEMD_RUNNING),
+    (("udevadm", "control", "--reload"), UDEV_RUNNING),
+    (
+        ("udevadm", "trigger", "--action=change", "--attr-match=idVendor=1209", "--attr-match=idProduct=0001"),
+        UDEV_RUNNING,
+    ),
 )
 _COMMAND_S = 60.0
 
@@ -120,14 +129,14 @@ def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Insta
     ]
     for file in placed:
         _write(file)
-    commands = [(command, _run(command) if running else None) for command in _due(prefix is None)]
+    commands = [(command, run_command(command) if running else None) for command in _due(prefix is None)]
     return Installation(program, hidden, placed, commands)
 
 
 def _hidden(program: Path) -> str:
     """Return why services cannot start this program, or ""."""
     real = PurePosixPath(os.path.realpath(program))
-    hidden = next((place for place in _HIDDEN if real.is_relative_to(place)), None)
+    hidden = next((place for place in HIDDEN_FROM_SERVICES if real.is_relative_to(place)), None)
     if hidden is None:
         return ""
     return (
@@ -193,7 +202,7 @@ def _due(here: bool) -> list[tuple[str, ...]]:
     return [command for command, needed in _COMMANDS if here and (needed is None or needed.exists())]
 
 
-def _run(command: tuple[str, ...]) -> str:
+def run_command(command: tuple[str, ...]) -> str:
     """Run it; return what went wrong, or ""."""
     try:
         done = subprocess.run(

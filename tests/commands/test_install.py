@@ -25,13 +25,13 @@ PLACES = {
 UNIT = "etc/systemd/system/resonatord@.service"
 
 
-HIDDEN = module._HIDDEN
+HIDDEN = module.HIDDEN_FROM_SERVICES
 
 
 @pytest.fixture(autouse=True)
 def _seen_by_services(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wherever this checkout is."""
-    monkeypatch.setattr(module, "_HIDDEN", ())
+    monkeypatch.setattr(module, "HIDDEN_FROM_SERVICES", ())
 
 
 def files_in(prefix: Path) -> set[str]:
@@ -105,7 +105,7 @@ def test_a_dry_run_writes_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_without_a_prefix_a_dry_run_names_the_commands(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "_SYSTEMD", Path("/nowhere"))
+    monkeypatch.setattr(module, "SYSTEMD_RUNNING", Path("/nowhere"))
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("a dry run runs nothing"))
     assert main(["install", "--dry-run"]) == ExitCode.DONE
     said = capsys.readouterr().out
@@ -151,9 +151,9 @@ def test_a_target_that_takes_no_files(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_program_that_services_cannot_see(
     directory: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "_HIDDEN", HIDDEN)
+    monkeypatch.setattr(module, "HIDDEN_FROM_SERVICES", HIDDEN)
     monkeypatch.setattr(os.path, "realpath", lambda path: f"{directory}/user/venv/bin/resonatord")
-    monkeypatch.setattr(module, "_may_run_commands", lambda *_: pytest.fail("nothing is installed from there"))
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: pytest.fail("nothing is installed from there"))
     said = f"is below {directory}, which services do not see; install it elsewhere: python3 -m venv /opt/"
     assert said in refusal(capsys)
     assert main(["install", "--json"]) == ExitCode.FAILED
@@ -165,7 +165,7 @@ def test_a_program_that_services_cannot_see(
 def test_a_program_that_services_cannot_see_may_look_and_prepare(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(module, "_HIDDEN", HIDDEN)
+    monkeypatch.setattr(module, "HIDDEN_FROM_SERVICES", HIDDEN)
     monkeypatch.setattr(os.path, "realpath", lambda path: "/root/venv/bin/resonatord")
     assert main(["install", "--prefix", str(tmp_path), "--dry-run", "--json"]) == ExitCode.DONE
     assert "is below /root, which services do not see" in json.loads(capsys.readouterr().out)["warning"]
@@ -176,10 +176,10 @@ def test_a_program_that_services_cannot_see_may_look_and_prepare(
 
 
 def test_a_command_that_fails_is_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert "no such user" in module._run((sys.executable, "-c", "import sys; sys.exit('no such\\n user')"))
-    assert module._run((sys.executable, "-c", "import sys; sys.exit(5)")) == "exit code 5"
-    assert module._run((sys.executable, "-c", "pass")) == ""
-    assert "No such file" in module._run((str(tmp_path / "absent"),))
+    assert "no such user" in module.run_command((sys.executable, "-c", "import sys; sys.exit('no such\\n user')"))
+    assert module.run_command((sys.executable, "-c", "import sys; sys.exit(5)")) == "exit code 5"
+    assert module.run_command((sys.executable, "-c", "pass")) == ""
+    assert "No such file" in module.run_command((str(tmp_path / "absent"),))
 
 
 @pytest.mark.parametrize(

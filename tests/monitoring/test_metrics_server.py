@@ -172,6 +172,7 @@ async def test_the_port_is_free_afterwards(address: Listen) -> None:
 async def test_any_other_path_is_refused_and_told_where_the_metrics_are(address: Listen, path: str) -> None:
     async with serving(address):
         response = await ask(address, path=path)
-        assert (await ask(address, path="/metrics?name[]=resonatord_link_up")).status == 200
+        chosen = await ask(address, path="/metrics?name[]=resonatord_link_up")
     assert response.status == 404
+    assert [family.name for family in text_string_to_metric_families(chosen.body.decode())] == ["resonatord_link_up"]
     assert response.body == b"not here; the metrics are at /metrics\n"
