@@ -15,7 +15,7 @@ from resonator_daemon.monitoring.status import Status
 
 TOGETHER: Final = 8  # connections; further ones are closed
 _PATH: Final = "/metrics"
-_REQUEST: Final = re.compile(rf"([A-Z]+) {_PATH}(?:\?(\S*))? HTTP/1\.[01]\r\n")
+_REQUEST: Final = re.compile(rf"([A-Z]+) {_PATH}(?:\?\S*)? HTTP/1\.[01]\r\n")
 
 log = logging.getLogger(__name__)
 
@@ -96,7 +96,6 @@ class MetricsServer:
         environ: dict[str, Any] = {
             "REQUEST_METHOD": request[1],
             "PATH_INFO": _PATH,
-            "QUERY_STRING": request[2] or "",
             "HTTP_ACCEPT": headers.get("Accept", ""),
             "HTTP_ACCEPT_ENCODING": headers.get("Accept-Encoding", ""),
         }

@@ -172,7 +172,6 @@ async def test_the_port_is_free_afterwards(address: Listen) -> None:
 async def test_any_other_path_is_refused_and_told_where_the_metrics_are(address: Listen, path: str) -> None:
     async with serving(address):
         response = await ask(address, path=path)
-        chosen = await ask(address, path="/metrics?name[]=resonatord_link_up")
+        assert b"resonatord_link_up" in (await ask(address, path="/metrics?any")).body
     assert response.status == 404
-    assert [family.name for family in text_string_to_metric_families(chosen.body.decode())] == ["resonatord_link_up"]
     assert response.body == b"not here; the metrics are at /metrics\n"
