@@ -27,15 +27,10 @@ class CommonMode:
         g per channel; NaN where and until it is not known.
     """
 
-    def __init__(self, channels: int, *, needed: int, reading_std: float, floor_std: float = COMMON_MODE_STD) -> None:
-        """Initialise with the noise of a reading and with `floor_std`, which no reading shows; relative, one sigma."""
-        if needed < 1:
-            raise ValueError(f"{needed} readings needed, at least 1")
-        if not (floor_std >= 0 and math.isfinite(floor_std)):
-            raise ValueError(f"floor_std {floor_std} must be finite and not below 0")
+    def __init__(self, channels: int, *, needed: int, reading_std: float) -> None:
+        """Initialise with the noise of a reading, relative, one sigma."""
         self._needed = needed
         self.expect(reading_std)
-        self._floor_variance = floor_std**2
         self._channels = channels
         self.reset()
 
@@ -49,8 +44,6 @@ class CommonMode:
 
     def expect(self, reading_std: float) -> None:
         """Set the noise of further readings, as after a change of the window; estimates stay."""
-        if not (reading_std > 0 and math.isfinite(reading_std)):
-            raise ValueError(f"reading_std {reading_std} must be finite and above 0")
         self._reading_variance = reading_std**2
 
     def update(self, readings: Sequence[float], elapsed_s: float) -> None:
@@ -58,8 +51,6 @@ class CommonMode:
 
         To be called while touched, too, with NaN: `elapsed_s` since the call before makes the held values less certain.
         """
-        if not (elapsed_s >= 0 and math.isfinite(elapsed_s)):
-            raise ValueError(f"elapsed_s {elapsed_s} must be finite and not below 0")
         step_variance = COMMON_MODE_WALK**2 * elapsed_s
         self._variance = [variance + step_variance for variance in self._variance]
         self._measure(readings, 1)
@@ -73,8 +64,6 @@ class CommonMode:
 
     def _measure(self, readings: Sequence[float], worth: int) -> None:
         # A scalar Kalman filter for each channel, in plain floats: arrays of four numbers take ten times as long.
-        if len(readings) != self._channels:
-            raise ValueError(f"{len(readings)} readings for {self._channels} channels")
         if all(map(math.isnan, readings)):
             return
         for channel, g in enumerate(readings):
@@ -96,4 +85,4 @@ class CommonMode:
         if not self.known:
             return math.nan
         known = [variance for variance, settled in zip(self._variance, self._settled, strict=True) if settled]
-        return math.sqrt(max(known) + self._floor_variance)
+        return math.sqrt(max(known) + COMMON_MODE_STD**2)

@@ -9,7 +9,7 @@ from scipy.special import fdtri
 
 from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.forces.loading_fit import LoadingFit, LoadingProblem
-from resonator_daemon.forces.loadings import Readings, Steps, check_loadings
+from resonator_daemon.forces.loadings import Readings, Steps
 from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.forces.swapped_loads import swapped_steps
 
@@ -42,12 +42,6 @@ class CalibrationFit:
     swapped_steps: tuple[int, int] | None  # steps whose loads, exchanged, explain what was read: a reason to refuse
     response: SiteResponse | None
     force_range_newton: tuple[float, float]
-    kelvin_range: tuple[float, float]  # NaN where no temperature is known
-
-    @property
-    def worst_step(self) -> int:
-        """Step with the largest residual."""
-        return int(np.nanargmax(np.abs(self.residual_newton)))
 
 
 def fit_calibration(
@@ -71,13 +65,7 @@ def fit_calibration(
     with_response
         Fit hysteresis and creep, common to all sites, too: from loading and unloading, with holds. Otherwise a site
         is taken to feel what presses.
-
-    Raises
-    ------
-    ValueError
-        Arrays that do not belong together, or a number that no calibration gives.
     """
-    check_loadings(mass_newton, mass_std, steps, readings)
     problem = LoadingProblem(mass_newton, mass_std, steps, readings)
     doubtful, fit = _without_doubtful(problem, mass_newton, mass_std, steps, readings, with_response)
     means = problem.means
@@ -92,8 +80,6 @@ def fit_calibration(
     rest = 1.0 - fit.intercept
     # Masses of one set may all be off by the same share. No residual shows that; K is off by as much.
     mass_std_of_slope = np.maximum(np.sqrt(fit.mass_variance), mass_std.max() * np.abs(fit.slope))
-    kelvin = steps.plate_kelvin[means.step]
-    kelvin = kelvin[np.isfinite(kelvin)]
     freedom = fit.degrees_of_freedom
     return CalibrationFit(
         site=fit.site,
@@ -110,7 +96,6 @@ def fit_calibration(
         swapped_steps=swapped_steps(means, sensitivity[means.site_number]),
         response=_site_response(fit),
         force_range_newton=(float(means.force.min()), float(means.force.max())),
-        kelvin_range=(float(kelvin.min()), float(kelvin.max())) if len(kelvin) else (math.nan, math.nan),
     )
 
 

@@ -1,16 +1,12 @@
 """Multi-touch on captured tones: groups of channels that follow different sites, fitted and combined."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from itertools import chain, combinations
 from typing import Final, Literal, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from resonator_daemon.arrays import Floats
-from resonator_daemon.forces.code_fit import RUNNER_UP_GAP, Channels, CodeFit, Codes, fit_codes, gates
+from resonator_daemon.forces.code_fit import RUNNER_UP_GAP, CodeFit, Codes, Reading, fit_code, gates
 
 LEAVE_ONE_OUT_CHANNELS: Final = 4  # with fewer, what is left is too little to convict a channel
 
@@ -20,17 +16,16 @@ Group = tuple[int, ...]  # of channels
 class GroupSite(NamedTuple):
     """The site that explains a group of channels; `rival` is the next best, worse by `gap` of the score.
 
-    `force_newton` is the fitted one, which noise may carry a little beyond the range; `weights` are (channels,).
+    The fitted force is what noise may carry a little beyond the range.
     """
 
-    site: int
-    channels: Group
-    force_newton: float
-    chi2: float
-    score: float
-    weights: Floats
+    fit: CodeFit
     rival: int
     gap: float
+
+    @property
+    def site(self) -> int:
+        return self.fit.site
 
 
 class Account(NamedTuple):
@@ -50,59 +45,28 @@ class Groups(NamedTuple):
     explained: Mapping[Group, GroupSite]
 
 
-def detected_alone(codes: Codes, sites: NDArray[np.intp], reading: Channels) -> NDArray[np.bool_]:
-    """Return which sites each channel alone can follow with a force within the range; (channels, p)."""
-    channels = reading.frequency_hz.shape[1]
-    used = np.flatnonzero(reading.used[0])
-    rows, columns = (index.ravel() for index in np.indices((len(used), len(sites))))
-    fit = _fit_groups(codes, sites[columns], reading, (np.arange(channels) == used[:, None])[rows])
-    detected = np.zeros((channels, len(sites)), dtype=bool)
-    detected[used] = (fit.chi2 <= gates(1)[1]).reshape(len(used), len(sites))
+def detected_alone(codes: Codes, sites: Sequence[int], reading: Reading) -> dict[int, list[int]]:
+    """Return by channel which sites it alone can follow with a force within the range."""
+    gate = gates(len(reading.frequency_hz))[1]
+    detected = {}
+    for channel in reading.channels:
+        alone = reading.on((channel,))
+        detected[channel] = [site for site in sites if fit_code(codes, site, alone).chi2 <= gate]
     return detected
 
 
-def explain_groups(codes: Codes, sites: NDArray[np.intp], detected: NDArray[np.bool_], reading: Channels) -> Groups:
+def explain_groups(codes: Codes, detected: Mapping[int, Sequence[int]], reading: Reading) -> Groups:
     """Find for every group of channels the site that explains it best, of those that each channel can follow."""
-    used = tuple(int(c) for c in np.flatnonzero(reading.used[0]))
-    groups, masks = _groups_of(used, len(detected))
-    rows, columns = np.nonzero(~(masks[:, :, None] & ~detected).any(axis=1))
-    fit = _fit_groups(codes, sites[columns], reading, masks[rows])
-    gate = gates(len(detected))
+    gate = gates(len(reading.frequency_hz))
     explained = {}
-    for row in np.unique(rows):
-        here = np.flatnonzero(rows == row)
-        best, *rivals = here[np.argsort(fit.score[here])]
-        group = groups[row]
-        if fit.chi2[best] <= gate[len(group)]:
-            explained[group] = GroupSite(
-                int(sites[columns[best]]),
-                group,
-                float(fit.force_newton[best]),
-                float(fit.chi2[best]),
-                float(fit.score[best]),
-                fit.weights[best],
-                int(sites[columns[rivals[0]]]) if rivals else -1,
-                float(fit.score[rivals[0]] - fit.score[best]) if rivals else math.inf,
-            )
-    return Groups(used, tuple(c for c in used if not detected[c].any()), explained)
-
-
-@cache
-def _groups_of(used: Group, channels: int) -> tuple[list[Group], NDArray[np.bool_]]:
-    """Return all groups of the channels in use, and their channels as (groups, channels)."""
-    groups = list(chain.from_iterable(combinations(used, size) for size in range(1, len(used) + 1)))
-    return groups, np.array([[c in group for c in range(channels)] for group in groups])
-
-
-def _fit_groups(codes: Codes, sites: NDArray[np.intp], reading: Channels, channels: NDArray[np.bool_]) -> CodeFit:
-    """Fit p sites to one reading, each on its `channels` (p, channels)."""
-    return fit_codes(
-        codes,
-        sites,
-        np.broadcast_to(reading.frequency_hz, channels.shape),
-        channels * reading.inverse_variance,
-        np.broadcast_to(reading.common_variance, len(sites)),
-    )
+    for group in chain.from_iterable(combinations(detected, size) for size in range(1, len(detected) + 1)):
+        together = reading.on(group)
+        sites = [site for site in detected[group[0]] if all(site in detected[channel] for channel in group)]
+        fits = sorted([fit_code(codes, site, together) for site in sites], key=lambda fit: fit.score)
+        if fits and fits[0].chi2 <= gate[len(group)]:
+            rival, gap = (fits[1].site, fits[1].score - fits[0].score) if len(fits) > 1 else (-1, math.inf)
+            explained[group] = GroupSite(fits[0], rival, gap)
+    return Groups(tuple(detected), tuple(channel for channel, found in detected.items() if not found), explained)
 
 
 @cache
@@ -125,11 +89,11 @@ def join(groups: Groups) -> Account:
     Every division into as many sites that explains them too, and every other site for one of the groups, must be worse
     by a gap of 13.8 in score.
     """
-    accounts = []
+    accounts: list[tuple[int, float, list[GroupSite]]] = []
     for partition in partitions(groups.channels):
         named = [groups.explained[group] for group in partition if group in groups.explained]
         if len(named) == len(partition) == len({group.site for group in named}) > 1:
-            accounts.append((len(named), sum(group.score for group in named), named))
+            accounts.append((len(named), sum(group.fit.score for group in named), named))
     if not accounts:
         return Account("rejected", "no site explains the channels")
     accounts.sort(key=lambda account: account[:2])

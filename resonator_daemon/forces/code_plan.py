@@ -9,18 +9,9 @@ from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.code_fit import RUNNER_UP_GAP
-from resonator_daemon.forces.codes import guard_step
 from resonator_daemon.tones.frequency_estimators import oscillator_std
 
 NOISE_FACTOR: Final = math.sqrt(RUNNER_UP_GAP)  # standard deviations a site, so that odds are 1000 : 1
-_NOTHING: Final = {
-    "tempco_difference_per_kelvin": 0.0,
-    "temperature_span_kelvin": 0.0,
-    "ageing": 0.0,
-    "noise_std": 0.0,
-    "noise_factor": 0.0,
-    "pulling": 0.0,
-}
 
 
 @dataclass(frozen=True)
@@ -42,7 +33,7 @@ class Limits:
 
 
 class GuardBand(NamedTuple):
-    """Contributions to the step between two codes, relative."""
+    """Contributions to the least step between the tones of neighbouring codes, relative."""
 
     force: float
     temperature: float
@@ -58,22 +49,19 @@ class GuardBand(NamedTuple):
 
 
 def guard_band(sensitivity: Floats, limits: Limits) -> GuardBand:
-    """Split `guard_step` by cause and add the placement of two tones; K in 1/N, (m, channels)."""
+    """Return what keeps the bands of neighbouring codes apart, by cause; K in 1/N, (m, channels).
 
-    def only(force_newton: float = 0.0, **causes: float) -> float:
-        return guard_step(sensitivity, force_newton, **(_NOTHING | causes))
-
+    Where both signs of K occur on one channel, bands grow towards each other: both count.
+    """
+    rising, falling = (np.maximum(sign * sensitivity, 0.0).max(axis=0) for sign in (1.0, -1.0))
     return GuardBand(
-        force=only(limits.force_max_newton),
-        temperature=only(
-            tempco_difference_per_kelvin=limits.tempco_difference_per_kelvin,
-            temperature_span_kelvin=limits.temperature_span_kelvin,
-        ),
-        ageing=only(ageing=limits.ageing),
-        noise=only(noise_std=limits.noise_std, noise_factor=NOISE_FACTOR),
-        pulling=only(pulling=2.0 * limits.pulling),
+        force=limits.force_max_newton * float((rising + falling).max()),
+        temperature=limits.tempco_difference_per_kelvin * limits.temperature_span_kelvin,
+        ageing=limits.ageing,
+        noise=2.0 * NOISE_FACTOR * limits.noise_std,
+        pulling=2.0 * limits.pulling,
         placement=2.0 * limits.tolerance,
-        common=only(common_shift=limits.common_shift),
+        common=2.0 * limits.common_shift,
     )
 
 

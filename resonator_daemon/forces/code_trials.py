@@ -1,6 +1,8 @@
 """Monte Carlo of code mistakes: random plates, touches and readings, identified by a matcher."""
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.codes import code_overlaps
-from resonator_daemon.forces.site_identification import Matcher, Matches
+from resonator_daemon.forces.site_identification import Match, Matcher
 
 LEAST_NEWTON: Final = 0.02  # of a touch: where a contact begins
 
@@ -129,8 +131,8 @@ def nearest_wrong(
 
 def _match(
     codes: Codes, scatter: Scatter, detected: NDArray[np.int64], force_newton: Floats, random: np.random.Generator
-) -> Matches:
-    """Read n touches on all channels: `heard` (n, channels) are sites, `force_newton` broadcasts to that."""
+) -> list[Match]:
+    """Identify n touches: `detected` (n, channels) are the sites read, `force_newton` broadcasts to that."""
     touches, shape = len(detected), detected.shape
     channel = np.arange(shape[1])
     half_span = scatter.temperature_span_kelvin / 2.0
@@ -143,21 +145,22 @@ def _match(
     sensitivity = codes.sensitivity[detected, channel] * (1.0 + random.normal(0.0, scatter.model_error, shape))
     tone = codes.f0_hz[detected, channel] * (1.0 + shift) / (1.0 - sensitivity * force_newton)
     matcher = Matcher(*codes, scatter.force_max_newton, model_error=scatter.model_error)
-    counter_std = np.full(shape[1], scatter.counter_std)
-    return matcher.match_many(tone, counter_std, scatter.oscillator_std, scatter.common_mode_std)
+    counter_std = [scatter.counter_std] * shape[1]
+    return [
+        matcher.match(frequency_hz, counter_std, scatter.oscillator_std, scatter.common_mode_std)
+        for frequency_hz in tone.tolist()
+    ]
 
 
-def _outcomes(matches: Matches, pressed: NDArray[np.int64]) -> Outcomes:
+def _outcomes(matches: Sequence[Match], pressed: NDArray[np.int64]) -> Outcomes:
     """Compare with the sites (n, 2) that were pressed; one alone stands there twice."""
-    touches = len(pressed)
-    named = np.full((touches, max([1, *(len(match.forces) for match in matches.apart.values())])), -1)
-    named[:, 0] = matches.site
-    for row, match in matches.apart.items():
-        sites = [force.site for force in match.forces]
-        named[row, : len(sites)] = sites
-    is_pressed = (named[:, :, None] == pressed[:, None, :]).any(axis=2)
-    wrong = ((named >= 0) & ~is_pressed).any(axis=1)
-    none = (named < 0).all(axis=1)
-    found = (pressed[:, :, None] == named[:, None, :]).any(axis=2).all(axis=1)
-    right = found & ~wrong
-    return Outcomes(*(int(count.sum()) for count in (right, ~right & ~wrong & ~none, wrong, none)))
+    counts = Counter[str]()
+    for match, sites in zip(matches, pressed.tolist(), strict=True):
+        named, touched = {force.site for force in match.forces}, set(sites)
+        if not named <= touched:
+            counts["wrong"] += 1
+        elif named:
+            counts["right" if named == touched else "partly"] += 1
+        else:
+            counts["undecided"] += 1
+    return Outcomes(**counts)

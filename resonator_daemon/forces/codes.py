@@ -1,6 +1,5 @@
-"""Codes that can be mistaken for each other, and how far apart the tones of a ladder of codes must be."""
+"""Codes that can be mistaken for each other."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
@@ -44,13 +43,6 @@ def code_overlaps(
         Relative: what noise and the error of K may move a channel by. To tell sites apart at odds of 1000 : 1, about
         seven times the larger of the two sites' standard deviations at the largest force.
     """
-    if f0_hz.ndim != 2 or f0_hz.shape != sensitivity.shape:
-        raise ValueError(f"f0_hz {f0_hz.shape} and sensitivity {sensitivity.shape} must have one shape (m, channels)")
-    if not (math.isfinite(force_max_newton) and force_max_newton > 0):
-        raise ValueError(f"force_max_newton {force_max_newton} must be finite and above 0")
-    for name, value in (("common_shift", common_shift), ("margin", margin)):
-        if not (math.isfinite(value) and value >= 0):
-            raise ValueError(f"{name} {value} must be finite and at least 0")
     unloaded = np.log(f0_hz)
     ends = unloaded[..., None] + sensitivity[..., None] * force_max_newton * np.array([FORCE_MIN_FRACTION, 1.0])
     gap = _band_gaps(ends) - common_shift  # (channels, m, m)
@@ -123,35 +115,3 @@ def _orthogonal(vectors: Floats) -> Floats:
     unit = np.divide(vectors, norm, out=np.zeros_like(vectors), where=norm > 0)
     minors = [(-1) ** c * np.linalg.det(np.delete(unit, c, axis=2)) for c in range(size)]
     return np.stack(minors, axis=1)
-
-
-def guard_step(
-    sensitivity: Floats,
-    force_max_newton: float,
-    *,
-    tempco_difference_per_kelvin: float,
-    temperature_span_kelvin: float,
-    ageing: float,
-    noise_std: float,
-    noise_factor: float,
-    pulling: float,
-    common_shift: float = 0.0,
-) -> float:
-    """Smallest relative step between the tones of neighbouring codes that keeps their bands apart.
-
-    Parameters
-    ----------
-    sensitivity
-        (m, channels), K in 1/N. Where both signs occur on one channel bands grow towards each other: both count.
-    tempco_difference_per_kelvin, temperature_span_kelvin
-        Largest difference of two sites' relative temperature coefficients, and the span of temperature in use.
-    ageing, pulling
-        Largest relative difference between two sites by age, and by the loops of the corners.
-    noise_std, noise_factor
-        Relative standard deviation of a reading, and how many of them each of the two sites is given.
-    common_shift
-        Largest relative |g| of all tones together; 0 where a pilot takes it out.
-    """
-    force = force_max_newton * (np.maximum(sensitivity, 0).max(axis=0) + np.maximum(-sensitivity, 0).max(axis=0)).max()
-    temperature = abs(tempco_difference_per_kelvin) * temperature_span_kelvin
-    return float(force + temperature + ageing + 2 * noise_factor * noise_std + pulling + 2 * abs(common_shift))

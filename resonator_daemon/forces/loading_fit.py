@@ -57,7 +57,7 @@ class LoadingProblem:
     """Loadings to be fitted, and their residuals."""
 
     def __init__(self, mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
-        """Initialise with loadings that `check_loadings` accepted."""
+        """Initialise with at least one reading, of pressed sites alone, and positive masses."""
         self._force = steps.pressing @ mass_newton
         self._steps, self._readings = steps, readings
         self.means = StepMeans(mass_newton, mass_std, steps, readings)

@@ -16,7 +16,7 @@ class StepMeans:
     """
 
     def __init__(self, mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
-        """Initialise with loadings that `check_loadings` accepted."""
+        """Initialise with at least one reading, of pressed sites alone, and positive masses."""
         self.mass_std = mass_std
         self.step, self.row = np.unique(readings.step, return_inverse=True)  # (u,) read, (n,) into them
         self._of_step = csr_array((np.ones(len(self.row)), (self.row, np.arange(len(self.row)))))  # (u, n)

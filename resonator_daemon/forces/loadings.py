@@ -46,39 +46,6 @@ class Readings:
         )
 
 
-def check_loadings(mass_newton: Floats, mass_std: Floats, steps: Steps, readings: Readings) -> None:
-    """Raise ValueError for arrays that do not belong together, and for numbers that no calibration gives."""
-    masses, count, channels = len(mass_newton), len(steps.site), readings.shift.shape[-1]
-    shapes = {
-        "mass_std": (mass_std, (masses,)),
-        "since_s": (steps.since_s, (count,)),
-        "pressing": (steps.pressing, (count, masses)),
-        "common_std": (steps.common_std, (count,)),
-        "plate_kelvin": (steps.plate_kelvin, (count,)),
-        "time_s": (readings.time_s, readings.step.shape),
-        "shift": (readings.shift, (len(readings.step), channels)),
-        "noise_std": (readings.noise_std, (len(readings.step), channels)),
-        "oscillator_std": (readings.oscillator_std, readings.step.shape),
-    }
-    for name, (array, shape) in shapes.items():
-        if array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, {shape} is needed")
-    for name, positive in (("mass_newton", mass_newton), ("mass_std", mass_std), ("noise_std", readings.noise_std)):
-        if not (np.isfinite(positive) & (positive > 0)).all():
-            raise ValueError(f"{name} must be finite and above 0")
-    for name, std in (("common_std", steps.common_std), ("oscillator_std", readings.oscillator_std)):
-        if not (np.isfinite(std) & (std >= 0)).all():
-            raise ValueError(f"{name} must be finite and at least 0")
-    if not (np.isfinite(readings.shift).all() and np.isfinite(readings.time_s).all()):
-        raise ValueError("shift and time_s must be finite; leave out readings without all channels")
-    if not len(readings.step):
-        raise ValueError("no readings; at least one is needed")
-    if not steps.pressing[readings.step].any(axis=1).all():
-        raise ValueError("a reading of a step without a mass; a site is read only while it is pressed")
-    if (readings.time_s < steps.since_s[readings.step]).any():
-        raise ValueError("a reading is earlier than its step")
-
-
 def felt_newton(
     steps: Steps,
     force_newton: Floats,

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from resonator_daemon.arrays import Floats
+from resonator_daemon.arrays import Floats, Indices
 from resonator_daemon.forces.contact_thermal import warmed_shift, warming_std
 from resonator_daemon.forces.force_sites import ForceSites
 from resonator_daemon.forces.site_response import ResponseInverse
@@ -96,18 +96,20 @@ class SiteErrors:
         that of a warm or cold touch, which `newton_per_shift` makes a force of.
         """
         force, noise, of_response = felt_newton, noise_newton, 0.0
-        if self._inverse is not None:
+        if self._inverse is None:
+            unmodelled = self.unmodelled_newton(force)
+        else:
             at = np.array([site])
             answer = self._inverse.press(at, np.array([felt_newton]), np.array([noise_newton]), time_s)
             (force,), (noise,), (of_response,) = (part.tolist() for part in answer)
+            unmodelled = float(self._unknown_rest(at, answer.force_newton)[0])
         since_s = float(self._since_s[site])
         if math.isnan(since_s):
             self._since_s[site] = since_s = time_s
         self._silent[site] = self._all_silent = False
-        unmodelled = self.unmodelled_newton(force) if self._inverse is None else self._unknown_rest(site, force)
         warmth = self._sites.warmth
         held_s, slope = time_s - since_s, self._slope_per_kelvin[site]
-        per_kelvin = warming_std(held_s, slope, 1.0, transient_s=warmth.transient_s, relaxation_s=warmth.contact_time_s)
+        per_kelvin = warming_std(held_s, slope, warmth.transient_s, warmth.contact_time_s)
         # The slope itself is not known better than that.
         unknown = warmth.coefficient_std * -math.expm1(-held_s / warmth.contact_time_s)
         warming = self._contact_std_kelvin[site] * math.hypot(per_kelvin, unknown) * newton_per_shift
@@ -139,7 +141,7 @@ class SiteErrors:
             unmodelled = self._unmodelled_all(force)
         else:
             force, noise, of_response = self._inverse.press(sites, felt_newton, noise_newton, time_s)
-            unmodelled = self._unknown_rest_all(force)
+            unmodelled = self._unknown_rest(sites, force)
         warmth = self._sites.warmth
         held_s = np.where(touched, time_s - since_s, 0.0)
         left = np.exp(-held_s / warmth.contact_time_s)
@@ -156,22 +158,13 @@ class SiteErrors:
         lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
         return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
 
-    def _unknown_rest_all(self, force_newton: Floats) -> Floats:
-        response, unproven = self._sites.response, self._unproven
+    def _unknown_rest(self, sites: Indices, force_newton: Floats) -> Floats:
+        response, unproven = self._sites.response, self._unproven[sites]
         hysteresis = response.hysteresis_newton if response else 0.0
-        self._unproven = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        self._unproven[sites] = unproven & ~(force_newton > PROVEN_HYSTERESES * hysteresis)
+        # Up to its hysteresis a site answers alike wherever it was at rest.
         beyond = np.clip(force_newton - hysteresis, 0.0, hysteresis) / 2.0
         return np.where(unproven, np.nan_to_num(beyond), 0.0)
-
-    def _unknown_rest(self, site: int, force_newton: float) -> float:
-        if not self._unproven[site]:
-            return 0.0
-        response = self._sites.response
-        hysteresis = response.hysteresis_newton if response else 0.0
-        self._unproven[site] = not force_newton > PROVEN_HYSTERESES * hysteresis
-        # Up to its hysteresis a site answers alike wherever it was at rest.
-        beyond = min(max(force_newton - hysteresis, 0.0), hysteresis) / 2.0
-        return 0.0 if math.isnan(force_newton) else beyond
 
     def unmodelled_newton(self, force_newton: float) -> float:
         """Return one standard deviation of a force from unknown hysteresis and creep."""

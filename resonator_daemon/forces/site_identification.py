@@ -1,39 +1,32 @@
 """Site identification by weighted least squares over the sites' codes, with gate, runner-up and overload."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.channel_groups import Account, detected_alone, explain_groups, join, leave_one_out
 from resonator_daemon.forces.code_fit import (
     RUNNER_UP_GAP,
-    Channels,
     Code,
+    CodeFit,
     Codes,
     Reading,
     fit_code,
-    fit_codes,
     gates,
     uncertainty_newton,
-    uncertainty_of_one,
 )
-from resonator_daemon.forces.force import force_newton
 
 MODEL_ERROR: Final = 0.015  # relative error of K, independent from channel to channel
 FORCE_MIN_FRACTION: Final = -0.02  # of the largest force: room for noise and for a held common mode
 OVERLOAD_FACTOR: Final = 10.0  # times the largest force; further away, a foreign tone is likelier than a press
 REACH_STD: Final = 10.0  # a code further away, on any channel, is neither a match nor a runner-up
-BLOCK_ELEMENTS: Final = 1 << 18  # readings x sites x channels at once: what fits a processor's cache
 
 Status = Literal["ok", "ambiguous", "rejected", "overload"]
-STATUSES: Final[tuple[Status, ...]] = ("ok", "ambiguous", "rejected", "overload")
-OK, AMBIGUOUS, REJECTED, OVERLOAD = range(4)
 
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
@@ -69,34 +62,6 @@ class Match:
     candidates: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Matches:
-    """Outcomes of n readings, arrays (n,): `status` indexes STATUSES, `site` is -1 and the others NaN where not known.
-
-    `apart` has, by reading, the outcomes of those that no site explains on all channels; where these name one site, it
-    stands in the arrays as well.
-    """
-
-    status: NDArray[np.int8]
-    site: NDArray[np.int64]
-    force_newton: Floats
-    noise_newton: Floats
-    systematic_newton: Floats
-    chi2: Floats
-    apart: Mapping[int, Match]
-
-
-class _Best(NamedTuple):
-    """Best site on all channels of n readings, arrays (n,) and `weights` (n, channels); `status` REJECTED for none."""
-
-    status: NDArray[np.int8]
-    site: NDArray[np.intp]
-    rival: NDArray[np.intp]
-    force_newton: Floats
-    chi2: Floats
-    weights: Floats
-
-
 class Matcher:
     """Codes of a plate: per site and channel an unloaded frequency and a signed sensitivity.
 
@@ -117,31 +82,17 @@ class Matcher:
         hidden_fraction: Floats | None = None,
     ) -> None:
         """Initialise with codes (m, channels), sensitivity in 1/N, and optionally `hidden_fraction` (m,) of `force`."""
-        if f0_hz.ndim != 2 or f0_hz.shape != sensitivity.shape or not len(f0_hz):
-            raise ValueError(
-                f"f0_hz {f0_hz.shape} and sensitivity {sensitivity.shape} must have one shape (m, channels), m >= 1"
-            )
-        if not (np.isfinite(f0_hz).all() and (f0_hz > 0).all()):
-            raise ValueError("f0_hz must be finite and above 0")
-        if not (np.isfinite(sensitivity).all() and (sensitivity != 0).all()):
-            raise ValueError("sensitivity must be finite and not 0")
-        if not (math.isfinite(force_max_newton) and force_max_newton > 0):
-            raise ValueError(f"force_max_newton {force_max_newton} must be finite and above 0")
-        if not 0 <= model_error < 1:
-            raise ValueError(f"model_error {model_error} must be at least 0 and below 1")
-        if hidden_fraction is not None and hidden_fraction.shape != f0_hz.shape[:1]:
-            raise ValueError(f"hidden_fraction {hidden_fraction.shape} must be ({len(f0_hz)},), one for each site")
-        ends = force_max_newton * np.array([FORCE_MIN_FRACTION, 1.0])
-        self._codes = Codes(f0_hz, sensitivity, model_error, (float(ends[0]), float(ends[1])))
-        self._beyond = self._codes._replace(range_newton=(force_max_newton, OVERLOAD_FACTOR * force_max_newton))
+        ends = force_max_newton * np.array([FORCE_MIN_FRACTION, 1.0, OVERLOAD_FACTOR])
+        least, most, beyond = ends.tolist()
+        sites = [Code(f0, k) for f0, k in zip(f0_hz.tolist(), sensitivity.tolist(), strict=True)]
+        self._codes = Codes(sites, model_error, (least, most))
+        self._beyond = Codes(sites, model_error, (most, beyond))
         loaded_hz = f0_hz[..., None] / (1.0 - sensitivity[..., None] * ends)
-        self._low_hz, self._high_hz = loaded_hz.min(axis=2), loaded_hz.max(axis=2)
-        self._model_variance = (model_error * force_max_newton * np.abs(sensitivity).max(axis=0)) ** 2
+        largest_shift = model_error * np.abs(sensitivity).max(axis=0)
+        self._bands = _bands(loaded_hz[..., :2], (largest_shift * most) ** 2)
+        self._bands_beyond = _bands(loaded_hz[..., 1:], (largest_shift * beyond) ** 2)
         self._hidden: list[float] = [0.0] * len(f0_hz) if hidden_fraction is None else hidden_fraction.tolist()
-        self._gates: list[float] = gates(f0_hz.shape[1]).tolist()
-        self._rows = [Code(f0, k) for f0, k in zip(f0_hz.tolist(), sensitivity.tolist(), strict=True)]
-        bands = self._low_hz.T.tolist(), self._high_hz.T.tolist(), self._model_variance.tolist()
-        self._bands: list[tuple[list[float], list[float], float]] = list(zip(*bands, strict=True))
+        self._gates = gates(f0_hz.shape[1])
 
     def match(
         self,
@@ -150,153 +101,44 @@ class Matcher:
         oscillator_std: float,
         common_mode_std: float,
     ) -> Match:
-        """Name the sites whose codes explain the channels' frequencies; `match_many` with one reading, (channels,)."""
-        reading = _reading(frequency_hz, counter_std, oscillator_std, common_mode_std)
-        used = sum([inverse > 0.0 for inverse in reading.inverse_variance])
-        if used < 2:
-            return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
-        error, span = self._codes.model_error, self._codes.range_newton
-        fits = [fit_code(site, self._rows[site], error, span, reading) for site in self._near_one(reading)]
-        if len(fits) > 1:
-            fits.sort(key=attrgetter("score"))
-        if not fits or not fits[0].chi2 <= self._gates[used]:
-            chi2 = fits[0].chi2 if fits else math.nan
-            channels = self._channels(
-                np.array([frequency_hz]), np.array([counter_std]), oscillator_std, common_mode_std
-            )
-            return self._apart(channels, chi2)
-        best, *others = fits
-        if others and others[0].score - best.score < RUNNER_UP_GAP:
-            candidates = tuple(sorted((best.site, others[0].site)))
-            return Match("ambiguous", "two sites explain the channels alike", best.chi2, (), candidates)
-        force = self._site_force(best.site, best.force_newton, best.weights, reading)
-        if best.force_newton > span[1]:
-            return Match("overload", self._overload_reason, best.chi2, (force,))
-        return Match("ok", "", best.chi2, (force,))
-
-    def match_many(
-        self,
-        frequency_hz: Floats,
-        counter_std: Floats,
-        oscillator_std: ArrayLike,
-        common_mode_std: ArrayLike,
-    ) -> Matches:
-        """Match n readings at once.
+        """Name the sites whose codes explain the channels' frequencies.
 
         Parameters
         ----------
         frequency_hz
-            (n, channels), common mode taken out; NaN, zero or negative for a channel that is not known.
+            (channels,), common mode taken out; NaN, zero or negative for a channel that is not known.
         counter_std
-            Relative, independent from channel to channel; (n, channels) or (channels,).
+            (channels,), relative, independent from channel to channel.
         oscillator_std
-            Relative; all channels share one oscillator. A number or (n,).
+            Relative; all channels share one oscillator.
         common_mode_std
-            Relative: what the common mode that was taken out may be off by, finite. A number or (n,). While the common
-            mode is not known there is nothing to match; 0 is for one that is known exactly.
+            Relative: what the common mode that was taken out may be off by, finite. While the common mode is not known
+            there is nothing to match; 0 is for one that is known exactly.
         """
-        count = len(frequency_hz)
-        block = max(1, BLOCK_ELEMENTS // self._codes.f0_hz.size)
-        readings = self._channels(frequency_hz, counter_std, oscillator_std, common_mode_std)
-        blocks = [self._best(readings.rows(slice(start, start + block))) for start in range(0, max(count, 1), block)]
-        best = _Best(*(np.concatenate(parts) for parts in zip(*blocks, strict=True)))
-        found = best.status == OK
-        site = np.where(found | (best.status == OVERLOAD), best.site, -1)
-        noise, systematic = uncertainty_newton(self._codes, site, best.force_newton, best.weights, readings)
-        force, noise, systematic = (np.where(found, v, np.nan) for v in (best.force_newton, noise, systematic))
-        matches = Matches(best.status, site, force, noise, systematic, best.chi2, apart := {})
-        for row in np.flatnonzero(best.status == REJECTED):
-            reading = readings.rows(slice(row, row + 1))
-            match = apart[int(row)] = self._apart(reading, float(best.chi2[row]))
-            matches.status[row], matches.chi2[row] = STATUSES.index(match.status), match.chi2
-            if len(match.forces) == 1:
-                (only,) = match.forces
-                site[row], force[row] = only.site, only.force_newton
-                noise[row], systematic[row] = only.noise_newton, only.systematic_newton
-        return matches
-
-    def _channels(
-        self, frequency_hz: Floats, counter_std: Floats, oscillator_std: ArrayLike, common_mode_std: ArrayLike
-    ) -> Channels:
-        used = np.isfinite(frequency_hz) & (frequency_hz > 0) & np.isfinite(counter_std) & (counter_std > 0)
-        variance = np.where(used, counter_std, 0.0) ** 2
-        oscillator = np.zeros(len(used)) + np.square(oscillator_std)
-        common = np.zeros(len(used)) + np.square(common_mode_std)
-        if not np.isfinite(oscillator + common).all():
-            raise ValueError(
-                f"oscillator_std {oscillator_std!r} and common_mode_std {common_mode_std!r} must be finite"
-            )
-        inverse = np.where(used, 1.0 / np.where(used, variance, 1.0), 0.0)
-        return Channels(np.where(used, frequency_hz, 1.0), variance, inverse, oscillator, common)
-
-    def _near(self, readings: Channels) -> NDArray[np.bool_]:
-        """(n, m, channels): codes that a channel's frequency may belong to, as far as that channel tells."""
-        variance = readings.counter_variance + readings.common_variance[:, None] + self._model_variance
-        slack, used = REACH_STD * np.sqrt(variance), readings.used
-        upper = np.where(used, readings.frequency_hz * (1.0 + slack), np.inf)
-        lower = np.where(used, readings.frequency_hz * (1.0 - slack), 0.0)
-        near: NDArray[np.bool_] = (upper[:, None] >= self._low_hz) & (lower[:, None] <= self._high_hz)
-        return near
-
-    def _near_one(self, reading: Reading) -> Sequence[int]:
-        """Sites that are near, as `_near` has it, on all channels of one reading that are used."""
-        sites: Sequence[int] = range(len(self._rows))
-        common_variance = reading.oscillator_variance + reading.common_mode_variance
-        for (low_hz, high_hz, model_variance), frequency, variance, inverse in zip(
-            self._bands, reading.frequency_hz, reading.counter_variance, reading.inverse_variance, strict=True
-        ):
-            if inverse > 0.0:
-                slack = REACH_STD * math.sqrt(variance + common_variance + model_variance)
-                upper, lower = frequency * (1.0 + slack), frequency * (1.0 - slack)
-                sites = [site for site in sites if low_hz[site] <= upper and high_hz[site] >= lower]
-        return sites
-
-    def _best(self, readings: Channels) -> _Best:
-        """Fit one site on all channels."""
-        used = readings.used.sum(axis=1)
-        best = _Best(
-            np.full(len(used), REJECTED, dtype=np.int8),
-            np.full(len(used), -1),
-            np.full(len(used), -1),
-            np.full(len(used), np.nan),
-            np.full(len(used), np.nan),
-            np.zeros(readings.frequency_hz.shape),
-        )
-        rows, sites = np.nonzero(self._near(readings).all(axis=2) & (used >= 2)[:, None])
-        if not rows.size:
-            return best
-        fit = fit_codes(
-            self._codes,
-            sites,
-            readings.frequency_hz[rows],
-            readings.inverse_variance[rows],
-            readings.common_variance[rows],
-        )
-        order = np.lexsort((fit.score, rows))
-        new = np.concatenate(([True], rows[1:] != rows[:-1]))
-        first, row = order[new], rows[new]
-        best.site[row], best.chi2[row] = sites[first], fit.chi2[first]
-        best.force_newton[row], best.weights[row] = fit.force_newton[first], fit.weights[first]
-        if len(row) < len(rows):
-            second = np.flatnonzero(new[:-1] & ~new[1:]) + 1  # in the order: next to the best of the same reading
-            near = fit.score[order[second]] - fit.score[order[second - 1]] < RUNNER_UP_GAP
-            best.rival[rows[second[near]]] = sites[order[second[near]]]
-        accepted = best.chi2 <= gates(readings.frequency_hz.shape[1])[used]
-        status = np.where(best.force_newton > self._codes.range_newton[1], OVERLOAD, OK)
-        status[best.rival >= 0] = AMBIGUOUS
-        best.status[accepted] = status[accepted]
-        return best
-
-    def _apart(self, reading: Channels, chi2: float) -> Match:
-        """Explain one reading that no site within the range explains on all channels."""
-        used = int(reading.used.sum())
-        if used < 2:
+        reading = _reading(frequency_hz, counter_std, oscillator_std, common_mode_std)
+        channels = reading.channels
+        if (used := len(channels)) < 2:
             return Match("rejected", f"heard on {used} channel(s), at least 2 needed", math.nan)
-        sites = np.flatnonzero((self._near(reading)[0] & reading.used[0]).any(axis=1))
-        detected = detected_alone(self._codes, sites, reading)
-        if detected[reading.used[0]].all(axis=0).any():  # a chance excess of the gate must not be read as anything else
+        fits = _fits(self._codes, _near_all(self._bands, reading, channels), reading)
+        if not fits or not fits[0].chi2 <= self._gates[used]:
+            return self._apart(reading, fits[0].chi2 if fits else math.nan)
+        best, *others = fits
+        if others and others[0].score - best.score < RUNNER_UP_GAP:
+            candidates = tuple(sorted((best.site, others[0].site)))
+            return Match("ambiguous", "two sites explain the channels alike", best.chi2, (), candidates)
+        force = self._site_force(best, reading)
+        if force.status == "overload":
+            return Match("overload", self._overload_reason, best.chi2, (force,))
+        return Match("ok", "", best.chi2, (force,))
+
+    def _apart(self, reading: Reading, chi2: float) -> Match:
+        """Explain a reading that no site within the range explains on all channels."""
+        everywhere = range(len(self._codes.sites))
+        near = {site for channel in reading.channels for site in _near(self._bands, reading, channel, everywhere)}
+        detected = detected_alone(self._codes, sorted(near), reading)
+        if set.intersection(*map(set, detected.values())):  # a chance excess of the gate is not read as anything else
             return Match("rejected", "channels disagree on the force", chi2)
-        groups = explain_groups(self._codes, sites, detected, reading)
+        groups = explain_groups(self._codes, detected, reading)
         account, over = join(groups), self._overload(reading)
         if over and account.status != "rejected":
             candidates = {site.site for site in account.named} | {force.site for force in over.forces}
@@ -308,58 +150,89 @@ class Matcher:
             account = leave_one_out(groups)
         return self._match_of(account, reading, chi2)
 
-    def _match_of(self, account: Account, reading: Channels, chi2: float) -> Match:
+    def _match_of(self, account: Account, reading: Reading, chi2: float) -> Match:
         if not account.named:
             return Match(account.status, account.reason, chi2, (), account.candidates)
-        forces = [
-            self._site_force(group.site, group.force_newton, group.weights.tolist(), reading.first)
-            for group in account.named
-        ]
-        chi2 = sum(group.chi2 for group in account.named)
+        forces = tuple([self._site_force(group.fit, reading) for group in account.named])
+        chi2 = sum(group.fit.chi2 for group in account.named)
         if any(force.status == "overload" for force in forces):
-            return Match("overload", f"{account.reason}; {self._overload_reason}", chi2, tuple(forces))
-        return Match("ok", account.reason, chi2, tuple(forces))
+            return Match("overload", f"{account.reason}; {self._overload_reason}", chi2, forces)
+        return Match("ok", account.reason, chi2, forces)
 
-    def _overload(self, reading: Channels) -> Match | None:
+    def _overload(self, reading: Reading) -> Match | None:
         """Return the site that needs the least force beyond the range to explain all channels.
 
         A site whose channels are off by less, beyond the other end, speaks against it: all tones may be off together.
         """
-        count, channels = self._codes.f0_hz.shape
-        fit = fit_codes(
-            self._beyond,
-            np.arange(count),
-            np.broadcast_to(reading.frequency_hz, (count, channels)),
-            np.broadcast_to(reading.inverse_variance, (count, channels)),
-            np.broadcast_to(reading.common_variance, count),
-        )
         least, most = self._codes.range_newton
-        fits = (fit.chi2 <= self._gates[int(reading.used.sum())]) & (fit.force_newton > most)
-        site = int(np.argmin(np.where(fits, fit.force_newton, np.inf)))
-        if not fits[site]:
+        channels = reading.channels
+        gate = self._gates[len(channels)]
+        fits = _fits(self._beyond, _near_all(self._bands_beyond, reading, channels), reading)
+        over = [fit for fit in fits if fit.chi2 <= gate and fit.force_newton > most]
+        if not over:
             return None
-        excess = fit.force_newton[site] - most
-        alone = force_newton(self._codes.f0_hz, reading.frequency_hz, self._codes.sensitivity)
-        off_together = ((alone > least - excess) & (alone < most)) | ~reading.used
-        if off_together.all(axis=1).any():
-            return None
-        force = self._site_force(site, float(fit.force_newton[site]), fit.weights[site].tolist(), reading.first)
-        return Match("overload", self._overload_reason, float(fit.chi2[site]), (force,))
+        fit = min(over, key=attrgetter("force_newton"))
+        excess = fit.force_newton - most
+        for code in self._codes.sites:
+            alone = [
+                (1.0 - code.f0_hz[channel] / reading.frequency_hz[channel]) / code.sensitivity[channel]
+                for channel in channels
+            ]
+            if least - excess < min(alone) and max(alone) < most:
+                return None
+        return Match("overload", self._overload_reason, fit.chi2, (self._site_force(fit, reading),))
 
     @property
     def _overload_reason(self) -> str:
         return f"force above {self._codes.range_newton[1]:g} N, the largest of this plate"
 
-    def _site_force(self, site: int, force_newton: float, weights: list[float], reading: Reading) -> SiteForce:
-        channels = tuple([channel for channel, weight in enumerate(weights) if weight])
+    def _site_force(self, fit: CodeFit, reading: Reading) -> SiteForce:
+        channels = tuple([channel for channel, weight in enumerate(fit.weights) if weight])
         largest = self._codes.range_newton[1]
-        if force_newton > largest:
-            return SiteForce(site, math.nan, math.nan, math.nan, "overload", largest, math.nan, channels)
-        noise, systematic = uncertainty_of_one(
-            self._rows[site].sensitivity, self._codes.model_error, force_newton, weights, reading
-        )
-        hidden = self._hidden[site] * abs(force_newton)
-        return SiteForce(site, force_newton, noise, systematic, "ok", hidden_newton=hidden, channels=channels)
+        if fit.force_newton > largest:
+            return SiteForce(fit.site, math.nan, math.nan, math.nan, "overload", largest, math.nan, channels)
+        noise, systematic = uncertainty_newton(self._codes, fit.site, fit.force_newton, fit.weights, reading)
+        hidden = self._hidden[fit.site] * abs(fit.force_newton)
+        return SiteForce(fit.site, fit.force_newton, noise, systematic, "ok", hidden_newton=hidden, channels=channels)
+
+
+class _Band(NamedTuple):
+    """Frequencies of the sites on one channel under the forces of a range, and the variance from the error of K."""
+
+    low_hz: list[float]
+    high_hz: list[float]
+    model_variance: float
+
+
+def _bands(loaded_hz: Floats, model_variance: Floats) -> list[_Band]:
+    """Return the band of each channel from the frequencies (m, channels, 2) at the ends of a range of forces."""
+    ends = loaded_hz.min(axis=2).T, loaded_hz.max(axis=2).T, model_variance
+    return [_Band(*band) for band in zip(*(values.tolist() for values in ends), strict=True)]
+
+
+def _near(bands: list[_Band], reading: Reading, channel: int, sites: Sequence[int]) -> list[int]:
+    """Return those of the sites that a channel's frequency may belong to, as far as that channel shows."""
+    low_hz, high_hz, model_variance = bands[channel]
+    variance = reading.counter_variance[channel] + reading.common_variance + model_variance
+    slack, frequency = REACH_STD * math.sqrt(variance), reading.frequency_hz[channel]
+    upper, lower = frequency * (1.0 + slack), frequency * (1.0 - slack)
+    return [site for site in sites if low_hz[site] <= upper and high_hz[site] >= lower]
+
+
+def _near_all(bands: list[_Band], reading: Reading, channels: Sequence[int]) -> Sequence[int]:
+    """Return the sites that are near on all of the channels."""
+    sites: Sequence[int] = range(len(bands[0].low_hz))
+    for channel in channels:
+        sites = _near(bands, reading, channel, sites)
+    return sites
+
+
+def _fits(codes: Codes, sites: Sequence[int], reading: Reading) -> list[CodeFit]:
+    """Fit the sites on all channels in use, the best first."""
+    fits = [fit_code(codes, site, reading) for site in sites]
+    if len(fits) > 1:
+        fits.sort(key=attrgetter("score"))
+    return fits
 
 
 def _reading(

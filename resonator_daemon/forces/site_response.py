@@ -30,17 +30,6 @@ class SiteResponse:
     creep_fraction_std: float
     creep_time_std_s: float
 
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.hysteresis_newton) and self.hysteresis_newton >= 0):
-            raise ValueError(f"hysteresis_newton {self.hysteresis_newton} must be finite and at least 0")
-        if not 0 <= self.creep_fraction < 0.5:
-            raise ValueError(f"creep_fraction {self.creep_fraction} must be at least 0 and below 0.5")
-        if not (math.isfinite(self.creep_time_s) and self.creep_time_s > 0):
-            raise ValueError(f"creep_time_s {self.creep_time_s} must be finite and above 0")
-        for std in (self.hysteresis_std_newton, self.creep_fraction_std, self.creep_time_std_s):
-            if not (math.isfinite(std) and std >= 0):
-                raise ValueError(f"standard deviation {std} must be finite and at least 0")
-
 
 class Pressing(NamedTuple):
     """Forces that press, one for each site asked for.
@@ -64,8 +53,6 @@ class ResponseInverse:
 
     def __init__(self, sites: int, response: SiteResponse, force_max_newton: float) -> None:
         """Initialise; half of `force_max_newton` bounds what may have pressed while a site was not followed."""
-        if not (math.isfinite(force_max_newton) and force_max_newton > 0):
-            raise ValueError(f"force_max_newton {force_max_newton} must be finite and above 0")
         parameters = np.tile(
             [[response.hysteresis_newton], [response.creep_fraction], [response.creep_time_s]], (6, 1, 1)
         )

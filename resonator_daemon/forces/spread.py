@@ -91,12 +91,6 @@ class SpreadFit:
         Touches lie within the box of `outline_m` (p, 2), else within that of the sites and one depth around it: further
         out, distance and force make up for each other.
         """
-        if site_positions_m.ndim != 2 or site_positions_m.shape[1] != 2 or not np.isfinite(site_positions_m).all():
-            raise ValueError(f"site_positions_m {site_positions_m.shape} must be finite, of shape (n, 2)")
-        if not (np.isfinite(depth_m) and depth_m > 0):
-            raise ValueError(f"depth_m {depth_m} must be finite and above 0")
-        if not 0 <= model_error < 1:
-            raise ValueError(f"model_error {model_error}, at least 0 and below 1")
         self._depth_m = depth_m
         self._model_error2 = model_error**2
         self._share_error2 = share_error**2
@@ -121,9 +115,6 @@ class SpreadFit:
         `other_variance` (n,) is that of other errors, independent from site to site as well. The touches of the reading
         `before` are tried first, and alone where `search` is false: a search takes milliseconds.
         """
-        sites = (len(self._position),)
-        if force_newton.shape != sites or noise_variance.shape != sites:
-            raise ValueError(f"forces {force_newton.shape} and variances {noise_variance.shape} must be {sites}")
         seen = np.isfinite(force_newton) & np.isfinite(noise_variance) & (noise_variance > 0)
         total = noise_variance + other_variance
         data = _Data(self._position[seen], force_newton[seen], total[seen], (noise_variance / total)[seen])

@@ -93,7 +93,6 @@ def test_masses_good_to_a_thousandth_give_k_within_3_thousandths(mixed_sign):
         assert fit.swapped_steps is None
         assert fit.site_residual_newton.max() < 1e-2
         assert fit.force_range_newton == (1.0, 5.0)
-        assert fit.kelvin_range[1] == 299.0
 
 
 def test_the_true_f0_is_found_without_an_untouched_reading():
@@ -164,14 +163,6 @@ def test_without_the_response_the_residual_covers_the_error():
     assert fitted.site_residual_newton.max() < 0.2 * fit.site_residual_newton.min()
 
 
-def test_scatter_goes_into_the_uncertainty_of_k_with_hysteresis_too():
-    bench = Bench(4)
-    fit = bench.calibrate(UP_AND_DOWN, 1e-3, h=0.1, c=0.005, scatter=0.015, readings=4, with_response=True)
-    assert 0.7 < fit.model_error / 0.015 < 1.3
-    assert rms(bench.standardised(fit)) == pytest.approx(1.0, abs=0.3)
-    assert abs(fit.response.hysteresis_newton - 0.1) < 3.5 * fit.response.hysteresis_std_newton
-
-
 def test_many_readings_of_scattering_touches_do_not_bend_hysteresis_and_creep():
     # Creep within a step is known to some micronewtons, and off by the touch's 1.5 %: far more than its noise.
     standardised = []
@@ -208,7 +199,7 @@ def test_one_bad_loading_is_named_and_not_used(load):
         bench = Bench(seed)
         fit = bench.calibrate(ONE_BY_ONE * 2, 1e-3, scatter=0.015, wrong={15: 2.0 * load})
         assert fit.doubtful_steps == (15,)
-        assert fit.worst_step == 15
+        assert np.nanargmax(np.abs(fit.residual_newton)) == 15
         assert fit.residual_newton[15] == pytest.approx(2.0 * (load - 1), abs=0.1)
         of_site = fit.residual_newton[12:24]
         assert fit.site_residual_newton[1] == pytest.approx(math.sqrt(np.nanmean(of_site**2)))  # the bad one too
@@ -258,12 +249,6 @@ def test_two_masses_in_the_wrong_order_are_named(first, second, mixed_sign):
         assert fit.swapped_steps == (step[first], step[second])
 
 
-def test_two_masses_in_the_wrong_order_on_all_sites_are_named():
-    wrong = {6 * site + 1: 5.0 for site in range(4)} | {6 * site + 5: 1.0 for site in range(4)}
-    fit = Bench(8, 4).calibrate(ONE_BY_ONE, 1e-3, scatter=0.015, wrong=wrong)
-    assert fit.swapped_steps in [(6 * site + 1, 6 * site + 5) for site in range(4)]
-
-
 def test_of_two_loads_the_sign_of_k_tells_their_order():
     fit = Bench(9, 4).calibrate(ONE_BY_ONE[:4], 1e-3, wrong={5: 2.0, 7: 1.0})
     assert fit.swapped_steps == (5, 7)
@@ -298,9 +283,3 @@ def test_too_few_loadings_tell_no_scatter():
     assert math.isnan(fit.model_error)
     assert math.isnan(fit.model_error_std)
     assert np.isfinite(fit.sensitivity_std).all()
-
-
-def test_tables_that_do_not_belong_together_are_refused():
-    bench = Bench(12, 1)
-    with pytest.raises(ValueError, match="mass_std"):
-        bench.calibrate(ONE_BY_ONE, -1e-3)

@@ -3,10 +3,10 @@ import math
 import numpy as np
 import pytest
 from brute_force_board import Ladder
-from drawn_touches import MODEL_ERROR, NOISE, Tuples, draws, matcher_of
+from drawn_touches import MODEL_ERROR, NOISE, Tuples, draws, match_all, matcher_of
 
 from resonator_daemon.forces.channel_groups import partitions
-from resonator_daemon.forces.site_identification import STATUSES, Matcher
+from resonator_daemon.forces.site_identification import Matcher
 from resonator_daemon.plate import load_plate
 
 
@@ -44,13 +44,13 @@ def test_two_touches_are_both_found_and_none_is_wrong(name):
     plate, count = PLATES[name], 800
     captured = channels_of_the_second(count, 31)
     site, force, frequency = two_touches(plate, captured, 32)
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
+    matches = match_all(matcher_of(plate), frequency)
     # With mixed signs, sites above and below a third one may look like that one under 60 N.
-    ambiguous = np.mean(matches.status == STATUSES.index("ambiguous"))
+    ambiguous = np.mean(matches.status == "ambiguous")
     assert ambiguous <= (0.01 if name == "mixed signs" else 0.0)
     assert (matches.site == -1).all()
     errors = []
-    for row, match in matches.apart.items():
+    for row, match in enumerate(matches.matches):
         for found in match.forces:
             touch = int(site[row, 1] == found.site)
             assert found.site == site[row, touch]
@@ -66,9 +66,8 @@ def test_one_channel_that_hears_another_site_spoils_neither(name):
     plate, count = PLATES[name], 800
     captured = channels_of_the_second(count, 41, most=1)
     site, _, frequency = two_touches(plate, captured, 42)
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
-    named = [[force.site for force in match.forces] for match in matches.apart.values()]
-    assert len(named) == count
+    matches = match_all(matcher_of(plate), frequency)
+    named = [[force.site for force in match.forces] for match in matches.matches]
     assert all(set(sites) <= set(of) for sites, of in zip(named, site.tolist(), strict=True))
     assert np.mean([of[0] in sites for sites, of in zip(named, site.tolist(), strict=True)]) >= 0.99
 
@@ -81,15 +80,15 @@ def test_one_channel_with_a_foreign_tone_is_left_out():
     # Between the bands: above every untouched tone by 100 ppm, where no negative K reaches.
     foreign = 10e6 * (1 - 400e-6 * rng.integers(1, 17, count)) * (1 + rng.uniform(100e-6, 200e-6, count))
     frequency[np.arange(count), odd] = foreign
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
-    found = matches.status == STATUSES.index("ok")
+    matches = match_all(matcher_of(plate), frequency)
+    found = matches.status == "ok"
     assert np.mean(found) >= 0.99
     assert np.array_equal(matches.site[found], site[found])
     assert np.max(np.abs(matches.force_newton - force)[found]) < 0.5
     for row in np.flatnonzero(found):
-        (only,) = matches.apart[int(row)].forces
+        (only,) = matches.matches[row].forces
         assert only.channels == tuple(c for c in range(4) if c != odd[row])
-        assert f"channel {odd[row]} " in matches.apart[int(row)].reason
+        assert f"channel {odd[row]} " in matches.matches[row].reason
 
 
 def test_a_foreign_tone_is_not_left_out_of_three_channels():
@@ -161,10 +160,9 @@ def test_two_touches_on_codes_that_overlap_are_seldom_wrong():
     plate, count = Tuples("random"), 1000
     captured = channels_of_the_second(count, 61)
     site, _, frequency = two_touches(plate, captured, 62)
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
-    named = {row: [force.site for force in match.forces] for row, match in matches.apart.items()}
-    named |= {int(row): [matches.site[row]] for row in np.flatnonzero(matches.status == 0) if int(row) not in named}
-    assert np.mean([not set(sites) <= set(site[row].tolist()) for row, sites in named.items()]) <= 5e-3
+    matches = match_all(matcher_of(plate), frequency)
+    named = zip(matches.matches, site.tolist(), strict=True)
+    assert np.mean([not {force.site for force in match.forces} <= set(true) for match, true in named]) <= 5e-3
 
 
 def test_one_of_two_touches_beyond_the_range_is_an_overload_beside_a_force():

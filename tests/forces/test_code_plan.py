@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from resonator_daemon.forces.code_plan import Limits, force_noise, guard_band, ladder_hz, stamp_noise
-from resonator_daemon.forces.codes import guard_step
 
 LIMITS = Limits(
     force_max_newton=10.0,
@@ -16,6 +15,18 @@ LIMITS = Limits(
     tolerance=15e-6,
     common_shift=10e-6,
 )
+
+
+@pytest.mark.parametrize(
+    ("factors", "force_ppm"),
+    [
+        (np.array([[-8.1] * 4, [5.0] * 4]), 131.0),  # both signs on a channel: bands grow towards each other
+        (np.array([[-8.1, 5.0, -8.1, 5.0]] * 2), 81.0),
+        (np.array([[8.1] * 4, [5.0] * 4]), 81.0),
+    ],
+)
+def test_signs_that_differ_on_one_channel_add_their_forces(factors, force_ppm) -> None:
+    assert 1e6 * guard_band(1e-6 * factors, LIMITS).force == pytest.approx(force_ppm)
 
 
 def test_each_cause_has_its_share_of_the_step() -> None:
@@ -33,23 +44,6 @@ def test_each_cause_has_its_share_of_the_step() -> None:
         }
     )
     assert 1e6 * guard.step == pytest.approx(189.0 + 2 * math.sqrt(13.8))
-
-
-def test_the_shares_add_up_to_the_whole_step_and_two_placements() -> None:
-    sensitivity = np.array([[-8.1e-6] * 4, [5e-6] * 4])
-    whole = guard_step(
-        sensitivity,
-        10.0,
-        tempco_difference_per_kelvin=3e-7,
-        temperature_span_kelvin=20.0,
-        ageing=2e-6,
-        noise_std=1e-6,
-        noise_factor=math.sqrt(13.8),
-        pulling=50e-6,
-        common_shift=10e-6,
-    )
-    assert guard_band(sensitivity, LIMITS).step == pytest.approx(whole + 30e-6)
-    assert 1e6 * guard_band(sensitivity, LIMITS).force == pytest.approx(131.0)
 
 
 def test_codes_go_down_from_the_tone_that_no_site_has() -> None:

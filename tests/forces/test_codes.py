@@ -1,10 +1,8 @@
-import math
-
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from resonator_daemon.forces.codes import code_overlaps, guard_step
+from resonator_daemon.forces.codes import code_overlaps
 from resonator_daemon.forces.site_identification import Matcher
 from resonator_daemon.plate import load_plate
 
@@ -100,13 +98,6 @@ def test_the_shipped_plate_has_no_overlap_and_a_ladder_of_60_ppm_has():
     assert len(code_overlaps(*ladder(60e-6), LARGEST, **allowed)) == 15 + 14
 
 
-def test_pulling_tells_apart_what_the_bands_of_single_channels_do_not():
-    f0_hz, sensitivity = ladder(60e-6, 2)
-    f0_hz[1] *= 1 + 25e-6 * np.array([1, -1, 1, -1])
-    assert code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=1e-5, margin=20e-6) == ()
-    assert len(code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=1e-5, margin=30e-6)) == 1
-
-
 def test_sites_that_a_matcher_takes_for_each_other_are_among_the_overlaps():
     rng = np.random.default_rng(8)
     f0_hz = 10e6 * (1 - rng.uniform(0, 60e-6, (60, 4)))
@@ -115,57 +106,10 @@ def test_sites_that_a_matcher_takes_for_each_other_are_among_the_overlaps():
     found = code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=0.0, margin=margin)
     pairs = {(pair.site, pair.other) for pair in found}
     assert len(pairs) < 60 * 59 / 4
-    site, force = rng.integers(60, size=50_000), rng.uniform(0, LARGEST, 50_000)
-    frequency = f0_hz[site] / (1 - sensitivity[site] * (1 + 0.01 * rng.normal(size=(50_000, 4))) * force[:, None])
+    site, force = rng.integers(60, size=10_000), rng.uniform(0, LARGEST, 10_000)
+    frequency = f0_hz[site] / (1 - sensitivity[site] * (1 + 0.01 * rng.normal(size=(10_000, 4))) * force[:, None])
     matcher = Matcher(f0_hz, sensitivity, LARGEST, model_error=0.01)
-    matches = matcher.match_many(frequency, np.full(4, 3e-9), 0.0, 0.0)
-    taken = [matcher.match(f, np.full(4, 3e-9), 0.0, 0.0).candidates for f in frequency[matches.status == 1]]
-    assert len(taken) > 20
+    matches = [matcher.match(row, [3e-9] * 4, 0.0, 0.0) for row in frequency.tolist()]
+    taken = [match.candidates for match in matches if match.status == "ambiguous"]
+    assert len(taken) > 5
     assert set(taken) <= pairs
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"margin": -1e-6}, "margin -1e-06 must"),
-        ({"common_shift": math.nan}, "common_shift nan must"),
-        ({"force_max_newton": 0.0}, "force_max_newton"),
-        ({"sensitivity": np.ones((3, 4))}, "one shape"),
-    ],
-)
-def test_impossible_arguments_are_refused(options, message):
-    f0_hz, sensitivity = ladder(400e-6)
-    arguments = {"sensitivity": sensitivity, "force_max_newton": LARGEST, "common_shift": 1e-6, "margin": 1e-6}
-    with pytest.raises(ValueError, match=message):
-        code_overlaps(f0_hz, **arguments | options)
-
-
-PLAN = {
-    "tempco_difference_per_kelvin": -2e-8,
-    "temperature_span_kelvin": 40.0,
-    "ageing": 3e-6,
-    "noise_std": 1e-7,
-    "noise_factor": 5.0,
-    "pulling": 50e-6,
-}
-
-
-def test_the_guard_step_adds_its_terms():
-    # By hand: 63 + 0.8 + 3 + 1 + 50 ppm.
-    assert guard_step(np.full((16, 4), -6.3e-6), LARGEST, **PLAN) == pytest.approx(117.8e-6)
-    assert guard_step(np.full((16, 4), -6.3e-6), LARGEST, **PLAN, common_shift=-10e-6) == pytest.approx(137.8e-6)
-
-
-def test_mixed_signs_on_one_channel_double_the_force_in_the_guard_step_and_across_channels_they_do_not():
-    by_site = np.full((16, 4), -6.3e-6) * np.where(np.arange(16) % 2, 1, -1)[:, None]
-    by_channel = np.full((16, 4), -6.3e-6) * np.array([1, -1, 1, -1])
-    assert guard_step(by_site, LARGEST, **PLAN) == pytest.approx(180.8e-6)
-    assert guard_step(by_channel, LARGEST, **PLAN) == pytest.approx(117.8e-6)
-
-
-def test_a_ladder_at_the_guard_step_has_no_overlap():
-    rng = np.random.default_rng(3)
-    sensitivity = np.repeat(-6.3e-6 * rng.uniform(0.7, 1.3, (16, 1)), 4, axis=1)
-    step = guard_step(sensitivity, LARGEST, **PLAN, common_shift=10e-6)
-    f0_hz = 10e6 * np.exp(-step * rng.permutation(16)[:, None] + rng.uniform(-25e-6, 25e-6, (16, 4)))
-    assert code_overlaps(f0_hz, sensitivity, LARGEST, common_shift=10e-6, margin=1e-6) == ()

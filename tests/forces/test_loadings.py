@@ -3,7 +3,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from resonator_daemon.forces.loadings import Readings, Steps, check_loadings, felt_newton
+from resonator_daemon.forces.loadings import Readings, Steps, felt_newton
 
 MASS_NEWTON = np.array([0.5, 1.0, 4.0])
 
@@ -50,40 +50,9 @@ def test_what_sites_felt_is_that_of_play_and_creep_in_small_steps():
     assert np.ptp(felt - forces[readings.step]) > 0.1
 
 
-def test_without_hysteresis_and_creep_a_site_feels_what_presses():
-    steps = steps_of([0, 0, 0], [0, 10, 20], [[1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    forces = steps.pressing @ MASS_NEWTON
-    felt = felt_newton(steps, forces, readings_of([0, 1, 2], [3, 13, 23]), 0.0, 0.0, 20.0)
-    assert felt == pytest.approx([0.5, 1.5, 1.0])
-
-
 def test_the_order_of_the_tables_does_not_matter():
     steps = steps_of([0, 0, 0], [20, 0, 10], [[0, 1, 0], [1, 0, 0], [1, 0, 1]])
     sorted_steps = steps_of([0, 0, 0], [0, 10, 20], [[1, 0, 0], [1, 0, 1], [0, 1, 0]])
     felt = felt_newton(steps, steps.pressing @ MASS_NEWTON, readings_of([0], [25]), 0.1, 0.01, 20.0)
     same = felt_newton(sorted_steps, sorted_steps.pressing @ MASS_NEWTON, readings_of([2], [25]), 0.1, 0.01, 20.0)
     assert felt == same
-
-
-STEPS = steps_of([0, 0], [0, 10], [[1, 0, 0], [0, 0, 0]])
-
-
-@pytest.mark.parametrize(
-    ("masses", "std", "readings", "message"),
-    [
-        ([0.5, 1.0], [1e-3] * 2, readings_of([0], [1]), "pressing has shape"),
-        ([0.5, 1.0, 4.0], [1e-3] * 2, readings_of([0], [1]), "mass_std has shape"),
-        ([0.5, 0.0, 4.0], [1e-3] * 3, readings_of([0], [1]), "mass_newton"),
-        ([0.5, 1.0, 4.0], [1e-3, 0.0, 1e-3], readings_of([0], [1]), "mass_std"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of([1], [11]), "without a mass"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of([0], [-1]), "earlier"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of([0], [1], shift=np.full((1, 4), np.nan)), "all channels"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of([0], [1], noise_std=np.zeros((1, 4))), "noise_std"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of([0], [1], oscillator_std=-np.ones(1)), "oscillator_std"),
-        ([0.5, 1.0, 4.0], [1e-3] * 3, readings_of(np.zeros(0, int), []), "no readings"),
-    ],
-)
-def test_loadings_that_no_calibration_gives_are_refused(masses, std, readings, message):
-    check_loadings(MASS_NEWTON, np.full(3, 1e-3), STEPS, readings_of([0], [1]))
-    with pytest.raises(ValueError, match=message):
-        check_loadings(np.array(masses), np.array(std), STEPS, readings)

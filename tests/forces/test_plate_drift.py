@@ -291,29 +291,3 @@ def test_reset_forgets_what_was_learnt():
     again, _, _ = plate.frame(0.02)
     assert not again.in_contact.any()
     assert again.expected_std == pytest.approx(first.expected_std, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("coefficients", "settings", "name"),
-    [
-        (np.zeros((2, 4)), {}, "temperature_coefficients"),
-        (np.full((3, 4), np.nan), {}, "temperature_coefficients"),
-        (np.zeros((3, 4)), {"coefficient_std": -1.0}, "coefficient_std"),
-        (np.zeros((3, 4)), {"offset_std": 0.0}, "offset_std"),
-        (np.zeros((3, 4)), {"local_kelvin_std": np.nan}, "local_kelvin_std"),
-    ],
-)
-def test_impossible_settings_are_refused(coefficients, settings, name):
-    with pytest.raises(ValueError, match=name):
-        PlateDrift(coefficients, **({"coefficient_std": 0.0, "offset_std": 1e-7} | settings))
-
-
-def test_wrong_shapes_and_times_are_refused():
-    drift = PlateDrift(np.zeros((3, 4)), coefficient_std=0.0, offset_std=1e-7)
-    four = np.ones(4)
-    with pytest.raises(ValueError, match="shift"):
-        drift.update(np.ones(3), four, 0.1)
-    with pytest.raises(ValueError, match="dt_s"):
-        drift.update(four, four, -0.1)
-    with pytest.raises(ValueError, match="local_kelvin"):
-        drift.update(four, four, 0.1, np.ones(5))

@@ -5,27 +5,25 @@ from drawn_touches import (
     COMMON_MODE_STD,
     COUNTER_STD,
     MODEL_ERROR,
-    NOISE,
     OSCILLATOR_STD,
     Tuples,
     draws,
+    match_all,
     matcher_of,
     wrong,
 )
-
-from resonator_daemon.forces.site_identification import STATUSES
 
 
 @pytest.mark.parametrize("mixed_sign", [False, True])
 def test_statistics_of_the_matcher_on_a_400_ppm_ladder(mixed_sign):
     plate = Ladder(mixed_sign=mixed_sign)
-    site, force, frequency = draws(plate, 100_000, seed=11)
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
-    ok = matches.status == STATUSES.index("ok")
-    assert (ok | (matches.status == STATUSES.index("rejected"))).all()
+    site, force, frequency = draws(plate, 20_000, seed=11)
+    matches = match_all(matcher_of(plate), frequency)
+    ok = matches.status == "ok"
+    assert (ok | (matches.status == "rejected")).all()
     assert wrong(matches, site) == 0
-    assert np.mean(~ok) == pytest.approx(1e-3, abs=3e-4)
-    assert np.mean(matches.chi2) == pytest.approx(3.0, abs=0.05)
+    assert np.mean(~ok) == pytest.approx(1e-3, abs=6e-4)
+    assert np.mean(matches.chi2) == pytest.approx(3.0, abs=0.08)
     # The bound by full matrices, of the true force.
     k = plate.sensitivity[site][ok]
     covariance = (COUNTER_STD**2 + (MODEL_ERROR * k * force[ok, None]) ** 2)[:, None, :] * np.eye(4)
@@ -33,18 +31,17 @@ def test_statistics_of_the_matcher_on_a_400_ppm_ladder(mixed_sign):
     information = np.einsum("nc,nc->n", k, np.linalg.solve(covariance, k[..., None])[..., 0])
     standardised = (matches.force_newton - force)[ok] * np.sqrt(information)
     assert np.sqrt(np.mean(standardised**2)) <= 1.02
-    assert abs(np.mean(standardised)) < 0.015
+    assert abs(np.mean(standardised)) < 0.03
     # What is stated is neither much larger nor smaller than what is wrong.
-    stated = np.hypot(matches.noise_newton, matches.systematic_newton)[ok]
-    assert np.std((matches.force_newton - force)[ok] / stated) == pytest.approx(1.0, abs=0.03)
+    assert np.std((matches.force_newton - force)[ok] / matches.stated_newton[ok]) == pytest.approx(1.0, abs=0.03)
 
 
 def test_light_touches_pass_the_gate_as_heavy_ones_do():
     # The common mode is worth 30 mN here: a touch that looks lighter than it is has more model error than it seems to.
     plate = Ladder()
-    site, _, frequency = draws(plate, 50_000, seed=12, newton=(0.02, 0.3))
-    matches = matcher_of(plate).match_many(frequency, *NOISE)
-    assert np.mean(matches.status != 0) < 1.3e-3
+    site, _, frequency = draws(plate, 20_000, seed=12, newton=(0.02, 0.3))
+    matches = match_all(matcher_of(plate), frequency)
+    assert np.mean(matches.status != "ok") < 1.6e-3
     assert wrong(matches, site) == 0
 
 
@@ -52,13 +49,13 @@ def test_light_touches_pass_the_gate_as_heavy_ones_do():
 @pytest.mark.parametrize("counter_std", [1e-8, 3e-6])
 def test_on_codes_that_overlap_the_matcher_abstains_rather_than_err(kind, counter_std):
     plate, noise = Tuples(kind), (np.full(4, counter_std), OSCILLATOR_STD, COMMON_MODE_STD)
-    site, _, frequency = draws(plate, 100_000, seed=13, newton=(0.0, 10.0), noise=noise)
-    matches = matcher_of(plate).match_many(frequency, *noise)
+    site, _, frequency = draws(plate, 4_000, seed=13, newton=(0.0, 10.0), noise=noise)
+    matches = match_all(matcher_of(plate), frequency, noise)
     assert wrong(matches, site) <= 1e-3 * len(site)
     named = np.mean(matches.site >= 0)
     assert named > (0.3 if counter_std > 1e-6 else 0.9)
     if kind == "alike":
-        assert np.mean(matches.status == STATUSES.index("ambiguous")) > 0.02
+        assert np.mean(matches.status == "ambiguous") > 0.02
 
 
 @pytest.mark.parametrize(
@@ -68,8 +65,8 @@ def test_on_codes_that_overlap_the_matcher_abstains_rather_than_err(kind, counte
 def test_a_gate_for_noise_alone_rejects_true_touches(error, model_error, least, most):
     plate, noise = Ladder(), (np.full(4, 1e-8), 0.0, 0.0)
     _, _, frequency = draws(plate, 4_000, seed=5, newton=(0.2, 8.0), model_error=error, noise=noise)
-    matches = matcher_of(plate, model_error=model_error).match_many(frequency, *noise)
-    assert least <= np.mean(matches.status == 0) <= most
+    matches = match_all(matcher_of(plate, model_error=model_error), frequency, noise)
+    assert least <= np.mean(matches.status == "ok") <= most
 
 
 UNEQUAL = np.array([0.65, 0.9, 1.1, 1.35])
@@ -89,9 +86,9 @@ def test_a_common_mode_that_is_not_modelled_fails_the_gate_unless_channels_are_a
     noise = (np.full(4, 1e-8), 0.0, 1e-7)
     _, force, frequency = draws(plate, 6_000, seed=6, newton=(0.2, 8.0), model_error=0.0, noise=noise)
     matcher = matcher_of(plate, model_error=0.0)
-    ignored = matcher.match_many(frequency, noise[0], 0.0, 0.0)
-    assert np.mean(ignored.status != 0) == failing
-    modelled = matcher.match_many(frequency, *noise)
-    ok = modelled.status == 0
+    ignored = match_all(matcher, frequency, (noise[0], 0.0, 0.0))
+    assert np.mean(ignored.status != "ok") == failing
+    modelled = match_all(matcher, frequency, noise)
+    ok = modelled.status == "ok"
     assert np.mean(~ok) == pytest.approx(1e-3, abs=1e-3)
     assert np.sqrt(np.mean((modelled.force_newton - force)[ok] ** 2)) == error_newton

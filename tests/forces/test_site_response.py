@@ -201,23 +201,3 @@ def test_an_unknown_reading_is_an_unknown_force_and_a_known_one_beside_it_is_not
     other = alone.press(np.array([0]), np.array([1.5]), np.full(1, 1e-4), 5.0)
     assert np.isnan([column[0] for column in result]).all()
     assert [column[1] for column in result] == [column[0] for column in other]
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ((-0.1, 0.005, 20.0, 0.0, 0.0, 0.0), "hysteresis_newton"),
-        ((math.nan, 0.005, 20.0, 0.0, 0.0, 0.0), "hysteresis_newton"),
-        ((0.1, 0.5, 20.0, 0.0, 0.0, 0.0), "creep_fraction"),
-        ((0.1, 0.005, 0.0, 0.0, 0.0, 0.0), "creep_time_s"),
-        ((0.1, 0.005, 20.0, 0.0, -1e-3, 0.0), "standard deviation"),
-    ],
-)
-def test_an_impossible_response_is_refused(values, message):
-    with pytest.raises(ValueError, match=message):
-        SiteResponse(*values)
-
-
-def test_an_impossible_range_is_refused():
-    with pytest.raises(ValueError, match="force_max_newton"):
-        ResponseInverse(1, response_of(0.1, 0.005), 0.0)

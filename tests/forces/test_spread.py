@@ -158,22 +158,3 @@ def test_sites_on_a_line_and_few_of_them_do():
     two = SpreadFit(line[:2], DEPTH_M, model_error=0.0).fit(np.array([1.0, 1.0]), np.full(2, 1e-6))
     assert two.status == "rejected"
     assert len(two.force_newton) == 0
-
-
-@pytest.mark.parametrize(
-    ("positions", "depth_m", "model_error", "name"),
-    [
-        (np.zeros((4, 3)), 1e-3, 0.0, "site_positions_m"),
-        (np.full((4, 2), np.nan), 1e-3, 0.0, "site_positions_m"),
-        (SITES_M, 0.0, 0.0, "depth_m"),
-        (SITES_M, 1e-3, -0.1, "model_error"),
-    ],
-)
-def test_impossible_settings_are_refused(positions, depth_m, model_error, name):
-    with pytest.raises(ValueError, match=name):
-        SpreadFit(positions, depth_m, model_error=model_error)
-
-
-def test_wrong_shapes_are_refused():
-    with pytest.raises(ValueError, match="forces"):
-        SpreadFit(SITES_M, DEPTH_M, model_error=0.0).fit(np.zeros(3), VARIANCE)

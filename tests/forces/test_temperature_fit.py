@@ -24,23 +24,14 @@ def fit(kelvin, shift, noise=2e-9):
 
 def test_a_wide_sweep_tells_all_three_terms():
     result = fit(*sweep(40.0))
-    assert result.fitted.all()
     assert (np.abs(result.coefficient - TRUE) < 3.5 * result.coefficient_std).all()
     assert result.coefficient[:, 0] == pytest.approx(TRUE[:, 0], abs=2e-10)
     assert result.coefficient[:, 2] == pytest.approx(TRUE[:, 2], rel=0.02)
-    assert result.kelvin_range == (278.15, 318.15)
-
-
-def test_with_all_terms_told_it_is_the_ordinary_polynomial_fit():
-    kelvin, shift = sweep(60.0)
-    result = fit(kelvin, shift)
-    ordinary = np.polynomial.polynomial.polyfit((kelvin - REFERENCE_KELVIN) / 30, shift, 3)[1:].T
-    assert result.coefficient == pytest.approx(ordinary / np.array([30, 900, 27000]), rel=2e-3)
 
 
 def test_a_narrow_sweep_tells_the_first_term_and_leaves_the_rest_as_usual():
     result = fit(*sweep(1.0))
-    assert result.fitted.tolist() == [[True, False, False]] * 3
+    assert (result.coefficient_std[:, 0] < 0.1 * USUAL_STD[0]).all()
     assert (np.abs(result.coefficient[:, 0] - TRUE[:, 0]) < 3.5 * result.coefficient_std[:, 0]).all()
     assert result.coefficient[:, 2] == pytest.approx(np.full(3, USUAL[2]), rel=0.01)
     assert result.coefficient_std[:, 2] == pytest.approx(np.full(3, USUAL_STD[2]), rel=0.01)
@@ -66,18 +57,3 @@ def test_the_stated_standard_deviations_are_the_spread():
         result = fit_temperature(kelvin, shift, np.full(4000, 5e-9), USUAL, USUAL_STD, REFERENCE_KELVIN)
         spread = np.std((result.coefficient - true) / result.coefficient_std, axis=0)
         assert spread == pytest.approx(np.ones(3), abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("kelvin", "std", "usual_std", "message"),
-    [
-        (np.full(4, 298.0), np.ones(3), USUAL_STD, "shift"),
-        (np.array([298.0, 299.0, np.nan]), np.ones(3), USUAL_STD, "finite"),
-        (np.array([298.0, 299.0, 300.0]), np.zeros(3), USUAL_STD, "above 0"),
-        (np.array([298.0, 299.0, 300.0]), np.ones(3), USUAL_STD * 0, "above 0"),
-        (np.array([298.0, 299.0, 300.0]), np.ones(3), USUAL_STD[:2], "three"),
-    ],
-)
-def test_what_is_no_sweep_is_refused(kelvin, std, usual_std, message):
-    with pytest.raises(ValueError, match=message):
-        fit_temperature(kelvin, np.zeros((3, 3)), std, USUAL, usual_std, REFERENCE_KELVIN)

@@ -1,5 +1,7 @@
 """Touches drawn at random, as frequencies with every error that the matcher's model names at its stated size."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from resonator_daemon.forces.site_identification import Matcher
@@ -28,11 +30,34 @@ def draws(plate, count, seed, *, newton=(0.1, 9.0), model_error=MODEL_ERROR, noi
     return site, force, plate.f0_hz[site] / (1 - sensitivity * force[:, None] - error)
 
 
-def wrong(matches, site):
+class Outcomes(NamedTuple):
+    """Outcomes of n readings, arrays (n,); `site` is -1 and the others are NaN where not one site is named."""
+
+    matches: list
+    status: np.ndarray
+    site: np.ndarray
+    force_newton: np.ndarray
+    stated_newton: np.ndarray
+    chi2: np.ndarray
+
+
+def match_all(matcher, frequency, noise=NOISE):
+    """Match readings (n, channels), with noise that is the same for all."""
+    matches = [matcher.match(row, *noise) for row in frequency.tolist()]
+    named = [match.forces[0] if len(match.forces) == 1 else None for match in matches]
+    numbers = [
+        (f.site, f.force_newton, np.hypot(f.noise_newton, f.systematic_newton)) if f else (-1, np.nan, np.nan)
+        for f in named
+    ]
+    site, force, stated = np.array(numbers).T
+    status, chi2 = (np.array([getattr(match, name) for match in matches]) for name in ("status", "chi2"))
+    return Outcomes(matches, status, site.astype(int), force, stated, chi2)
+
+
+def wrong(outcomes, site):
     """How many of the readings name a site that is not the true one."""
-    count = np.count_nonzero((matches.site >= 0) & (matches.site != site))
-    several = [row for row, match in matches.apart.items() if len(match.forces) > 1]
-    return count + sum(any(force.site != site[row] for force in matches.apart[row].forces) for row in several)
+    named = zip(outcomes.matches, site.tolist(), strict=True)
+    return sum(any(force.site != true for force in match.forces) for match, true in named)
 
 
 class Tuples:
