@@ -9,7 +9,7 @@ from pydantic_core import ErrorDetails
 _NUMBER_WITH_UNIT = re.compile(r"\s*([-+]?[0-9][0-9_.]*(?:[eE][-+]?[0-9]+)?)\s*[A-Za-zµ/%]*\s*")
 
 
-def said_of(error: ErrorDetails) -> str:
+def message_of(error: ErrorDetails) -> str:
     """Return what was given and what must be, in a line that the key comes before."""
     value = error["input"]
     got = f"got {'a table' if isinstance(value, dict) else repr(value)}; "

@@ -31,29 +31,53 @@ class Physics(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    ideal: Annotated[bool, Field(strict=True)] = False
-    hysteresis_fraction: Share = 0.01  # half width of the play, of the plate's largest force
-    creep_fraction: Share = 0.005
-    creep_time_s: Positive = 20.0
-    temperature_coefficient: Number = -5e-8  # 1/K, mean over the sites; where the plate file does not give them
-    temperature_coefficient_std: NotNegative = 5e-8  # 1/K, from site to site
-    temperature_quadratic: Number = -0.5e-9  # 1/K^2
-    temperature_cubic: Number = 1.08e-10  # 1/K^3
-    temperature_transient_s: Number = -2e-7  # relative shift for each K/s
-    contact_time_s: Positive = 5.0  # in which a site takes the temperature of what touches it, and of the plate
-    ageing: Number = 2e-7  # relative shift for each e-fold of 1 + t / 1 day
-    sensitivity_scatter: Share | None = None  # relative, of K from touch to touch and corner; None: as calibrated
-    white_fm: Relative = 3e-10  # Allan deviation at 1 s
-    flicker_fm: Relative = 1e-10  # Allan deviation, at any time
-    random_walk_fm: Relative = 2e-12  # Allan deviation at 1 s
-    jitter_s: Annotated[float, Field(ge=0, le=1e-6, strict=True)] = 0.3e-9  # of the counter's input
-    pilot_level_db: Decibel = -85.0
-    noise_level_db: Decibel = -100.0
-    full_contact_newton: Positive = 0.02  # from here on a touched site sounds at its full level
-    reference_error: Annotated[float, Field(ge=-0.1, le=0.1, strict=True)] = (
-        1.5e-6  # the board's reference oscillator is that much fast
+    ideal: Annotated[bool, Field(strict=True)] = Field(
+        False,
+        description="Switches off all imperfections below that are not given; white noise, jitter and reference error "
+        "stay.",
     )
-    drop_rate: Annotated[float, Field(ge=0, lt=1, strict=True)] = 0.0  # share of frames that the board loses
+    hysteresis_fraction: Share = Field(
+        0.01, description="Half width of the hysteresis, as a share of the plate's largest force."
+    )
+    creep_fraction: Share = Field(
+        0.005, description="Share of a force that a site feels only after a while, and for a while afterwards."
+    )
+    creep_time_s: Positive = Field(20.0, description="Time constant of creep.")
+    temperature_coefficient: Number = Field(
+        -5e-08, description="Relative shift per kelvin, mean over the sites; where the plate file gives none."
+    )
+    temperature_coefficient_std: NotNegative = Field(
+        5e-08, description="Its standard deviation from site to site, 1/K."
+    )
+    temperature_quadratic: Number = Field(-5e-10, description="Relative shift per square of kelvin.")
+    temperature_cubic: Number = Field(1.08e-10, description="Relative shift per cube of kelvin.")
+    temperature_transient_s: Number = Field(-2e-07, description="Relative shift for each kelvin per second.")
+    contact_time_s: Positive = Field(
+        5.0, description="Time constant with which a site takes the temperature of what touches or surrounds it."
+    )
+    ageing: Number = Field(2e-07, description="Relative shift for each e-fold of 1 + t / 1 day.")
+    sensitivity_scatter: Share | None = Field(
+        None,
+        description="Relative standard deviation of K from touch to touch and corner; left out: the model_error of the "
+        "plate file's calibration.",
+    )
+    white_fm: Relative = Field(3e-10, description="Allan deviation at 1 s of the oscillators' white frequency noise.")
+    flicker_fm: Relative = Field(1e-10, description="Allan deviation, at any time, of their flicker frequency noise.")
+    random_walk_fm: Relative = Field(2e-12, description="Allan deviation at 1 s of their random-walk frequency noise.")
+    jitter_s: Annotated[float, Field(ge=0, le=1e-06, strict=True)] = Field(
+        3e-10, description="Standard deviation of an edge at the counter's input."
+    )
+    pilot_level_db: Decibel = Field(-85.0, description="Level of the pilot tone at every corner, below full scale.")
+    noise_level_db: Decibel = Field(-100.0, description="Level of the noise at every corner, below full scale.")
+    full_contact_newton: Positive = Field(
+        0.02, description="Force from which on a touched site sounds at its full level."
+    )
+    reference_error: Annotated[float, Field(ge=-0.1, le=0.1, strict=True)] = Field(
+        1.5e-06, description="Relative error of the board's reference oscillator; above 0: fast."
+    )
+    drop_rate: Annotated[float, Field(ge=0, lt=1, strict=True)] = Field(
+        0.0, description="Share of its frames that the board loses."
+    )
 
     @model_validator(mode="before")
     @classmethod

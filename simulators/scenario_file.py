@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from resonator_daemon.plate import FORCE_SIGNAL, Plate
 from simulators.faults import FaultEvent, FaultPlan
-from simulators.findings import nearest, said_of
+from simulators.findings import message_of, nearest
 from simulators.physics import Physics
 
 _SHIPPED = Path(__file__).with_name("scenarios")
@@ -197,4 +197,4 @@ def _sentence(error: ErrorDetails) -> str:
         }
         above = (tables[key] for key in reversed(path[:-1]) if isinstance(key, str) and key in tables)
         return f"{where}: unknown key; {nearest(str(path[-1]), tuple(next(above, ScenarioFile).model_fields))}"
-    return f"{where}: {said_of(error)}"
+    return f"{where}: {message_of(error)}"

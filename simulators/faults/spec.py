@@ -5,7 +5,7 @@ from typing import get_args
 from pydantic import ValidationError
 
 from simulators.faults.plan import LASTING, FaultPlan, Happening
-from simulators.findings import nearest, said_of
+from simulators.findings import message_of, nearest
 
 _RATES = tuple(key for key in FaultPlan.model_fields if key != "events")
 _EVENT_KEYS = {
@@ -53,7 +53,7 @@ def parse_faults(spec: str) -> FaultPlan:
                 key = f"{what}_{where[2]}" if len(where) > 2 else what
             else:
                 key = str(where[0])
-            findings.append(f"faults: {key}: {said_of(finding)}")
+            findings.append(f"faults: {key}: {message_of(finding)}")
     if findings:
         raise ValueError("\n".join(findings))
     return plan
