@@ -9,7 +9,7 @@ from pathlib import Path
 
 from resonator_daemon.errors import UserError
 
-_PYTHON = "/usr/bin/python3"
+SYSTEM_PYTHON = "/usr/bin/python3"
 _GADGET = Path(__file__).with_name("usb_gadget.py")
 _PRELOAD = "libumockdev-preload.so.0"
 _INSTALL = "apt-get install umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
@@ -58,7 +58,7 @@ class UsbLink:
             environment.pop("PYTHONPATH", None)
             try:
                 self._process = subprocess.Popen(
-                    [_PYTHON, "-s", str(_GADGET), *map(str, fds), serial_number],
+                    [SYSTEM_PYTHON, "-s", str(_GADGET), *map(str, fds), serial_number],
                     pass_fds=fds,
                     env=environment,
                     stdin=subprocess.DEVNULL,
@@ -67,7 +67,7 @@ class UsbLink:
                 )
             except OSError as error:
                 self._close_files()
-                raise UserError(f"{_PYTHON} cannot be started ({error.strerror}); {_INSTALL}") from error
+                raise UserError(f"{SYSTEM_PYTHON} cannot be started ({error.strerror}); {_INSTALL}") from error
         self.environment = {"LD_PRELOAD": _PRELOAD, "UMOCKDEV_DIR": self._wait_until_ready()}
         self._board.setblocking(False)
 

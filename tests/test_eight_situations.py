@@ -64,14 +64,9 @@ def states(daemon: str, link: str | None, sensor: str | None, *, boots: int = 1)
     [
         (states("online", "online", "online"), "well"),
         (states("refused", "online", "waiting"), "daemon refused, sensor waiting"),
-        (states("refused", "lost", "waiting"), "daemon refused, link lost, sensor waiting"),
         (states("starting", None, None), "daemon starting, link unknown, sensor unknown"),
-        (states("online", None, "waiting"), "link unknown, sensor waiting"),
-        (states("online", "starting", "online"), "link starting"),
         (states("online", "refused", "drifting"), "link refused, sensor drifting"),
-        (states("online", "online", "pressed_at_start"), "sensor pressed_at_start"),
         (states("online", "online", "stalled", boots=2), "sensor stalled"),
-        (states("online", "online", "uncalibrated"), "sensor uncalibrated"),
         (states("online", "online", None), "sensor unknown"),
     ],
 )
@@ -141,47 +136,26 @@ async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
     assert pulled_s <= since_s(states["link"]) <= time.time()
 
 
-async def test_board_hung(bench: Bench, mosquitto: Mosquitto) -> None:
-    faults = parse_faults("freeze_at_s=1,freeze_for_s=60")
+@pytest.mark.parametrize(
+    ("scenario", "faults", "word", "state", "expected"),
+    [
+        (STILL, "freeze_at_s=1,freeze_for_s=60", "link", {"state": "stalled"}, "board hung"),
+        (STILL, "reboot_at_s=1", "link", {"state": "online", "boots": 2}, "board rebooted"),
+        (WARMED.replace("ideal = true", ""), "", "sensor", {"state": "drifting"}, "sensor drifting"),
+    ],
+)
+async def test_what_happens_to_the_board(
+    bench: Bench, mosquitto: Mosquitto, scenario: str, faults: str, word: str, state: dict[str, Any], expected: str
+) -> None:
     async with (
-        bench.emulated(scenario=bench.scenario(STILL), faults=faults),
+        bench.emulated(scenario=bench.scenario(scenario), faults=parse_faults(faults)),
         observe(mosquitto.url) as heard,
         bench.running(bench.service()),
     ):
-        await well(heard)
-        await heard.until_last(f"{BASE}/link", state="stalled")
-        states = await seen_late(mosquitto)
-    assert situation(states) == "board hung"
-    assert states["sensor"]["state"] == "waiting"
-
-
-async def test_board_rebooted(bench: Bench, mosquitto: Mosquitto) -> None:
-    faults = parse_faults("reboot_at_s=1")
-    async with (
-        bench.emulated(scenario=bench.scenario(STILL), faults=faults),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
-    ):
-        await heard.until_last(f"{BASE}/link", state="online", boots=2)
-        async with asyncio.timeout(30):  # the sensor's state is still that of the boot before
-            while (states := await seen_late(mosquitto))["sensor"]["state"] != "online":
+        await heard.until_last(f"{BASE}/{word}", **state)
+        async with asyncio.timeout(30):  # after a reboot the sensor's state is still that of the boot before
+            while situation(await seen_late(mosquitto)) != expected:
                 pass
-    assert situation(states) == "board rebooted"
-    assert states["link"]["last_outage"]["frames_lost"] is not None
-    assert "started anew" in states["link"]["last_outage"]["reason"]
-
-
-async def test_sensor_drifting(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with (
-        bench.emulated(scenario=bench.scenario(WARMED.replace("ideal = true", ""))),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
-    ):
-        await well(heard)
-        await heard.until_last(f"{BASE}/sensor", state="drifting")
-        states = await seen_late(mosquitto)
-    assert situation(states) == "sensor drifting"
-    assert "ppm" in states["sensor"]["reason"]
 
 
 async def test_states_of_an_earlier_run_do_not_stay(bench: Bench, mosquitto: Mosquitto) -> None:

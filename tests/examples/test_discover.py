@@ -84,13 +84,6 @@ async def test_a_plate_says_how_it_is_and_what_it_is(mosquitto, tmp_path: Path, 
     assert "RD board <1>" in words
 
 
-async def test_a_calibration_is_named_with_its_last_day(mosquitto, tmp_path: Path) -> None:
-    told = info(tmp_path, "quartz16")
-    calibration = told.calibration.model_copy(update={"id": "cal-7", "expiry": "2027-11-21"})
-    await publish(mosquitto.url, "info", told.model_copy(update={"calibration": calibration}), plate="left")
-    assert "calibration cal-7, valid until 2027-11-21\n" in await discover(mosquitto.url, tmp_path)
-
-
 async def test_a_daemon_that_never_met_its_board_is_listed(mosquitto, tmp_path: Path) -> None:
     told = {key: value for key, value in HEADER.items() if key != "board_ticks"}
     state = State(**told, seq=1, state="online", reason="", since_t_ns=1)

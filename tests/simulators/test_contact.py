@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from resonator_daemon.arrays import Floats
-from simulators.contact import PressedSpot, contact_radius_m, hertz_parts, pixel_tractions
+from simulators.contact import PressedSpot, hertz_parts, pixel_tractions
 from simulators.half_space_fields import hertz_fields
 
 RADIUS, FRICTION, CENTRE = 2.5e-3, 0.5, (0.3e-3, -0.7e-3)
@@ -31,11 +31,6 @@ def midpoints(count: int, pitch: float) -> tuple[Floats, Floats]:
     line = (np.arange(count) - (count - 1) / 2) * pitch
     x, y = np.meshgrid(line, line)
     return x, y
-
-
-def test_radius_grows_with_the_cube_root_of_force() -> None:
-    radii = contact_radius_m([-1.0, 0.0, 1.0, 8.0], RADIUS)
-    np.testing.assert_allclose(radii, np.array([0, 0, 1, 2]) * RADIUS, rtol=1e-15)
 
 
 def test_stick_radius_at_seven_eighths_of_friction_is_half() -> None:
@@ -115,14 +110,6 @@ def test_interpolation_between_radii_keeps_four_digits(spot: PressedSpot, places
             exact += np.tensordot(part, hertz_fields(places - CENTRE, DEPTH, [radius], E, NU)[0], 1)
         error = np.abs(spot.signals(force) - exact).max(axis=1) / np.abs(exact).max(axis=1)
         assert error.max() < 1e-4
-
-
-def test_frames_at_once_equal_frames_alone(spot: PressedSpot) -> None:
-    forces = np.array([[0.1, 0.2, 1.0], [0, 0, 0], [0, 0, 4.0], [1.0, 1.0, 0.5], [0.1, 0, -1.0]])
-    together = spot.signals(forces)
-    for alone, force in zip(together, forces, strict=True):
-        np.testing.assert_array_equal(spot.signals(force), alone)
-    assert not together[[1, 4]].any()
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,8 +18,6 @@ from firmware_protocol.host import Described, FramePart
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.session.compatibility import incompatibilities
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
-from simulators.faults import FaultPlan
-from simulators.links import PtyLink
 
 
 @pytest.mark.undisturbed
@@ -195,45 +191,6 @@ def test_on_usb_it_says_with_what_to_start_a_host() -> None:
     assert first["link"] == f"usb:1209:0001?serial={SERIAL_NUMBER}"
     assert first["environment"].keys() == {"LD_PRELOAD", "UMOCKDEV_DIR"}
     assert f"UMOCKDEV_DIR={first['environment']['UMOCKDEV_DIR']}" in errors
-
-
-def test_a_host_on_usb_that_begins_anew_finds_an_idle_board(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class FakeUsbLink(PtyLink):
-        """Takes the byte 0xFF as BEGIN."""
-
-        environment: ClassVar[dict[str, str]] = {}
-
-        def __init__(self, serial_number: str, on_begin: Callable[[], None]) -> None:
-            super().__init__(tmp_path / serial_number)
-            self._on_begin = on_begin
-
-        def read(self) -> bytes:
-            data = super().read()
-            if b"\xff" not in data:
-                return data
-            self._on_begin()
-            return b""
-
-    monkeypatch.setattr("simulators.usb_link.UsbLink", FakeUsbLink)
-    path = tmp_path / SERIAL_NUMBER
-    options = EmulatorOptions("quartz16", usb=True, scenario="still", faults=FaultPlan(delay_ms=200.0))
-    with emulated(options) as emulator, opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 20)
-        os.write(host.fd, b"\xff")
-        wait_for(lambda: not emulator._board.running and not emulator.report()["frames_unsent"])
-        report = emulator.report()
-    assert report["frames_made"] == report["frames_sent"] + report["frames_dropped"]
-    assert report["dropped_by_cause"]["discarded"] > 100  # of those that were on their way
-
-
-def test_a_fast_reference_makes_gates_short(tmp_path: Path) -> None:
-    path, truth_path, scenario = tmp_path / "board", tmp_path / "truth.jsonl", tmp_path / "mine.toml"
-    scenario.write_text("[plate]\nreference_error = 0.05\n")
-    options = EmulatorOptions("quartz16", pty=path, truth=truth_path, scenario=str(scenario))
-    with emulated(options), opened(path) as host:
-        host.read_until(lambda: len(host.frames) >= 200)
-    stamps = [int(line["t_ns"]) for line in truths(truth_path)[:200]]
-    assert stamps[199] - stamps[0] == pytest.approx(199e6 / 1.05, abs=2e6)
 
 
 def test_options_that_make_no_sense_are_refused(tmp_path: Path) -> None:

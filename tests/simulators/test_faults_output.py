@@ -95,20 +95,6 @@ def test_a_host_that_does_not_read_costs_the_oldest_frames_but_never_one_that_ha
     assert bench.board.frames_crowded_out == 7
 
 
-def test_a_slow_reader_gets_its_bytes_per_second_and_the_newest_frames() -> None:
-    bench = Bench(queue_frames=20, slow_reader_bytes_per_s=50_000.0)
-    bench.pass_ms(2000)
-    assert sum(map(len, bench.link.writes)) <= 50_000 * 2 + 500
-    assert len(bench.link.frames()) > 350
-    assert bench.link.frames()[-1] >= 2000 - 90
-    assert bench.board.frames_made == 2000
-    dropped = bench.board.frames_crowded_out
-    unsent = bench.output.frames_unsent + bench.board.frames_queued
-    assert bench.output.frames_sent + unsent + dropped == 2000
-    assert bench.output.next_ns is not None
-    assert not bench.output.waits_for_room  # a link that could be written would wake the emulator at once
-
-
 def test_pieces_and_clumps_carry_the_same_bytes() -> None:
     plain, split, clumped = Bench(), Bench(split_bytes=5), Bench(clump_ms=16.0, split_bytes=1)
     for bench in (plain, split, clumped):
@@ -173,16 +159,3 @@ def test_a_brown_out_of_a_board_without_host_waits_for_nobody() -> None:
     bench.pass_ms(1)
     assert ended == [1]
     assert bench.output.counts.frame_sequences_cut == []
-
-
-def test_what_nobody_will_read_is_lost_with_all_that_was_held() -> None:
-    bench = Bench(delay_ms=100.0)
-    bench.pass_ms(10)
-    assert bench.output.frames_unsent == 10
-    bench.link.hang_up()
-    bench.pass_ms(1)
-    assert (bench.output.frames_unsent, bench.board.frames_queued) == (0, 0)
-    bench.link.plug_in()
-    bench.output.asked = True
-    bench.pass_ms(102)
-    assert bench.link.frames() == [11, 12]

@@ -48,13 +48,6 @@ def test_another_board_comes_and_the_own_one_returns() -> None:
     assert steps[2].at_s - steps[1].at_s == pytest.approx(2.0)
 
 
-def test_a_script_of_nothing_has_no_step() -> None:
-    script = Script(FaultPlan(), 1)
-    assert script.next_s is None
-    with pytest.raises(LookupError):
-        script.pop()
-
-
 def test_random_unplugs_follow_each_other_and_mix_with_the_script() -> None:
     plan = FaultPlan(unplug_rate_hz=2.0, unplug_for_s=0.1, events=(FaultEvent(at_s=50.0, what="reboot"),))
     script = Script(plan, 3)

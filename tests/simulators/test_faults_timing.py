@@ -29,20 +29,6 @@ def test_without_faults_everything_is_due_at_once_in_its_order() -> None:
     assert not straight.has_due(0)
 
 
-def test_a_delay_is_the_same_for_all() -> None:
-    delayed = line(delay_ms=10.0)
-    delayed.put(Lot(b"a", frames=1), 0)
-    delayed.put(Lot(b"b", frames=0), 3 * MS)
-    assert lots_due(delayed, 10 * MS - 1) == []
-    assert delayed.next_due_ns == 10 * MS
-    assert (delayed.frames, delayed.has_due(10 * MS)) == (1, True)
-    assert lots_due(delayed, 10 * MS) == [b"a"]
-    assert lots_due(delayed, 13 * MS) == [b"b"]
-    delayed.put(Lot(b"c", frames=1), 20 * MS)
-    delayed.clear()
-    assert (delayed.frames, delayed.next_due_ns, lots_due(delayed, 99 * MS)) == (0, None, [])
-
-
 def test_clumps_leave_whole_at_multiples_of_their_time() -> None:
     clumped = line(clump_ms=16.0, delay_ms=2.0)
     for now_ms in range(40):
@@ -109,11 +95,3 @@ def test_a_slow_reader_takes_its_rate_and_not_a_byte_more(rate: float) -> None:
         now_ns = due_ns if due_ns is not None else now_ns + int(steps.integers(1, 3 * MS))
     burst = max(1.0, rate / 100)
     assert rate * 2.9 <= taken <= rate * now_ns * 1e-9 + burst
-
-
-def test_a_reader_that_takes_nothing_is_waited_for_by_nobody() -> None:
-    stuck = Splitter(FaultPlan(slow_reader_bytes_per_s=0.0), 1)
-    assert stuck.piece_bytes(10, 0) == 0
-    assert stuck.piece_bytes(10, 10**15) == 0
-    assert not stuck.takes_more
-    assert stuck.next_ns is None

@@ -48,25 +48,6 @@ def test_400_sites_lie_irregularly_inside_a_fingertip_and_closer_in_the_middle()
         assert abs(np.exp(1j * fold * np.arctan2(ways[:, 1], ways[:, 0])).mean()) < 0.15
 
 
-def test_its_skin_and_its_1200_tones() -> None:
-    assert PLATE.skin
-    assert (PLATE.skin.youngs_modulus_pascal, PLATE.skin.poisson_ratio, PLATE.skin.depth_m) == (2e5, 0.5, 1e-3)
-    assert (PLATE.counter.kind, PLATE.counter.frame_rate_hz) == ("channelised", 100)
-    tones = PLATE.tones
-    assert (tones.f0_hz == 100e6 + 8e3 * np.arange(1200)[:, np.newaxis]).all()
-    assert (tones.signal_index == np.tile([0, 1, 2], 400)).all()
-    expected = np.array([-2.0e-11, 2.7e-6, 2.7e-6])[tones.signal_index, np.newaxis]
-    np.testing.assert_array_equal(tones.sensitivity, np.broadcast_to(expected, (1200, 4)))
-
-
-def test_tones_of_near_sites_are_far_apart() -> None:
-    distance_m = squareform(pdist(PLATE.site_positions_m))
-    here, there = np.nonzero((distance_m > 0.0) & (distance_m <= 1.5e-3))
-    assert len(here) > 2000
-    f0_hz = PLATE.tones.f0_hz[:, 0].reshape(400, 3)
-    assert np.abs(f0_hz[here][:, :, np.newaxis] - f0_hz[there][:, np.newaxis]).min() == 560e3
-
-
 def signals_of(plate: Plate, *touches: Touch, frames: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Mean signals (3, n), as the daemon computes them from the records, and their standard deviation in one frame."""
     emulated = SkinPlate(plate, Scenario(touches, None, plate), seed=4)
@@ -102,11 +83,6 @@ def test_each_sites_signals_are_those_of_its_own_place() -> None:
     true = 1.5 / 2e5 * np.array([p_n, *shear])
     # 40 frames' noise, and a gain that is off by 1 % and not told
     assert (np.abs(signals - true) < 5.0 * np.hypot(noise_std / math.sqrt(40), 0.011 * np.abs(true))).all()
-
-
-def test_signal_to_noise_ratio_is_30_db_at_1_newton() -> None:
-    signals, noise_std = signals_of(PLATE, PRESS)
-    assert 20 * np.log10(np.sqrt((signals**2).mean() / (noise_std**2).mean())) == pytest.approx(30.0, abs=0.5)
 
 
 def test_tones_that_no_even_oscillators_can_follow_are_refused() -> None:

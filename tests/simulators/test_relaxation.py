@@ -28,12 +28,3 @@ def test_targets_that_change_are_followed_as_the_differential_equation_is() -> N
         middles.append(run.y[0, 0])
         now = run.y[0, 1]
     assert ours == pytest.approx(np.array(middles), abs=1e-7)
-
-
-def test_gates_of_any_length_may_follow_each_other() -> None:
-    targets = np.repeat(np.random.default_rng(2).normal(size=(6, 3)), 10, axis=0)
-    fine = Relaxation(1.0, np.zeros(3))
-    fine.advance(0.01, targets[:50])
-    coarse = Relaxation(1.0, np.zeros(3))
-    coarse.advance(0.1, targets[:50:10])
-    assert fine.advance(0.01, targets[50:]) == pytest.approx(coarse.advance(0.01, targets[50:]), abs=1e-12)

@@ -110,14 +110,3 @@ def test_stamps_go_on_across_gates_and_calls() -> None:
     assert np.array_equal(first_edge[1:], first_edge[:-1] + 10 * stamps[:-1])
     assert first_edge.max() > 2**32 > first_edge.min()
     assert np.all(np.abs(first_ticks[1:] - first_ticks[:-1] - span[:-1] - 1000.5) < 3.0)
-
-
-def test_nothing_heard_counts_nothing_and_ends() -> None:
-    random = np.random.default_rng(1)
-    period = np.array([[np.inf, 1000.3], [1000.3, np.inf]])
-    strides = StrideCounter(2, 10, random).count(0, GATE_TICKS, period, np.zeros((2, 2), dtype=np.bool_))
-    sums = with_jitter(strides, 0.3, random)
-    for values in sums:
-        assert values[0, 0] == values[1, 1] == 0
-    assert sums.stamps[1, 0] in (999, 1000)
-    assert sums.stamps[0, 1] in (999, 1000)
