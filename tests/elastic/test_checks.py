@@ -63,16 +63,6 @@ def test_what_holds_no_real_numbers_is_refused(ask: Callable, bad: Callable, com
         ask(bad)
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_frequencies_and_directions_of_sensors_are_finite(bad: float):
-    with pytest.raises(ValueError, match="omega_x holds 1 values that are not finite"):
-        ARRAY.load_to_error("normal", [bad, 1.0], 0.0)
-    with pytest.raises(ValueError, match="directions_rad holds 1 values"):
-        ARRAY.features_m("normal", bad)
-    with pytest.raises(ValueError, match="directions_rad is empty"):
-        ARRAY.features_m("normal", [])
-
-
 def test_shapes_that_do_not_fit_are_named():
     with pytest.raises(ValueError, match=r"have shapes \(2,\), \(3,\), \(\), which must broadcast"):
         BODY.transfer_matrix("p_n", "traction", [1.0, 2.0], [1.0, 2.0, 3.0], 0.0)
@@ -87,33 +77,6 @@ def test_shapes_that_do_not_fit_are_named():
         press(SURFACE, BOWL, load_newton=[0.1])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="must be more than one pixel where the surface is periodic"):
         SurfaceCompliance(BODY, (1, 1), PITCH, periodic=True)
-
-
-def test_no_field_of_what_is_no_number():
-    far = SurfaceFields(BODY, (4, 6), PITCH, "strain", 1e306)(np.ones((3, 4, 6)))
-    assert np.isfinite(far).all()
-    assert np.isfinite(BODY.transfer_matrix("stress", "traction", 1e300, 0.0, 1e10)).all()
-    with pytest.raises(ValueError, match="displacement of traction is beyond any number"):
-        BODY.transfer_matrix("displacement", "traction", 1e-320, 1e-320, 0.0)
-    with np.errstate(over="ignore", invalid="ignore"), pytest.raises(ValueError, match=r"loads reach 1e\+308"):
-        SurfaceFields(BODY, (8, 8), PITCH, "strain", 1e-4)(IMAGES + 1e308)
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (1, 2), (2, 2), (3, 3), (2, 3)])
-@pytest.mark.parametrize("periodic", [False, True])
-def test_small_regions_are_solved(shape: tuple[int, int], periodic: bool):
-    surface = SurfaceCompliance(BODY, (12, 12), PITCH, periodic=periodic)
-    traction, displacement = np.zeros((3, 12, 12)), np.full((3, 12, 12), np.nan)
-    region = (slice(None), slice(4, 4 + shape[0]), slice(5, 5 + shape[1]))
-    traction[region], displacement[region] = np.nan, 1e-5
-    found = solve_regions(surface, traction, displacement)
-    np.testing.assert_allclose(found.displacement_m[region], 1e-5, rtol=1e-6)
-
-
-def test_small_height_maps_are_refused_at_their_border():
-    for shape in ((1, 1), (1, 2), (2, 2), (3, 3)):
-        with pytest.raises(ValueError, match="the border of the height map"):
-            press(SurfaceCompliance(BODY, shape, PITCH), paraboloid(shape, PITCH, 2e-3), approach_m=2e-3)
 
 
 @pytest.mark.parametrize("load", [1e-9, 1e-12, 1e-15, 1e-20, 1e160, 1e300])
@@ -133,10 +96,3 @@ def test_tolerances_are_checked():
             solve_regions(SURFACE, IMAGES, np.full((3, 8, 8), np.nan), tolerance=tolerance)
         with pytest.raises(ValueError, match=r"tolerance is .* must be above 0 and below 1"):
             press(SURFACE, BOWL, load_newton=0.1, tolerance=tolerance)
-
-
-def test_a_result_does_not_change_with_the_callers_array():
-    bowl = BOWL.copy()
-    found = press(SURFACE, bowl, load_newton=1e-3)
-    bowl += 1.0
-    assert found.gap_m.min() < 1e-8

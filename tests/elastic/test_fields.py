@@ -69,17 +69,6 @@ def test_images_disturb_by_the_inverse_cube_of_the_period(method: Method):
     assert 7.0 < errors[1] / errors[2] < 9.0
 
 
-def test_oblong_grid_load_off_centre_and_several_depths():
-    shape, pitch, force, centre = (45, 64), 2e-4, np.array([0.5, -0.8, 1.0]), (1.7e-3, -1.1e-3)
-    load = pixel_tractions(force, centre, A, np.hypot(0.5, 0.8), shape, pitch)
-    depths = np.array([[2e-3, 0.6e-3]])
-    found = SurfaceFields(HalfSpace(E, 0.3), shape, pitch, "sensor", depths)(load)
-    assert found.shape == (1, 2, 3, *shape)
-    for depth, signals in zip(depths[0], found[0], strict=True):
-        expected = hertz_signals(shape, pitch, depth, 0.3, force, centre)
-        assert relative_errors(signals, expected).max() < 3e-4
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.5])
 def test_surface_displacement_of_a_hertz_load(nu: float):
     """Johnson, Contact Mechanics, eqs (3.41), (3.42) under the normal load and beside it; (3.91) under the shear."""
@@ -183,18 +172,6 @@ def test_surface_values_are_the_input_at_every_lag_of_a_large_grid():
     np.testing.assert_allclose(found, moved, atol=1e-10)
 
 
-def test_deep_below_the_grid_the_load_is_a_point():
-    """Boussinesq: sigma_zz = -3 F / (2 pi z^2), u_z = (3 - 2 nu) F / (4 pi mu z); 2 mm square, 10 m down."""
-    shape, pitch, z, nu = (5, 5), 4e-4, 10.0, 0.3
-    body = HalfSpace(E, nu)
-    load = np.zeros((3, *shape))
-    load[2, 2, 2] = 1 / pitch**2
-    stress = SurfaceFields(body, shape, pitch, "stress", z)(load)[2, 2, 2]
-    assert stress == pytest.approx(-3 / (2 * math.pi * z**2), rel=1e-8)
-    moved = SurfaceFields(body, shape, pitch, "displacement", z)(load)[2, 2, 2]
-    assert moved == pytest.approx((3 - 2 * nu) / (4 * math.pi * body.shear_modulus_pascal * z), rel=1e-8)
-
-
 # --- no wrap, loads that repeat, batches
 
 
@@ -233,14 +210,6 @@ def test_a_load_that_repeats(nu: float):
     np.testing.assert_allclose(xy, 0.0, atol=1e-12)
 
 
-def test_displacement_under_a_load_that_repeats_is_periodic():
-    field = SurfaceFields(HalfSpace(E, 0.3), (4, 6), PITCH, "displacement", 1e-3, method="periodic", zero="periodic")
-    moved = field(np.ones((3, 4, 6)))
-    shear_modulus = E / 2.6
-    expected = [-1e-3 / shear_modulus, -1e-3 / shear_modulus, -1e-3 * 0.4 / (1.4 * shear_modulus)]
-    np.testing.assert_allclose(moved, np.broadcast_to(np.reshape(expected, (3, 1, 1)), (3, 4, 6)), rtol=1e-12)
-
-
 @pytest.mark.parametrize("method", ["periodic", "padded", "wrap-free"])
 def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
     loads = np.random.default_rng(1).standard_normal((2, 4, 3, 9, 12))
@@ -277,17 +246,3 @@ def test_loads_of_a_batch_do_not_depend_on_each_other(method: Method):
 def test_refuses(arguments: tuple, keywords: dict, message: str):
     with pytest.raises(ValueError, match=message):
         SurfaceFields(HalfSpace(E, 0.3), *arguments, **keywords)
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_refuses_loads_that_are_not_finite(bad: float):
-    load = np.zeros((3, 4, 5))
-    load[1, 2, 3] = bad
-    with pytest.raises(ValueError, match="1 values that are not finite"):
-        SurfaceFields(HalfSpace(E, 0.3), (4, 5), PITCH, "p_n", 1e-3)(load)
-
-
-@pytest.mark.parametrize("shape", [(3, 5, 4), (1, 4, 5), (4, 5), (4, 5, 3)])
-def test_refuses_loads_of_another_shape(shape: tuple[int, ...]):
-    with pytest.raises(ValueError, match=r"must be \(..., 3, 4, 5\)"):
-        SurfaceFields(HalfSpace(E, 0.3), (4, 5), PITCH, "p_n", 1e-3)(np.zeros(shape))

@@ -1,6 +1,5 @@
 """Frictional contact against closed forms of partial slip and its history, dense algebra, and balances."""
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -15,8 +14,6 @@ from resonator_daemon.elastic.contact import press
 from resonator_daemon.elastic.friction import FrictionalContact, FrictionState
 from resonator_daemon.elastic.influence import SurfaceCompliance
 from simulators.contact import pixel_tractions
-
-NAN = np.nan
 
 
 def punch(pixels: int, radius_pixels: float, mu: float, nu: float, tolerance: float = 1e-8) -> FrictionalContact:
@@ -33,18 +30,6 @@ def stick_ratio(state: FrictionState) -> float:
 def friction_work_joule(contact: FrictionalContact, before: FrictionState, after: FrictionState) -> float:
     shear_pascal = (before.traction_pascal + after.traction_pascal)[:2] / 2
     return float(np.vdot(shear_pascal, after.slip_m - before.slip_m)) * contact.compliance.pitch_m**2
-
-
-def energy_joule(contact: FrictionalContact, state: FrictionState) -> float:
-    return float(np.vdot(state.traction_pascal, state.displacement_m)) / 2 * contact.compliance.pitch_m**2
-
-
-def spin(vectors: Floats, quarters: int) -> Floats:
-    """Turn images of vectors (x, y, and z if there is one) about z."""
-    for _ in range(quarters):
-        turned = np.rot90(vectors, -1, axes=(1, 2))  # rows are y: this takes x to y
-        vectors = np.concatenate([-turned[1:2], turned[:1], turned[2:]])
-    return vectors
 
 
 # Partial slip of Cattaneo and Mindlin, nu = 1/2
@@ -107,22 +92,6 @@ def test_reversed_load_leaves_the_loop_of_mindlin_and_deresiewicz():
     assert taken_joule == pytest.approx(loop_joule, rel=0.04)
 
 
-def test_oblique_load_that_grows_in_proportion_hardly_slips():
-    # Mindlin and Deresiewicz: at Q / P < mu shear stays in proportion to pressure; applied at once, it would slip.
-    mu, load, ratio = 0.5, hertz_load(0.5), 0.3
-    contact = paraboloid(32, mu, 0.5, tolerance=1e-6)
-    state = contact.apart
-    for radius_m in np.linspace(0.2, 1.0, 16) * A_M:
-        normal = hertz_load(0.5, radius_m)
-        state = contact.step(state, load_newton=[0.0, ratio * normal, normal])
-    at_once = contact.step(contact.apart, load_newton=[0.0, ratio * load, load])
-    proportional = ratio * state.traction_pascal[2]
-    size = np.linalg.norm(proportional)
-    assert np.linalg.norm(state.traction_pascal[1] - proportional) < 0.08 * size
-    assert np.linalg.norm(at_once.traction_pascal[1] - proportional) > 0.15 * size
-    assert stick_ratio(state) > stick_ratio(at_once) + 0.1
-
-
 # Coupling of pressure and shear, nu < 1/2
 
 
@@ -141,20 +110,6 @@ def test_pressed_punch_slips_outside_the_radius_of_spence(ratio: float):
     assert stick_ratio(state) == pytest.approx(spence_stick_ratio(mu, nu), abs=0.015)
 
 
-def test_growing_contact_tends_to_the_radius_of_spence_with_shorter_steps():
-    nu = 0.48
-    mu = 0.7 * (1 - 2 * nu) / (2 * (1 - nu))
-    contact = paraboloid(64, mu, nu, tolerance=1e-6)
-    ratios = []
-    for steps in (1, 4, 16):
-        state = contact.apart
-        for radius_m in np.linspace(0.1 if steps > 1 else 2.0, 2.0, steps) * A_M:
-            state = contact.step(state, load_newton=[0.0, 0.0, hertz_load(nu, radius_m)])
-        ratios.append(stick_ratio(state))
-    assert ratios[0] < ratios[1] < ratios[2]
-    assert ratios[2] == pytest.approx(spence_stick_ratio(mu, nu), abs=0.03)
-
-
 def test_punch_that_cannot_slip_is_stiffer_as_of_mossakovskii():
     nu, approach_m = 0.0, 1e-5
     contact = punch(64, 28.0, 20.0, nu, tolerance=1e-6)
@@ -163,20 +118,6 @@ def test_punch_that_cannot_slip_is_stiffer_as_of_mossakovskii():
     sticking = 4 * G_PASCAL * radius_m * approach_m * np.log(3 - 4 * nu) / (1 - 2 * nu)  # 1.099 of the frictionless one
     assert not state.slips.any()
     assert state.load_newton[2] == pytest.approx(sticking, rel=0.01)
-
-
-def test_at_vanishing_coupling_it_is_the_uncoupled_contact():
-    load = [0.02, 0.01, hertz_load(0.5)]
-    states = [
-        contact.step(contact.apart, load_newton=load)
-        for contact in (paraboloid(32, 0.3, nu) for nu in (0.5, 0.5 - 1e-7))
-    ]
-    size = np.abs(states[0].traction_pascal).max()
-    np.testing.assert_allclose(states[1].traction_pascal, states[0].traction_pascal, atol=1e-5 * size)
-    pressure = press(
-        paraboloid(32, 0.3, 0.5).compliance, squared_radius(32, SIDE_M / 32) / (2 * R_M), load_newton=load[2]
-    ).pressure_pascal
-    np.testing.assert_allclose(states[0].traction_pascal[2], pressure, atol=1e-7 * size)
 
 
 # Any shape, any history
@@ -255,48 +196,6 @@ def test_law_holds_in_every_step_of_random_histories(periodic: bool):
         before = state
 
 
-def test_shear_brings_down_what_pressure_left_open():
-    # At nu < 1/2 shear along x raises the surface behind: there stands a lone pixel that was just clear of it.
-    nu, mu, behind = 0.0, 0.8, (16, 6)
-    contact = paraboloid(32, mu, nu)
-    load = np.array([0.9 * mu, 0.0, 1.0]) * hertz_load(nu)
-    pressed = contact.step(contact.apart, load_newton=[NAN, NAN, load[2]], shift_m=[0, 0, NAN])
-    sheared = contact.step(contact.apart, load_newton=load)
-    clear_m, left_m = (s.shift_m[2] - s.displacement_m[2][behind] for s in (pressed, sheared))
-    assert left_m > clear_m
-    profile = np.array(contact.profile_m)
-    profile[behind] = (clear_m + left_m) / 2
-    contact = replace(contact, profile_m=profile)
-    assert not contact.step(contact.apart, load_newton=[NAN, NAN, load[2]], shift_m=[0, 0, NAN]).traction_pascal[2][
-        behind
-    ]
-    state = contact.step(contact.apart, load_newton=load)
-    gap_m = state.displacement_m[2] + profile - state.shift_m[2]
-    assert state.traction_pascal[2][behind] > 0
-    assert gap_m.min() > -1e-7 * state.shift_m[2]
-
-
-def test_strong_coupling_takes_few_passes():
-    contact = paraboloid(32, 2.0, 0.0)
-    state = contact.step(contact.apart, load_newton=np.array([1.75, 0.0, 1.0]) * hertz_load(0.0))
-    assert len(state.residuals) < 40  # plain passes win a tenth each: more than a hundred
-
-
-def test_energy_is_stored_or_taken_by_friction():
-    # Under a punch the contact never changes, so that work is exact by the trapezoidal rule.
-    mu = 0.3
-    contact = punch(24, 10.0, mu, 0.1, tolerance=1e-10)
-    states = [contact.apart]
-    for load in np.array([[0, 0, 1.0], [0.2, 0, 1.0], [0.1, 0.15, 0.8], [-0.2, 0.1, 1.2], [0.0, 0.0, 0.6]]):
-        states.append(contact.step(states[-1], load_newton=load))
-    for a, b in pairwise(states):
-        work = (a.load_newton + b.load_newton) @ (b.shift_m - a.shift_m) / 2
-        spent = energy_joule(contact, b) - energy_joule(contact, a) + friction_work_joule(contact, a, b)
-        assert work == pytest.approx(spent, abs=1e-8 * states[1].load_newton[2] * states[1].shift_m[2])
-    assert states[1].slips.any()
-    assert states[1].sticks.any()
-
-
 def test_lifted_off_it_forgets():
     contact = paraboloid(32, 0.4, 0.2)
     dragged = contact.step(contact.apart, shift_m=[0, 0, 2e-4])
@@ -324,46 +223,6 @@ def test_dragged_far_it_slides_and_drags_the_surface_along():
     assert np.vdot(state.displacement_m[:2], along * np.ones_like(state.displacement_m[:2])) > 0
 
 
-def test_load_and_shift_ask_the_same():
-    contact = paraboloid(32, 0.5, 0.1)
-    load = np.array([0.05, -0.02, hertz_load(0.1)])
-    by_load = contact.step(contact.apart, load_newton=load)
-    size = by_load.traction_pascal.max()
-    for loaded in ([False] * 3, [True, False, True], [False, True, False], [True, True, False], [False, False, True]):
-        other = contact.step(
-            contact.apart,
-            load_newton=np.where(loaded, load, NAN),
-            shift_m=np.where(loaded, NAN, by_load.shift_m),
-        )
-        np.testing.assert_allclose(other.traction_pascal, by_load.traction_pascal, atol=1e-6 * size)
-        np.testing.assert_allclose(other.shift_m, by_load.shift_m, rtol=1e-5)
-
-
-def test_step_without_change_changes_nothing():
-    contact = paraboloid(32, 0.3, 0.0)
-    load = [0.03, 0.02, hertz_load(0.0)]
-    state = contact.step(contact.apart, load_newton=load)
-    same = contact.step(state, load_newton=load)
-    size = state.traction_pascal.max()
-    np.testing.assert_allclose(same.traction_pascal, state.traction_pascal, atol=1e-6 * size)
-    np.testing.assert_allclose(same.slip_m, state.slip_m, atol=1e-6 * np.abs(state.slip_m).max())
-
-
-@pytest.mark.parametrize("quarters", [1, 2, 3])
-def test_turned_object_gives_turned_tractions(quarters: int):
-    rng = np.random.default_rng(2)
-    shape, pitch_m = (28, 28), 4e-4
-    profile = rough(rng, shape, pitch_m)
-    compliance = SurfaceCompliance(body(0.0), shape, pitch_m)
-    load = np.array([0.03, -0.01, hertz_load(0.0)])
-    turned_load = spin(load[:, None, None], quarters)[:, 0, 0]
-    contact = FrictionalContact(compliance, profile, 0.4)
-    turned = FrictionalContact(compliance, np.rot90(profile, -quarters), 0.4)
-    expected = spin(contact.step(contact.apart, load_newton=load).traction_pascal, quarters)
-    found = turned.step(turned.apart, load_newton=turned_load).traction_pascal
-    np.testing.assert_allclose(found, expected, atol=1e-6 * expected.max())
-
-
 @pytest.mark.parametrize("nu", [0.0, 0.5])
 def test_without_friction_nothing_holds_sideways(nu: float):
     contact = paraboloid(32, 0.0, nu)
@@ -373,10 +232,3 @@ def test_without_friction_nothing_holds_sideways(nu: float):
     assert not state.traction_pascal[:2].any()
     assert not state.sticks.any()
     np.testing.assert_array_equal(state.shift_m[:2], 0.0)
-
-
-def test_incompressible_body_pressed_straight_sticks_everywhere():
-    contact = paraboloid(32, 0.2, 0.5)
-    state = contact.step(contact.apart, load_newton=[0, 0, hertz_load(0.5)])
-    assert not state.traction_pascal[:2].any()
-    assert not state.slips.any()

@@ -221,33 +221,6 @@ def test_symmetry_as_published():
     assert sensor_set("xz").asymmetry == pytest.approx(1 / math.sqrt(18))  # by hand from its power, above
 
 
-def test_symmetry_is_that_of_the_singular_values():
-    for components, symmetric in ((("p_n", "xz", "sigma_yz"), True), (("p_n", "xz"), False)):  # sigma_yz / (2 mu) = yz
-        sensors = sensor_set(*components, nu=0.3)
-        along, across = sensors.singular_values(500.0, 0.0), sensors.singular_values(0.0, 500.0)
-        assert np.allclose(along, across) == symmetric
-        assert (sensors.asymmetry < 1e-12) == symmetric
-
-
-def test_xy_is_weak_on_the_diagonals_at_long_waves_and_on_the_axes_at_short_ones():
-    """The paper says the first; a normal load causes no xy at all on the axes, so that short waves are lost there."""
-    sensors = sensor_set("xy")
-    for t, axis_is_stronger in ((0.3, True), (1.7, True), (1.9, False), (4.0, False)):
-        on_axis = sensors.power(t / DEPTH_M, 0.0)[0]
-        on_diagonal = sensors.power(*(t / DEPTH_M * np.array([1.0, 1.0]) / math.sqrt(2.0)))[0]
-        assert (on_axis > on_diagonal) == axis_is_stronger  # they cross at (1 + sqrt(7)) / 2 = 1.82
-    np.testing.assert_allclose(sensors.matrix([0.0, 500.0], [700.0, 0.0])[..., 2], 0.0, atol=1e-15)
-
-
-def test_depth_is_a_scale_and_stiffness_none():
-    shallow, deep = sensor_set(*CANDIDATES["e"], nu=0.3), sensor_set(*CANDIDATES["e"], nu=0.3, depth_m=3 * DEPTH_M)
-    stiff = SensorSet(HalfSpace(50 * E, 0.3), CANDIDATES["e"], DEPTH_M)
-    assert shallow.bandwidth_rad_per_m == pytest.approx(3 * deep.bandwidth_rad_per_m)
-    assert shallow.asymmetry == pytest.approx(deep.asymmetry)
-    np.testing.assert_allclose(shallow.matrix(300.0, 900.0), deep.matrix(100.0, 300.0), rtol=1e-12)
-    np.testing.assert_allclose(shallow.matrix(300.0, 900.0), stiff.matrix(300.0, 900.0), rtol=1e-12)
-
-
 @pytest.mark.parametrize(
     ("components", "depth_m", "complaint"),
     [
@@ -271,11 +244,6 @@ def test_what_has_no_answer_is_refused():
         sensor_set("p_n").matrix(1e6, 0.0)
     with pytest.raises(ValueError, match="not finite"):
         sensor_set("p_n").rank(np.nan, 0.0)
-
-
-def test_why_a_set_is_deficient_is_told_for_its_own_skin():
-    """At nu = 0 sigma_xx is 2 mu eps_xx: dependent, though the set has a higher rank at other ratios."""
-    assert SensorSet(HalfSpace(2e5, 0.0), ("xx", "sigma_xx"), 1e-3).loss == "dependent"
 
 
 @pytest.mark.parametrize("short_of_half", [1e-6, 1e-8, 1e-10])
