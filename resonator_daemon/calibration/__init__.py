@@ -1,1 +1,1 @@
-"""`resonatord calibrate`: known masses on a force plate, or presses on a skin, to what the plate file says."""
+"""`resonatord calibrate`: known masses on a force plate, or presses on a skin, to the record in the plate file."""

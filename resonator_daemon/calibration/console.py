@@ -7,6 +7,7 @@ from typing import Any
 
 from resonator_daemon.calibration.outcome import Outcome
 from resonator_daemon.calibration.plate_file import Record
+from resonator_daemon.host.printable import print_note
 
 
 class Console:
@@ -15,12 +16,8 @@ class Console:
     def __init__(self, as_json: bool) -> None:
         self._as_json = as_json
 
-    def text(self, line: str) -> None:
-        sys.stderr.write(f"{line}\n")
-        sys.stderr.flush()
-
     def object(self, value: dict[str, Any], line: str) -> None:
-        self.text(line)
+        print_note(line)
         if self._as_json:
             sys.stdout.write(json.dumps(value) + "\n")
             sys.stdout.flush()
@@ -37,7 +34,7 @@ def result(word: str, staged: dict[str, Any]) -> dict[str, Any]:
     return {"result": word, **kept, "notes": staged.get("notes", [])}
 
 
-def asked(question: str) -> bool:
+def confirmed(question: str) -> bool:
     """Return whether the person at the terminal confirms."""
     sys.stderr.write(question)
     sys.stderr.flush()

@@ -1,4 +1,4 @@
-"""Share of a load that the other sites feel, from a plate that hears all of them at once."""
+"""Share of a load that the other sites feel, from a plate that counts all of them at once."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,8 +17,8 @@ WIDTH_TOLERANCE: Final = 0.05  # relative, to which a width in the plate file sh
 
 
 @dataclass(frozen=True)
-class Felt:
-    """Site `heard` feels `ratio` of a force on site `pressed`; ids."""
+class CoupledSite:
+    """Share `ratio` of a force on site `pressed` that site `heard` feels; ids."""
 
     pressed: int
     heard: int
@@ -27,7 +27,7 @@ class Felt:
 
 def find_coupling(
     plate: Plate, procedure: LoadProcedure, loadings: Sequence[Loading], sensitivity: Floats
-) -> tuple[Felt, ...]:
+) -> tuple[CoupledSite, ...]:
     """Return what lies above 3 standard deviations, of loads on any of the sites; sensitivity (sites, 4)."""
     found = []
     square = (sensitivity**2).sum(axis=1)
@@ -40,29 +40,29 @@ def find_coupling(
         ratio = force @ newton / (force @ force)
         std = OSCILLATOR_STD / np.sqrt(square / sensitivity.shape[1]) / np.sqrt(force @ force)
         found += [
-            Felt(int(plate.site_ids[pressed]), int(plate.site_ids[heard]), float(ratio[heard]))
+            CoupledSite(int(plate.site_ids[pressed]), int(plate.site_ids[heard]), float(ratio[heard]))
             for heard in np.flatnonzero(np.abs(ratio) > SIGMAS * std)
             if heard != pressed
         ]
     return tuple(found)
 
 
-def width_m(plate: Plate, coupling: Sequence[Felt]) -> float:
+def width_m(plate: Plate, coupling: Sequence[CoupledSite]) -> float:
     """Width w of the cover that explains coupling best, as a spread of (1 + r^2/w^2)^(-3/2)."""
-    distance_m, ratio = _distances(plate, coupling), np.array([felt.ratio for felt in coupling])
+    distance_m, ratio = _distances(plate, coupling), np.array([pair.ratio for pair in coupling])
 
-    def misfit(log_width: float) -> float:
+    def squared_error(log_width: float) -> float:
         return float(np.sum((ratio - _spread(distance_m, np.exp(log_width))) ** 2))
 
     low, high = np.log(distance_m.min() / 30.0), np.log(distance_m.max())
-    return float(np.exp(minimize_scalar(misfit, bounds=(low, high), method="bounded").x))
+    return float(np.exp(minimize_scalar(squared_error, bounds=(low, high), method="bounded").x))
 
 
-def compare_with_width(plate: Plate, coupling: Sequence[Felt]) -> str:
+def compare_with_width(plate: Plate, coupling: Sequence[CoupledSite]) -> str:
     """Return a sentence that sets coupling against the plate file's spread_width_mm; "" where it has none."""
     if plate.spread_width_m is None or not coupling:
         return ""
-    ratio = np.array([felt.ratio for felt in coupling])
+    ratio = np.array([pair.ratio for pair in coupling])
     off = np.abs(ratio - _spread(_distances(plate, coupling), plate.spread_width_m))
     found_mm = 1e3 * width_m(plate, coupling)
     agrees = abs(found_mm / (1e3 * plate.spread_width_m) - 1) <= WIDTH_TOLERANCE
@@ -77,7 +77,7 @@ def compare_with_width(plate: Plate, coupling: Sequence[Felt]) -> str:
 def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
     """Shift (sites, 4) since the untouched reading before the load, the common mode taken out of both."""
     if loading.site_shift is None:
-        raise ValueError("a loading of a plate that hears one site at a time")
+        raise ValueError("a loading of a plate that counts one site at a time")
     before = procedure.untouched.before(loading.since_s)
     rest = 1 - (1 - procedure.untouched.site_shift[before]) * (1 + procedure.untouched.common_mode[before])
     common = procedure.untouched.at(float(loading.times_s.mean()))
@@ -85,9 +85,9 @@ def _moved(procedure: LoadProcedure, loading: Loading) -> Floats:
     return moved
 
 
-def _distances(plate: Plate, coupling: Sequence[Felt]) -> Floats:
+def _distances(plate: Plate, coupling: Sequence[CoupledSite]) -> Floats:
     index = {int(site_id): row for row, site_id in enumerate(plate.site_ids)}
-    pairs = np.array([(index[felt.pressed], index[felt.heard]) for felt in coupling])
+    pairs = np.array([(index[pair.pressed], index[pair.heard]) for pair in coupling])
     distance: Floats = np.linalg.norm(np.diff(plate.site_positions_m[pairs], axis=1)[:, 0], axis=1)
     return distance
 

@@ -20,17 +20,17 @@ NOTHING: Final = -2  # no tone, or none for the whole reading
 class LoadReading:
     """One reading: relative shifts by channel (4,), NaN where they do not apply.
 
-    `tone` and `shift` are of the loaded site where all sites are heard; `pilot_shift` is then that of their mean.
+    `tone` and `shift` are of the loaded site where all sites are counted; `pilot_shift` is then that of their mean.
     """
 
     time_s: float  # at its middle, since the first frame
     tone: tuple[int, ...]  # by channel: a site's index, PILOT or NOTHING
     pilot_shift: Floats  # f / f_pilot - 1
-    shift: Floats  # 1 - f0 / f of the site heard, the common mode still in it
+    shift: Floats  # 1 - f0 / f of the site counted, the common mode still in it
     std: Floats  # relative, of the counter
     oscillator_std: float  # relative, common to the channels
     faults: tuple[str | None, ...]  # by channel: why there is no tone
-    site_shift: Floats | None = None  # (sites, 4), where all sites are heard
+    site_shift: Floats | None = None  # (sites, 4), where all sites are counted
 
     @property
     def untouched(self) -> bool:
@@ -38,7 +38,7 @@ class LoadReading:
 
     @property
     def touched(self) -> int | None:
-        """Index of a site that at least two channels hear; the one that most hear."""
+        """Index of a site that at least two channels count; the one that most count."""
         sites = [tone for tone in self.tone if tone >= 0]
         best = max(set(sites), key=sites.count, default=None)
         return best if best is not None and sites.count(best) > 1 else None
@@ -48,7 +48,7 @@ class LoadDetector(Protocol):
     """Interprets tone readings of a plate that is loaded site after site."""
 
     def read(self, reading: ToneReading) -> LoadReading | None:
-        """Return what a tone reading says; None before that can be said."""
+        """Return the loads in a tone reading; None before they can be known."""
 
     @property
     def untouched_hz(self) -> Floats | None:

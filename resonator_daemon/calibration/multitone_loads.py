@@ -48,7 +48,7 @@ class MultitoneLoads:
         return self._f0_hz
 
     def read(self, reading: ToneReading) -> LoadReading | None:
-        """Return what a tone reading says; None during the first second.
+        """Return the loads in a tone reading; None during the first second.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""From what was captured to what the plate file will say, and what speaks against it."""
+"""Fit of what was captured, its doubts, and the record for the plate file."""
 
 import math
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ import numpy as np
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.coupling import compare_with_width, find_coupling
-from resonator_daemon.calibration.creep_seen import creep_share
+from resonator_daemon.calibration.creep_bound import creep_share
 from resonator_daemon.calibration.load_history import COMMON_MODE_STD, load_history, readings_of, steps_of
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.calibration.plate_file import Record, ResponseRecord, SiteRecord, UntouchedSite
@@ -69,7 +69,7 @@ def fit_loadings(
 ) -> Outcome:
     """Fit loads of any of the sites, those of a temperature sweep aside.
 
-    `untouched_hz` (sites, 4) are the frequencies by which shifts go, where the plate was heard untouched.
+    `untouched_hz` (sites, 4) are the frequencies by which shifts go, where the untouched plate was measured.
     """
     used = [loading for loading in loadings if not loading.step.at_temperature]
     codes = site_codes(plate)
@@ -216,7 +216,7 @@ def _fit_temperature(
 
 
 def _temperature_shift(coefficients: Floats, kelvin: float) -> Floats:
-    """Relative shift (m,) at a distance from the reference temperature; 0 where the plate file does not tell."""
+    """Relative shift (m,) at a distance from the reference temperature; 0 where the plate file does not have it."""
     shift: Floats = np.nan_to_num(coefficients) @ kelvin ** np.arange(1, 4)
     return shift
 

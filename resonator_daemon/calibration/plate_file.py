@@ -13,7 +13,7 @@ from typing import Any
 import tomlkit
 from tomlkit.items import Table
 
-from resonator_daemon.calibration.coupling import Felt
+from resonator_daemon.calibration.coupling import CoupledSite
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UsageError
 from resonator_daemon.host.whole_file import fresh_name, replace_file
@@ -44,7 +44,7 @@ class ResponseRecord:
 
 @dataclass(frozen=True)
 class UntouchedSite:
-    """f0 by channel (4,) of a site that was heard untouched."""
+    """f0 by channel (4,) of a site that was measured untouched."""
 
     site_id: int
     f0_hz: tuple[float, ...]
@@ -65,8 +65,8 @@ class Record:
     expiry: datetime.date
     sites: tuple[SiteRecord, ...]
     response: ResponseRecord | None
-    untouched: tuple[UntouchedSite, ...] = ()  # all sites, of a plate that hears them untouched
-    coupling: tuple[Felt, ...] = ()
+    untouched: tuple[UntouchedSite, ...] = ()  # all sites, of a plate that measures them untouched
+    coupling: tuple[CoupledSite, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class PlateFile:
 
     @property
     def digest(self) -> str:
-        """Tells whether the source has changed."""
+        """Hash of the source, by which a change is detected."""
         return hashlib.sha256(self.source.read_bytes()).hexdigest()
 
 
@@ -111,10 +111,10 @@ def with_record(text: str, record: Record) -> str:
     """Return the text of a plate file with the record in it; sites that were not loaded keep their values."""
     document = tomlkit.parse(text)
     found = {site.site_id: site for site in record.sites}
-    heard = {site.site_id: site for site in record.untouched}
+    untouched_sites = {site.site_id: site for site in record.untouched}
     tables: Any = document["sites"]
     for table in tables:
-        if (untouched := heard.get(int(table["id"]))) is not None:
+        if (untouched := untouched_sites.get(int(table["id"]))) is not None:
             _force_tone(table)["f0_hz"] = [round(value, 4) for value in untouched.f0_hz]
         if (site := found.get(int(table["id"]))) is not None:
             _set_site(table, site)
@@ -136,7 +136,7 @@ def as_json(record: Record) -> dict[str, Any]:
         "date": record.date.isoformat(),
         "expiry": record.expiry.isoformat(),
         "validity": _validity(record),
-        "coupling": [asdict(felt) for felt in record.coupling],
+        "coupling": [asdict(pair) for pair in record.coupling],
         "response": None if record.response is None else asdict(record.response),
         "tones": [
             {
@@ -218,10 +218,10 @@ def _set_calibration(table: Any, record: Record) -> None:
     table["validity"] = validity
 
 
-def _coupling(felt: tuple[Felt, ...]) -> Any:
+def _coupling(coupling: tuple[CoupledSite, ...]) -> Any:
     """One line for each site that was pressed."""
     lines = tomlkit.array()
-    for pressed, others in groupby(felt, key=lambda pair: pair.pressed):
+    for pressed, others in groupby(coupling, key=lambda pair: pair.pressed):
         for number, pair in enumerate(others):
             line = tomlkit.inline_table()
             line.update({"pressed": pressed, "heard": pair.heard, "ratio": float(f"{pair.ratio:.3g}")})

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from resonator_daemon.calibration.board_readings import board_readings
-from resonator_daemon.calibration.console import Console, asked, result, summary
+from resonator_daemon.calibration.console import Console, confirmed, result, summary
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure, Prompt
 from resonator_daemon.calibration.load_readings import CapturedLoads, LoadDetector
-from resonator_daemon.calibration.misfit import Misfit, find_misfits, refuse_unknown_sensitivity
 from resonator_daemon.calibration.multitone_loads import MultitoneLoads
 from resonator_daemon.calibration.outcome import Outcome, fit_loadings, make_record, notes
+from resonator_daemon.calibration.outliers import OutlierSite, find_outliers, refuse_unknown_sensitivity
 from resonator_daemon.calibration.plate_file import (
     PlateFile,
     Record,
@@ -23,10 +23,11 @@ from resonator_daemon.calibration.plate_file import (
     write_plate_file,
 )
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
-from resonator_daemon.calibration.session import Recording, Session
+from resonator_daemon.calibration.session import Session
 from resonator_daemon.calibration.steps import Step, Wanted, plan_steps
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode, UsageError
+from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import FORCE_SIGNAL
 from resonator_daemon.sensors.kinds import sensor_of
 from resonator_daemon.session.frames import BoardOnline
@@ -36,11 +37,11 @@ from resonator_daemon.session.frames import BoardOnline
 class Ending:
     """What becomes of the result, and how it is reported."""
 
-    accept: bool
-    output: Path | None
-    valid_days: int
-    timeout_s: float
-    as_json: bool
+    as_json: bool = False
+    accept: bool = False
+    output: Path | None = None  # None: the plate's own file
+    valid_days: int = 365
+    timeout_s: float = 300.0
 
 
 def calibrate(config_path: Path, wanted: Wanted, ending: Ending) -> ExitCode:
@@ -104,14 +105,14 @@ class _Calibration:
 
     def run(self) -> ExitCode:
         try:
-            with self._session.recording() as recording:
+            with self._session.recording():
                 begun = {"plate": str(self._file.source), "sha256": self._file.digest, "wanted": asdict(self._wanted)}
-                recording.write("begun", begun)
-                self._console.text(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
-                outcome = self._capture(recording)
+                self._session.write("begun", begun)
+                print_note(f"{len(self._steps)} loads; baseline first: leave the plate untouched")
+                outcome = self._capture()
                 record = self._record(outcome)
                 staged = self._stage(record, outcome)
-                recording.write("staged", staged)
+                self._session.write("staged", staged)
         except KeyboardInterrupt:
             self._session.discard()
             self._console.aborted(None)
@@ -120,10 +121,10 @@ class _Calibration:
             self._session.discard()
             raise
         for line in [*summary(record, outcome), *(f"note: {note}" for note in staged["notes"])]:
-            self._console.text(line)
+            print_note(line)
         return self._finish(staged)
 
-    def _capture(self, recording: Recording) -> Outcome:
+    def _capture(self) -> Outcome:
         """Lead through all steps; a load that contradicts the others is asked for once more."""
         outcome: Outcome | None = None
         with board_readings(self._config, self._ending.timeout_s) as arrivals:
@@ -132,9 +133,9 @@ class _Calibration:
                     self._unit = arrival.identity.serial_number
                 elif (reading := self._loads.read(arrival)) is not None:
                     for prompt in self._procedure.push(reading):
-                        self._show(prompt, recording)
+                        self._show(prompt)
                 if self._procedure.done:
-                    outcome = self._judge(recording)
+                    outcome = self._judge()
                     if self._procedure.done:
                         break
         if outcome is None:
@@ -151,7 +152,7 @@ class _Calibration:
             untouched_hz=self._loads.untouched_hz,
         )
 
-    def _show(self, prompt: Prompt, recording: Recording) -> None:
+    def _show(self, prompt: Prompt) -> None:
         step = prompt.step
         value: dict[str, Any] = {"event": prompt.event, "step": step.number if step else 0, "steps": len(self._steps)}
         if step is not None:
@@ -161,7 +162,7 @@ class _Calibration:
         if prompt.event == "captured" and step is not None:
             value["residual_newton"], so_far = self._fit_so_far(step)
             text += so_far
-            recording.write("loading", self._captured(step))
+            self._session.write("loading", self._captured(step))
         place = f"[{step.number}/{len(self._steps)}] " if step else ""
         self._console.object(value | {"text": prompt.text}, f"{place}{text}")
 
@@ -186,13 +187,13 @@ class _Calibration:
         if not abs(residual) <= self._config.plate.force_max_newton:
             return None, "; the loads of this site so far do not fit together"
         text = f"; {1e3 * residual:+.2f} mN from the fit of this site so far"
-        return residual, text + (": its loads do not fit together" if self._misfits(loads, outcome) else "")
+        return residual, text + (": its loads do not fit together" if self._outliers(loads, outcome) else "")
 
-    def _misfits(self, loads: list[Loading], outcome: Outcome) -> tuple[Misfit, ...]:
+    def _outliers(self, loads: list[Loading], outcome: Outcome) -> tuple[OutlierSite, ...]:
         steps = [load.step for load in loads if not load.step.at_temperature]
-        return find_misfits(self._config.plate, steps, outcome, self._wanted.mass_std)
+        return find_outliers(self._config.plate, steps, outcome, self._wanted.mass_std)
 
-    def _judge(self, recording: Recording) -> Outcome:
+    def _judge(self) -> Outcome:
         loads = list(self._procedure.loadings.values())
         outcome = self._fit(loads, with_response=self._wanted.response)
         if outcome.swapped is not None:
@@ -201,31 +202,31 @@ class _Calibration:
                 f"steps {first.number} ({first.load}) and {second.number} ({second.load}): the masses were exchanged, "
                 "as what was read fits the other way round; begin again"
             )
-        misfits = self._misfits(loads, outcome)
-        if outcome.doubtful or misfits:
-            self._repeat(outcome, misfits, recording)
+        outliers = self._outliers(loads, outcome)
+        if outcome.doubtful or outliers:
+            self._repeat(outcome, outliers)
         else:
             refuse_unknown_sensitivity(self._config.plate, outcome)
         return outcome
 
-    def _repeat(self, outcome: Outcome, misfits: tuple[Misfit, ...], recording: Recording) -> None:
+    def _repeat(self, outcome: Outcome, outliers: tuple[OutlierSite, ...]) -> None:
         """Ask once more for the loads that do not fit; the second time is one too many."""
         steps = {bad.number: bad for bad in outcome.doubtful}
-        steps |= {bad.number: bad for misfit in misfits for bad in misfit.steps}
+        steps |= {bad.number: bad for outlier in outliers for bad in outlier.steps}
         finding = "; ".join(
             [
                 f"step {bad.number} ({bad.load}) does not fit the others: "
                 f"{1e3 * outcome.residual_newton[bad.number]:+.1f} mN off"
                 for bad in outcome.doubtful
             ]
-            + [misfit.sentence for misfit in misfits]
+            + [outlier.sentence for outlier in outliers]
         )
         if steps.keys() & self._repeated or self._wanted.response:
             raise CalibrationRefusedError(f"{finding}; check masses and places, and begin again")
         self._repeated |= steps.keys()
-        self._console.text(f"{finding}; once more, please")
+        print_note(f"{finding}; once more, please")
         for prompt in self._procedure.repeat([steps[number] for number in sorted(steps)]):
-            self._show(prompt, recording)
+            self._show(prompt)
 
     def _record(self, outcome: Outcome) -> Record:
         return make_record(
@@ -253,7 +254,7 @@ class _Calibration:
         }
 
     def _finish(self, staged: dict[str, Any]) -> ExitCode:
-        if self._ending.accept or (sys.stdin.isatty() and asked("accept? [y/N] ")):
+        if self._ending.accept or (sys.stdin.isatty() and confirmed("accept? [y/N] ")):
             _accept(self._session, staged, self._console)
         else:
             self._console.object(

@@ -10,13 +10,7 @@ from typing import Any
 
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.errors import UserError
-
-
-def sessions_directory() -> Path:
-    """Return where sessions are kept: below $XDG_STATE_HOME, else ~/.local/state."""
-    state = os.environ.get("XDG_STATE_HOME", "")
-    home = Path(state) if os.path.isabs(state) else Path.home() / ".local" / "state"
-    return home / "resonatord" / "calibrations"
+from resonator_daemon.host.places import state_directory
 
 
 class Session:
@@ -26,18 +20,24 @@ class Session:
         """Name the session after the configuration, which has one at a time; nothing is read or written yet."""
         resolved = config_path.resolve()
         digest = hashlib.sha256(str(resolved).encode()).hexdigest()[:8]
-        self.path = sessions_directory() / f"{resolved.stem}-{digest}.jsonl"
+        self.path = state_directory() / "calibrations" / f"{resolved.stem}-{digest}.jsonl"
 
     @contextmanager
-    def recording(self) -> Iterator["Recording"]:
-        """Begin anew, over what an interrupted calibration left."""
+    def recording(self) -> Iterator[None]:
+        """Begin anew, over what an interrupted calibration left; `write` works within the context."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            stream = self.path.open("w", encoding="utf-8", buffering=1)
+            self._stream = self.path.open("w", encoding="utf-8", buffering=1)
         except OSError as error:
             raise UserError(f"{self.path}: cannot be written ({error.strerror}); set XDG_STATE_HOME") from None
-        with stream:
-            yield Recording(stream)
+        with self._stream:
+            yield
+
+    def write(self, kind: str, content: Any) -> None:
+        """Append one line; on the disk when this returns."""
+        self._stream.write(json.dumps({kind: content}) + "\n")
+        self._stream.flush()
+        os.fsync(self._stream.fileno())
 
     def staged(self) -> dict[str, Any] | None:
         """Return the result that waits to be accepted, None where there is none."""
@@ -64,18 +64,5 @@ class Session:
         return kept
 
     def discard(self) -> None:
-        """Forget everything."""
+        """Remove the file."""
         self.path.unlink(missing_ok=True)
-
-
-class Recording:
-    """The open session file."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def write(self, kind: str, content: Any) -> None:
-        """Append one line; on the disk when this returns."""
-        self._stream.write(json.dumps({kind: content}) + "\n")
-        self._stream.flush()
-        os.fsync(self._stream.fileno())

@@ -10,7 +10,7 @@ from resonator_daemon.plate import FORCE_SIGNAL, Plate
 
 
 class SiteCodes(NamedTuple):
-    """What the plate file says of m force sites, in the order of its site_ids."""
+    """Codes of m force sites in the plate file, in the order of its site_ids."""
 
     tone: NDArray[np.intp]  # (m,), its place among the plate's tones
     f0_hz: Floats  # (m, 4)

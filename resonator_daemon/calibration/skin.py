@@ -3,7 +3,6 @@
 import asyncio
 import json
 import sys
-from collections.abc import Callable
 from contextlib import aclosing
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -17,31 +16,30 @@ from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, 
 from resonator_daemon.decoding.prior import DEFAULT_PRIOR
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.errors import ConfigurationError, ExitCode
+from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import Plate, Skin
 from resonator_daemon.publishing.payloads import Signals
 from resonator_daemon.publishing.requests import reach
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import SIGNALS, TOPICS
 
-Tell = Callable[[str], None]
-
 FEWEST_FRAMES: Final = 5  # with load
-_FIRST_FRAME_S: Final = 10.0
-_SPACING_NS: Final = 200_000_000  # closer frames of one touch say the same again
-_TELL_NS: Final = 1_000_000_000
+FIRST_FRAME_S: Final = 10.0
+_SPACING_NS: Final = 200_000_000  # closer frames of one touch repeat each other
+_REPORT_NS: Final = 1_000_000_000
 
 
 @dataclass
 class Capture:
     """Frames of one plate, spaced in time."""
 
-    plate: str | None  # its name in the topics; None until one is heard
+    plate: str | None  # its name in the topics; None before the first message
     frames: list[Floats] = field(default_factory=list)  # (3, n) each
     noise_std: list[Floats] = field(default_factory=list)  # (3,) each
     loaded: int = 0
 
-    def take(self, message: Signals, count: int) -> None:
-        """Keep a frame whose noise is known."""
+    def add(self, message: Signals, count: int) -> None:
+        """Add a frame whose noise is known."""
         frame = message.signals.reshape(3, -1).astype(np.float64)
         noise = _median_noise(message.noise_std.reshape(3, -1).astype(np.float64))
         if frame.shape[1] != count:
@@ -65,7 +63,7 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     """
     config = load_config(config_path)
     skin = config.plate.required_skin
-    capture = asyncio.run(_capture(config, seconds, _tell))
+    capture = asyncio.run(_capture(config, seconds))
     found: PriorFit | None = None
     if capture.loaded >= FEWEST_FRAMES:
         found = _fit(config.plate, skin, capture)
@@ -75,35 +73,35 @@ def calibrate_skin(config_path: Path, seconds: float, *, as_json: bool) -> ExitC
     elif found:
         sys.stdout.write("\n".join([*_lines(found), _gain(found)]) + "\n")
     if found is None:
-        _tell(
+        print_note(
             f"{capture.loaded} of {len(capture.frames)} frames hold load, must be at least {FEWEST_FRAMES}: "
             + ("press and shear the skin while they are captured" if capture.frames else _silence(config))
         )
     return ExitCode.DONE if found else ExitCode.FAILED
 
 
-async def _capture(config: Config, seconds: float, tell: Tell) -> Capture:
+async def _capture(config: Config, seconds: float) -> Capture:
     """Frames at least 0.2 s apart by their own time, for some seconds from the first one."""
     await reach(config.mqtt)
     capture = Capture(config.name)
-    first_ns = next_ns = told_ns = 0
+    first_ns = next_ns = report_ns = 0
     try:
         topics = (TOPICS[SIGNALS.path],)
-        async with asyncio.timeout(_FIRST_FRAME_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
+        async with asyncio.timeout(FIRST_FRAME_S) as limit, aclosing(subscribe(config.mqtt, topics)) as messages:
             async for plate, _, message in messages:
                 if not isinstance(message, Signals) or plate != (capture.plate or plate):
                     continue
                 if capture.plate is None or not first_ns:
                     capture.plate, first_ns = plate, message.t_ns
                     limit.reschedule(asyncio.get_running_loop().time() + seconds)
-                    tell(f"plate {plate!r}: press and shear the skin here and there, for {seconds:g} s")
+                    print_note(f"plate {plate!r}: press and shear the skin here and there, for {seconds:g} s")
                 if message.t_ns >= next_ns:
                     next_ns = message.t_ns + _SPACING_NS
-                    capture.take(message, len(config.plate.site_ids))
-                if message.t_ns >= told_ns:
-                    told_ns = message.t_ns + _TELL_NS
+                    capture.add(message, len(config.plate.site_ids))
+                if message.t_ns >= report_ns:
+                    report_ns = message.t_ns + _REPORT_NS
                     elapsed_s = (message.t_ns - first_ns) * 1e-9
-                    tell(f"{elapsed_s:3.0f} s: {len(capture.frames)} frames, {capture.loaded} with load")
+                    print_note(f"{elapsed_s:3.0f} s: {len(capture.frames)} frames, {capture.loaded} with load")
     except TimeoutError:
         pass
     return capture
@@ -114,7 +112,7 @@ def _fit(plate: Plate, skin: Skin, capture: Capture) -> PriorFit:
     noise_std = np.median(capture.noise_std, axis=0)
 
     def progress(tried: int, length_m: float, ratio: float) -> None:
-        _tell(f"fit {tried}: correlation length {length_m * 1e3:.2f} mm, tangential ratio {ratio:.2f}")
+        print_note(f"fit {tried}: correlation length {length_m * 1e3:.2f} mm, tangential ratio {ratio:.2f}")
 
     try:
         return fit_prior(
@@ -158,11 +156,6 @@ def _gain(found: PriorFit) -> str:
 def _silence(config: Config) -> str:
     name = config.name or "+"
     return f"nothing usable was published as {config.mqtt.prefix}/{name}/{SIGNALS.path}; is `resonatord run` running?"
-
-
-def _tell(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
-    sys.stderr.flush()
 
 
 def _median_noise(noise_std: Floats) -> Floats:

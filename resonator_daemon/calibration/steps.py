@@ -11,12 +11,12 @@ from resonator_daemon.plate import Plate
 
 STANDARD_GRAVITY: Final = 9.80665  # m/s^2, ISO 80000-3
 SENSITIVITY_STD_MAX: Final = 0.05  # relative, of each site's K: what is known worse is no calibration
-_KELVIN: Final = (100.0, 600.0)  # what a plate file takes
+_KELVIN: Final = (100.0, 600.0)  # as in a plate file
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What was asked for; an empty `sites` means all of them, in the order of the plate file."""
+    """Requested loads; an empty `sites` means all of them, in the order of the plate file."""
 
     sites: tuple[int, ...] = ()
     masses_kg: tuple[float, ...] = (0.05, 0.2, 0.5)

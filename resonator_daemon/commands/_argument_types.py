@@ -1,9 +1,13 @@
-"""Types of arguments that several commands share: each parses one word, or says what is wrong with it."""
+"""Types of arguments that several commands share, and options made of arguments."""
 
 import argparse
+import dataclasses
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def number(low: float, high: float) -> Callable[[str], float]:
@@ -59,3 +63,12 @@ def picture(text: str) -> Path:
     if path.suffix not in (".svg", ".png", ".pdf"):
         raise argparse.ArgumentTypeError(f"{text!r} must end in .svg, .png or .pdf")
     return path
+
+
+def options_of(kind: Callable[..., T], arguments: argparse.Namespace, **others: Any) -> T:
+    """Return a dataclass of options: the arguments with the names of its fields, and `others`.
+
+    An argument that was not given, and has no default, leaves the field its own.
+    """
+    names = [field.name for field in dataclasses.fields(kind) if hasattr(arguments, field.name)]  # type: ignore[arg-type]
+    return kind(**{name: getattr(arguments, name) for name in names} | others)

@@ -27,8 +27,3 @@ def print_error(*messages: str) -> None:
     """Print each message as one line to the standard error."""
     for message in messages:
         sys.stderr.write(f"{error_prefix()}resonatord: {printable(message)}\n")
-
-
-def print_note(text: str) -> None:
-    """Print a line for people to the standard error."""
-    sys.stderr.write(f"{printable(text)}\n")

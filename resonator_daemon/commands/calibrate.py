@@ -6,32 +6,17 @@ Example: resonatord calibrate --config left-index.toml --masses-grams 50,200,500
 import argparse
 import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
-from resonator_daemon.commands._argument_types import positive, whole_number
+from resonator_daemon.commands._argument_types import options_of, positive, whole_number
 from resonator_daemon.errors import ExitCode, UsageError
 
-_SKIN_ONLY: Final = {"seconds"}
-_FORCE_ONLY: Final = {
-    "sites",
-    "masses_grams",
-    "mass_std",
-    "repeats",
-    "hold_s",
-    "response",
-    "response_hold_s",
-    "kelvin",
-    "temperatures_kelvin",
-    "timeout_s",
-    "valid_days",
-    "output",
-    "accept",
-    "accept_staged",
-    "abort",
-}
+_OF_BOTH: Final = {"kind", "config", "json", "command", "run"}
+_OF_SKIN: Final = {"seconds"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.argument_default = argparse.SUPPRESS  # options that belong to one kind are absent unless they are given
     parser.add_argument(
         "kind",
         nargs="?",
@@ -46,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     loads = parser.add_argument_group("force: loads")
     loads.add_argument("--sites", type=_sites, metavar="ID,ID|all", help="which sites to load (default: all)")
     loads.add_argument(
-        "--masses-grams", type=_numbers, metavar="G,G", help="masses at hand, rising (default: 50,200,500)"
+        "--masses-grams",
+        type=_numbers,
+        metavar="G,G",
+        help="masses at hand, rising (default: 50,200,500)",
     )
     loads.add_argument(
         "--mass-std", type=float, metavar="X", help="how well they are known, relative, 1 sigma (default: 0.001)"
@@ -56,7 +44,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     loads.add_argument(
         "--response",
         action="store_true",
-        default=None,
         help="load and unload each site in steps, without releasing it, and fit hysteresis and creep",
     )
     loads.add_argument(
@@ -78,63 +65,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     result.add_argument("--output", type=Path, metavar="FILE", help="new plate file (default: change the plate's own)")
     ends = result.add_mutually_exclusive_group()
-    ends.add_argument("--accept", action="store_true", default=None, help="accept a result without asking")
-    ends.add_argument(
-        "--accept-staged", action="store_true", default=None, help="accept the result of an earlier calibration"
-    )
-    ends.add_argument("--abort", action="store_true", default=None, help="forget the result of an earlier calibration")
+    ends.add_argument("--accept", action="store_true", help="accept a result without asking")
+    ends.add_argument("--accept-staged", action="store_true", help="accept the result of an earlier calibration")
+    ends.add_argument("--abort", action="store_true", help="forget the result of an earlier calibration")
 
 
 def run(arguments: argparse.Namespace) -> ExitCode:
-    foreign, calibrate = {"force": (_SKIN_ONLY, _calibrate_force), "skin": (_FORCE_ONLY, _calibrate_skin)}[
-        arguments.kind
-    ]
+    given = vars(arguments).keys() - _OF_BOTH
+    foreign = given - _OF_SKIN if arguments.kind == "skin" else given & _OF_SKIN
     for name in foreign:
-        if getattr(arguments, name) is not None:
-            raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.kind}")
-    return calibrate(arguments)
+        raise UsageError(f"--{name.replace('_', '-')} does not belong to: calibrate {arguments.kind}")
+    as_json = "json" in arguments
+    if arguments.kind == "skin":
+        from resonator_daemon.calibration.skin import calibrate_skin
 
-
-def _calibrate_skin(arguments: argparse.Namespace) -> ExitCode:
-    from resonator_daemon.calibration.skin import calibrate_skin
-
-    return calibrate_skin(arguments.config, _given(arguments, seconds=20.0)["seconds"], as_json=arguments.json)
-
-
-def _calibrate_force(arguments: argparse.Namespace) -> ExitCode:
+        return calibrate_skin(arguments.config, getattr(arguments, "seconds", 20.0), as_json=as_json)
     from resonator_daemon.calibration.run import Ending, abort_staged, accept_staged, calibrate
     from resonator_daemon.calibration.steps import Wanted
 
-    if arguments.accept_staged:
-        return accept_staged(arguments.config, as_json=arguments.json)
-    if arguments.abort:
-        return abort_staged(arguments.config, as_json=arguments.json)
-    default = Wanted()
-    given = _given(
-        arguments,
-        sites=default.sites,
-        mass_std=default.mass_std,
-        repeats=default.repeats,
-        hold_s=default.hold_s,
-        response=default.response,
-        response_hold_s=default.response_hold_s,
-        kelvin=default.kelvin,
-        temperatures_kelvin=default.temperatures_kelvin,
-    )
-    if arguments.masses_grams is not None:
-        given["masses_kg"] = tuple(gram * 1e-3 for gram in arguments.masses_grams)
-    ending = Ending(
-        output=arguments.output,
-        as_json=arguments.json,
-        **_given(arguments, accept=False, valid_days=365, timeout_s=300.0),
-    )
-    return calibrate(arguments.config, Wanted(**given), ending)
-
-
-def _given(arguments: argparse.Namespace, **defaults: Any) -> dict[str, Any]:
-    """Return the values of arguments, defaults where they were not given."""
-    values = {name: getattr(arguments, name) for name in defaults}
-    return {name: defaults[name] if value is None else value for name, value in values.items()}
+    if "accept_staged" in arguments:
+        return accept_staged(arguments.config, as_json=as_json)
+    if "abort" in arguments:
+        return abort_staged(arguments.config, as_json=as_json)
+    masses = {"masses_kg": tuple(gram * 1e-3 for gram in arguments.masses_grams)} if "masses_grams" in arguments else {}
+    wanted = options_of(Wanted, arguments, **masses)
+    return calibrate(arguments.config, wanted, options_of(Ending, arguments, as_json=as_json))
 
 
 def _numbers(text: str) -> tuple[float, ...]:

@@ -6,8 +6,9 @@ Example: resonatord check left-index.toml
 import argparse
 from pathlib import Path
 
-from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.printable import print_note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.commands._argument_types import options_of, positive
 from resonator_daemon.errors import ExitCode, UserError
 
 
@@ -59,22 +59,7 @@ def run(arguments: argparse.Namespace) -> ExitCode:
 
     try:
         with suppress(KeyboardInterrupt):
-            emulate(
-                EmulatorOptions(
-                    plate=arguments.plate,
-                    pty=arguments.pty,
-                    tcp=arguments.tcp,
-                    usb=arguments.usb,
-                    scenario=arguments.scenario,
-                    truth=arguments.truth,
-                    faults=parse_faults(arguments.faults),
-                    counter=arguments.counter,
-                    seed=arguments.seed,
-                    speed=arguments.speed,
-                    frame_rate_hz=arguments.frame_rate_hz,
-                    json=arguments.json,
-                )
-            )
+            emulate(options_of(EmulatorOptions, arguments, faults=parse_faults(arguments.faults)))
     except ValueError as error:
         raise UserError(*str(error).split("\n")) from error  # a line for each mistake
     except OSError as error:

@@ -6,9 +6,10 @@ Example: resonatord export run.mcap --output run.parquet
 import argparse
 from pathlib import Path
 
-from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.exporting.formats import FORMATS, ROS2
+from resonator_daemon.host.printable import print_note
 
 
 class NotExportableError(UserError):

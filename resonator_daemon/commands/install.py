@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
     from resonator_daemon.host.install import Installation

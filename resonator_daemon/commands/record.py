@@ -6,7 +6,7 @@ Example: resonatord record --config left-index.toml --output run.mcap --seconds 
 import argparse
 from pathlib import Path
 
-from resonator_daemon.commands._argument_types import positive
+from resonator_daemon.commands._argument_types import options_of, positive
 from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
 
@@ -33,10 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.daemon.link_recording import RecordOptions, record
 
-    options = RecordOptions(
-        arguments.output, arguments.seconds, arguments.max_mb, arguments.max_minutes, arguments.derived
-    )
-    result = record(arguments.config, options)
+    result = record(arguments.config, options_of(RecordOptions, arguments))
     if arguments.json:
         print_json({"verb": "record", "ok": True, **result})
     return ExitCode.DONE

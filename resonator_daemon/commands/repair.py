@@ -8,8 +8,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from resonator_daemon.commands._output import print_json, print_note
+from resonator_daemon.commands._output import print_json
 from resonator_daemon.errors import ExitCode
+from resonator_daemon.host.printable import print_note
 
 if TYPE_CHECKING:
     from resonator_daemon.recording.repair import Repaired

@@ -11,8 +11,10 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from resonator_daemon.commands._output import print_error, print_json, print_note
+from resonator_daemon.commands._argument_types import options_of
+from resonator_daemon.commands._output import print_error, print_json
 from resonator_daemon.errors import ExitCode, UsageError, UserError
+from resonator_daemon.host.printable import print_note
 
 _DEFAULT_URL: Final = "mqtt://127.0.0.1:1883"
 
@@ -74,17 +76,9 @@ def _replay(arguments: argparse.Namespace) -> ExitCode:
         result: dict[str, Any] = {"case": str(arguments.save_case), **case.summary}
         wrong = what_is_wrong(case.differences, case.damage)
     else:
-        options = ReplayOptions(
-            config=config,
-            output=arguments.to,
-            url=arguments.url or (_DEFAULT_URL if config is None else None),
-            name=arguments.name,
-            speed=arguments.speed,
-            step=arguments.step,
-            start=arguments.start,
-            end=arguments.end,
-            show_progress=not arguments.json,
-        )
+        url = arguments.url or (_DEFAULT_URL if config is None else None)
+        own = {"config": config, "output": arguments.to, "url": url, "show_progress": not arguments.json}
+        options = options_of(ReplayOptions, arguments, **own)
         result, wrong = replay(path, options)
     took_s = time.monotonic() - begun_s
     if "seconds" in result:

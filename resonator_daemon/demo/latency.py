@@ -21,8 +21,9 @@ from resonator_daemon.config import Measurement, Mqtt
 from resonator_daemon.demo.latency_figures import Arrival, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
 from resonator_daemon.demo.local_broker import local_broker
-from resonator_daemon.demo.processes import Child, cpu_s, start_emulator, start_verb
+from resonator_daemon.demo.processes import Child, complain_of_dead, cpu_s, start_daemons, start_emulator
 from resonator_daemon.errors import ExitCode, InterruptedCommandError, UserError
+from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import load_plate
 from resonator_daemon.publishing.broker_connection import BrokerConnection
 from resonator_daemon.publishing.mqtt_messages import Incoming
@@ -131,14 +132,14 @@ class _Bench:
             settings = Mqtt(url=url)
             subscriber = _Subscriber(settings.prefix, self._topic.path)
             await stack.enter_async_context(_listening(settings, subscriber))
-            _tell(f"broker: {broker}")
+            print_note(f"broker: {broker}")
             children: list[Child] = []
             stack.push_async_callback(_stop, children)
             truth = await self._start(children, folder, url)
             await self._wait_for_messages(subscriber, children)
             seconds, usage = await self._measure(subscriber, [*brokers, *children])
             await _stop(children)  # upon which the truth is written in full
-            _tell("reading the truth")
+            print_note("reading the truth")
             with truth.open() as lines:
                 gates = read_gates(lines)
         if not subscriber.arrivals:
@@ -160,22 +161,20 @@ class _Bench:
 
     async def _start(self, children: list[Child], folder: Path, url: str) -> Path:
         """Start the parts as a user would; return the truth file."""
-        plate, decoding = self._options.plate, "[decoding]\napart = true\n" if self._options.apart else ""
-        _tell(f"starting an emulated board and its daemon: {plate}")
+        plate = self._options.plate
+        print_note(f"starting an emulated board and its daemon: {plate}")
         emulator, link, truth = await start_emulator(plate, folder, over_tcp=self._plate.counter.frames_in_parts)
         children.append(emulator)
-        config = folder / "bench.toml"
-        config.write_text(f'name = "{_NAME}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{url}"\n{decoding}')
-        for verb in ("run", "decode") if self._options.apart else ("run",):
-            children.append(await start_verb(f"resonatord {verb}", folder, verb, "--config", str(config)))
+        verbs = {f"resonatord {verb}": verb for verb in (("run", "decode") if self._options.apart else ("run",))}
+        children += await start_daemons(verbs, _NAME, plate, link, url, folder)
         return truth
 
     async def _wait_for_messages(self, subscriber: _Subscriber, children: list[Child]) -> None:
-        _tell(f"waiting for {self._topic.path}")
+        print_note(f"waiting for {self._topic.path}")
         for event, seconds in ((subscriber.first_came, _START_S), (self._ended, _SETTLE_S)):
             deadline = time.monotonic() + seconds
             while not event.is_set() and not self._ended.is_set() and time.monotonic() < deadline:
-                _complain_of_dead(children)
+                complain_of_dead(children)
                 await asyncio.sleep(_LOOK_S)
         self._refuse_to_go_on()
         if not subscriber.first_came.is_set():
@@ -187,7 +186,7 @@ class _Bench:
 
     async def _measure(self, subscriber: _Subscriber, children: list[Child]) -> tuple[float, dict[str, float]]:
         """Count messages for the time asked for; return how long that was, and processor time by part."""
-        _tell(f"measuring for {self._options.seconds:g} s")
+        print_note(f"measuring for {self._options.seconds:g} s")
         gc.collect()
         gc.freeze()
         gc.disable()  # a look through all that has arrived would delay what comes meanwhile
@@ -199,7 +198,7 @@ class _Bench:
         started = time.monotonic()
         subscriber.counting = True
         while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._ended.is_set():
-            _complain_of_dead(children)
+            complain_of_dead(children)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._ended.wait(), min(left_s, 10.0))
         self.cut_short = left_s > 0
@@ -232,18 +231,7 @@ async def _listening(broker: Mqtt, subscriber: _Subscriber) -> AsyncIterator[Non
         await connection
 
 
-def _complain_of_dead(children: list[Child]) -> None:
-    for child in children:
-        if complaint := child.complaint():
-            raise UserError(complaint)
-
-
 async def _stop(children: list[Child]) -> None:
     for child in reversed(children):  # the board last: its daemon must not report that it went away
         await child.stop()
     children.clear()
-
-
-def _tell(text: str) -> None:
-    sys.stderr.write(text + "\n")
-    sys.stderr.flush()

@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from resonator_daemon.demo.latency_figures import LATE_MS, Latency
-from resonator_daemon.errors import UserError
 from resonator_daemon.monitoring.latency import BOUNDS_MS
 from resonator_daemon.publishing.topics import DECODED
+from resonator_daemon.view.pages import make_figure
 
 _BAR_COLUMNS: Final = 40
 _EIGHTHS: Final = " ▏▎▍▌▋▊▉"
@@ -96,13 +96,9 @@ class LatencyReport:
         UserError
             matplotlib is not installed.
         """
-        try:
-            from matplotlib.figure import Figure
-        except ModuleNotFoundError as error:
-            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         came_ms = np.sort(self.latency.milliseconds)
         later = 1.0 - np.arange(len(came_ms)) / len(came_ms)
-        figure = Figure(figsize=(6.0, 3.6), layout="constrained")
+        figure = make_figure((6.0, 3.6))
         axes = figure.subplots()
         axes.step(came_ms, later, where="post", color="black", label="subscriber")
         if self.daemon_counts is not None:

@@ -5,7 +5,7 @@ import json
 import signal
 import sys
 from asyncio.subprocess import DEVNULL, PIPE, Process
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -115,16 +115,22 @@ async def start_emulator(plate: str, folder: Path, *, over_tcp: bool) -> tuple[C
     return child, report["link"], truth
 
 
-async def start_daemon(plate: str, link: str, broker_url: str, folder: Path) -> Child:
-    """Start a daemon on that link, publishing below `resonator/<plate>/`."""
-    config = folder / f"{plate}.toml"
-    config.write_text(f'name = "{plate}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n')
-    return await start_verb(f"daemon {plate}", folder, "run", "--config", str(config))
+async def start_daemons(
+    verbs: Mapping[str, str], name: str, plate: str, link: str, broker_url: str, folder: Path
+) -> list[Child]:
+    """Start `run`, and perhaps `decode`, on that link, publishing below `resonator/<name>/`; `verbs` by part."""
+    config = folder / f"{name}.toml"
+    keys = f'name = "{name}"\nplate = "{plate}"\nlink = "{link}"\n[mqtt]\nurl = "{broker_url}"\n'
+    config.write_text(keys + ("[decoding]\napart = true\n" if "decode" in verbs.values() else ""))
+    commands = {part: (*_RESONATORD, verb, "--config", str(config)) for part, verb in verbs.items()}
+    return [await start_child(part, folder, command) for part, command in commands.items()]
 
 
-async def start_verb(part: str, folder: Path, *arguments: str) -> Child:
-    """Start `resonatord` with these arguments."""
-    return await start_child(part, folder, (*_RESONATORD, *arguments))
+def complain_of_dead(children: Iterable[Child]) -> None:
+    """Raise UserError for a command that has ended by itself."""
+    for child in children:
+        if complaint := child.complaint():
+            raise UserError(complaint)
 
 
 async def start_child(part: str, folder: Path, command: Sequence[str], stdout: int = DEVNULL) -> Child:

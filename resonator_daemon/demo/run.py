@@ -21,12 +21,13 @@ from rich.live import Live
 from resonator_daemon.config import Mqtt
 from resonator_daemon.demo.host_load import HostLoad
 from resonator_daemon.demo.local_broker import BROKER_PART, local_broker
-from resonator_daemon.demo.processes import Child, cpu_s, start_daemon, start_emulator
+from resonator_daemon.demo.processes import Child, complain_of_dead, cpu_s, start_daemons, start_emulator
 from resonator_daemon.demo.results import delays, failures, in_words, percentiles, plate_result
 from resonator_daemon.demo.score import SCORED, PlateScore
 from resonator_daemon.demo.subscription import Subscription
 from resonator_daemon.demo.truth import TruthTable, site_traction, surface_traction
 from resonator_daemon.errors import ExitCode, UserError
+from resonator_daemon.host.printable import print_note
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.publishing.receiver import Arrival
 from resonator_daemon.publishing.subscriber import read_message, topic_filters
@@ -91,7 +92,7 @@ class _Demo:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="resonatord-demo-")))
             self._broker = await stack.enter_async_context(local_broker(folder))
             url = self._broker.url
-            self._report(f"broker at {url}; watch it too: resonatord watch --url {url}")
+            print_note(f"broker at {url}; watch it too: resonatord watch --url {url}")
             stack.callback(Subscription(url, self._filters(), self._arrivals.append).close)
             for name, plate in self._plates.items():
                 await self._start(name, plate, url, folder, stack)
@@ -112,10 +113,10 @@ class _Demo:
 
     async def _start(self, name: str, plate: Plate, broker_url: str, folder: Path, stack: AsyncExitStack) -> None:
         """Start the processes of one plate; the emulator ends with the stack."""
-        self._report(f"starting emulated board and daemon: {name}")
+        print_note(f"starting emulated board and daemon: {name}")
         emulator, link, truth_path = await start_emulator(name, folder, over_tcp=plate.counter.frames_in_parts)
         stack.push_async_callback(emulator.stop)
-        daemon = await start_daemon(name, link, broker_url, folder)
+        (daemon,) = await start_daemons({f"daemon {name}": "run"}, name, name, link, broker_url, folder)
         truth = TruthTable(truth_path)
         score = PlateScore(
             truth,
@@ -144,7 +145,7 @@ class _Demo:
     async def _measure(self) -> float:
         """Wait for the first frame of every plate, then measure for the time asked for; return how long it was."""
         await self._wait_for_frames()
-        self._report(f"measuring for {self._options.seconds:g} s")
+        print_note(f"measuring for {self._options.seconds:g} s")
         gc.freeze()  # modules stay in use: collections that visit them delay messages by tens of ms
         self._load = HostLoad()
         for station in self._stations.values():
@@ -157,7 +158,7 @@ class _Demo:
         live = nullcontext() if self._options.headless else Live(console=console, screen=True, auto_refresh=False)
         with live as screen:
             while (left_s := started + self._options.seconds - time.monotonic()) > 0 and not self._stop.is_set():
-                self._complain_of_dead_children()
+                complain_of_dead(self._children())
                 self._take_arrivals()
                 if screen is not None:
                     screen.update(self._page(left_s), refresh=True)
@@ -179,7 +180,7 @@ class _Demo:
     async def _wait_for_frames(self) -> None:
         deadline = time.monotonic() + _START_S
         while not self._stop.is_set():
-            self._complain_of_dead_children()
+            complain_of_dead(self._children())
             self._take_arrivals()
             silent = [name for name, station in self._stations.items() if not station.score.started]
             if not silent:
@@ -200,11 +201,6 @@ class _Demo:
         for station in self._stations.values():
             yield station.daemon
             yield station.emulator
-
-    def _complain_of_dead_children(self) -> None:
-        for child in self._children():
-            if complaint := child.complaint():
-                raise UserError(complaint)
 
     def _page(self, left_s: float) -> RenderableType:
         truths = {name: _truth_to_show(station) for name, station in self._stations.items()}
@@ -240,14 +236,10 @@ class _Demo:
             for clauses in (failures, delays)
         )
         for line in failed + late:
-            self._report(line)
+            print_note(line)
         if late:
-            self._report(self._load.in_words(sum(self._usage.values()), self._pids))
+            print_note(self._load.in_words(sum(self._usage.values()), self._pids))
         return ExitCode.FAILED if failed else ExitCode.DONE
-
-    def _report(self, text: str) -> None:
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
 
 
 def _truth_to_show(station: _Station) -> Truth:

@@ -26,11 +26,11 @@ ACCEPTS: Final = Check("broker.accepts", Area.SOFTWARE, "broker takes this user"
 ROUND_TRIP: Final = Check("broker.round_trip", Area.SOFTWARE, "round trip to the broker")
 
 _CONNECT_S: Final = 5.0
-_ACCEPT_S: Final = 8.0
-_TURNS: Final = 15
+ACCEPT_S: Final = 8.0
+TURNS: Final = 15
 _SOON_S: Final = 0.005  # who answers so soon after a message is taken for a conversation, and its acknowledgements wait
 _PAUSE_S: Final = 0.06  # longer than an acknowledgement is delayed, so that each turn stands for itself
-_ANSWER_S: Final = 2.0
+ANSWER_S: Final = 2.0
 _SLOW_S: Final = 0.020  # in which 200 messages a second would already wait for each other
 _SPIKE_S: Final = 0.030  # Linux delays acknowledgements by 40 ms
 _SPIKES_SHARE: Final = 0.1
@@ -63,8 +63,8 @@ async def check_broker(broker: Mqtt, host: Host, times: ConnectionTimes | None =
     with contextlib.suppress(OSError):
         await writer.wait_closed()
     with Load(host) as load:
-        probe, said = await _ask(broker, times)
-    return [resolved, LISTENS.ok(where), *_told(probe, said, load.busy())]
+        probe, last_text = await _measure(broker, times)
+    return [resolved, LISTENS.ok(where), *_findings(probe, last_text, load.busy())]
 
 
 class _Probe:
@@ -89,7 +89,7 @@ class _Probe:
         return {number: self._arrived[number] - at_s for number, at_s in self.sent.items() if number in self._arrived}
 
     def make_connection(self, broker: Mqtt, version: MQTTProtocolVersion) -> BrokerConnection:
-        return BrokerConnection(broker, version, on_message=self._take, times=self._times)
+        return BrokerConnection(broker, version, on_message=self._receive, times=self._times)
 
     async def serve(self, client: BrokerConnection, _at_once: bool) -> None:
         self.version = "MQTT 5" if client.version is MQTT_5 else "MQTT 3.1.1"
@@ -98,14 +98,14 @@ class _Probe:
             self.denied = denied
             self.done.set()
             return
-        for turn in range(_TURNS):
+        for turn in range(TURNS):
             self._send(client, 3 * turn)
             await asyncio.sleep(_SOON_S)
             _delay_acknowledgements(client)
             self._send(client, 3 * turn + 1)
             self._send(client, 3 * turn + 2)
             await asyncio.sleep(_PAUSE_S)
-        await self._hear_rest()
+        await self._await_rest()
         self.done.set()
         await asyncio.wait([client.lost])
 
@@ -114,16 +114,16 @@ class _Probe:
             self.sent[number] = asyncio.get_running_loop().time()
             client.send(self._topic, str(number).encode(), qos=0)
 
-    async def _hear_rest(self) -> None:
+    async def _await_rest(self) -> None:
         try:
-            async with asyncio.timeout(_ANSWER_S):
+            async with asyncio.timeout(ANSWER_S):
                 while len(self._arrived) < len(self.sent):
                     self._came.clear()
                     await self._came.wait()
         except TimeoutError:
             pass  # what has not come by now is counted as not come
 
-    def _take(self, message: Incoming) -> None:
+    def _receive(self, message: Incoming) -> None:
         if message.payload.isdigit():
             self._arrived.setdefault(int(message.payload), asyncio.get_running_loop().time())
             self._came.set()
@@ -135,38 +135,38 @@ def _delay_acknowledgements(client: BrokerConnection) -> None:
         client.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
 
 
-async def _ask(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe, str]:
+async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe, str]:
     """Return the measurement and the last message on the connection."""
     probe, closing = _Probe(broker, times), asyncio.get_running_loop().create_future()
-    said = ["no answer"]
+    last_text = ["no answer"]
     session = connection_session(lambda version: probe.make_connection(broker, version), probe.serve, closing)
     keeping = asyncio.create_task(
-        keep_connected(broker, session, closing, report=lambda _, text: said.append(text), times=times)
+        keep_connected(broker, session, closing, report=lambda _, text: last_text.append(text), times=times)
     )
     try:
-        async with asyncio.timeout(_ACCEPT_S):
+        async with asyncio.timeout(ACCEPT_S):
             await probe.accepted.wait()
-        async with asyncio.timeout(_TURNS * _PAUSE_S + 3 * _ANSWER_S):
+        async with asyncio.timeout(TURNS * _PAUSE_S + 3 * ANSWER_S):
             await probe.done.wait()
     except TimeoutError:
         pass  # reported below by what is missing
     finally:
         closing.set_result(None)
         await keeping
-    return probe, said[-1]
+    return probe, last_text[-1]
 
 
-def _told(probe: _Probe, said: str, busy: str) -> Iterator[Finding]:
-    if not probe.accepted.is_set() and connection_errors.SILENT in said:
+def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
+    if not probe.accepted.is_set() and connection_errors.SILENT in last_text:
         yield ACCEPTS.fault(
-            said.removesuffix("; trying again"),
+            last_text.removesuffix("; trying again"),
             "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it",
         )
         yield ROUND_TRIP.not_checked("the broker does not answer")
         return
     if not probe.accepted.is_set():
         yield ACCEPTS.fault(
-            said.removesuffix("; trying again"),
+            last_text.removesuffix("; trying again"),
             "correct the keys of [mqtt], or the broker's accounts; docs/security.md",
         )
         yield ROUND_TRIP.not_checked("the broker does not take this user")
@@ -192,7 +192,7 @@ def _round_trip(by_number: dict[int, float], sent: int) -> Finding:
     slow = sum(time_s > _SLOW_S for time_s in times_s)
     if len(times_s) < sent:
         return ROUND_TRIP.fault(
-            f"{evidence}; {sent - len(times_s)} of {sent} did not come back within {_ANSWER_S:g} s",
+            f"{evidence}; {sent - len(times_s)} of {sent} did not come back within {ANSWER_S:g} s",
             "the broker, or the network to it, takes less than it is sent: look at its load and its limits",
             Amount(float(sent - len(times_s)), 0.0, "messages"),
         )

@@ -32,7 +32,7 @@ def is_synchronised() -> bool | None:
 def check_clock(
     host: Host, now_s: Callable[[], float] = time.time, synchronised: Callable[[], bool | None] = is_synchronised
 ) -> Iterator[Finding]:
-    """Yield what there is to say of the computer's clock."""
+    """Yield the findings on the computer's clock."""
     yield _source(host)
     utc_s = now_s()
     date = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%d")

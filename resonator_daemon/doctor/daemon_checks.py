@@ -1,4 +1,4 @@
-"""A daemon that runs on the link already: what it says of itself, so that nobody has to take the link from it."""
+"""A daemon that runs on the link already: its own status, so that the link stays with it."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -21,7 +21,7 @@ _WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in whic
 
 
 def check_daemon(answer: Answer) -> Iterator[Finding]:
-    """Yield what a running daemon says; its words are a stranger's, and may lack anything."""
+    """Yield the findings on a running daemon; its answer is foreign, and may lack anything."""
     status = answer.status
     if status is None:
         if os.access(answer.socket, os.R_OK | os.W_OK):
@@ -29,11 +29,11 @@ def check_daemon(answer: Answer) -> Iterator[Finding]:
         else:
             yield RUNS.not_checked(f"{answer.socket}: {answer.problem}")
         return
-    yield from told(status, "its socket")
+    yield from check_status(status, "its socket")
 
 
-def told(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
-    """Yield what a daemon's own word tells; whatever it leaves out is not looked at."""
+def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
+    """Yield the findings on a daemon's status; what the status leaves out is not checked."""
     pid = f" as pid {status['pid']}" if "pid" in status else ""
     yield RUNS.ok(f"it runs{pid} and has the link; what follows is what it says over {where}")
     if config := _table(status, "config"):

@@ -77,14 +77,14 @@ def _budget(recording: Recording, name: str | None) -> Finding:
 
 
 def _room(directory: Path) -> _Room:
-    """Look at a directory, or at the nearest one above that exists: it is made when it is needed."""
+    """Return the room in a directory, or in the nearest one above that exists: it is made when it is needed."""
     place = directory
     while not place.exists() and place != place.parent:
         place = place.parent
     if not place.is_dir():
         return _Room(0.0, f"{place} is a file")
     try:
-        with tempfile.TemporaryFile(dir=place):  # permissions alone do not tell of a read-only file system
+        with tempfile.TemporaryFile(dir=place):  # permissions do not show a read-only file system
             pass
         system = os.statvfs(place)
     except OSError as error:

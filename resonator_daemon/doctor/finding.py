@@ -1,4 +1,4 @@
-"""Result of one check: what was looked at, the evidence with its limit, the outcome, and what to do."""
+"""Result of one check: its subject, the evidence with its limit, the outcome, and what to do."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -61,7 +61,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """What is looked at; `id` stays the same from version to version."""
+    """Subject of a check; `id` stays the same from version to version."""
 
     id: str
     area: Area
@@ -100,5 +100,5 @@ def graded(value: float, warning_above: float, fault_above: float) -> Outcome:
 
 
 def not_checked(checks: Iterable[Check], reason: str) -> list[Finding]:
-    """Return that none of these could be looked at."""
+    """Return a finding for each of these: it could not be checked."""
     return [check.not_checked(reason) for check in checks]

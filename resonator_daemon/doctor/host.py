@@ -1,4 +1,4 @@
-"""The computer that is looked at: its files below a root that a test may choose, and what this process may open."""
+"""The computer that is checked: its files below a root that a test may choose, and what this process may open."""
 
 import os
 from collections.abc import Callable, Iterator

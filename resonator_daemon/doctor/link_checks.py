@@ -13,7 +13,7 @@ from resonator_daemon.session.probe import ProbeResult, round_trip_s
 
 OPENS: Final = Check("link.opens", Area.WIRING, "link")
 ANSWERS: Final = Check("board.answers", Area.WIRING, "board answers")
-TALKS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and says something else
+TALKS: Final = Check("board.answers", Area.SENSOR, "board answers")  # it is there, and answers something else
 FITS: Final = Check("board.fits", Area.SENSOR, "board and plate file")
 UNIT: Final = Check("board.unit", Area.SENSOR, "board that was calibrated")
 REFERENCE: Final = Check("board.reference", Area.SENSOR, "reference of the board")
@@ -25,8 +25,8 @@ STEADY: Final = Check("link.steady", Area.WIRING, "link stays")
 ERRORS: Final = Check("link.errors", Area.WIRING, "errors on the cable")
 OVERFLOW: Final = Check("link.overflow", Area.WIRING, "frames that the board dropped")
 OVERRUN: Final = Check("host.overrun", Area.SOFTWARE, "bytes that the driver lost")
-OF_AN_INQUIRY: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
-OF_A_SITTING: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
+OF_A_PROBE: Final = (FITS, UNIT, REFERENCE, ROUND_TRIP, RESET)
+OF_A_CAPTURE: Final = (COUNTS, STEADY, ERRORS, OVERFLOW, OVERRUN)
 
 _ROUND_TRIP_S: Final = 0.005  # median; an FTDI timer of 16 ms, its default, gives 8 ms more
 _ERRORS_WARNING, ERRORS_FAULT = 0.0, 1e-3  # frames damaged or lost, of all
@@ -35,9 +35,9 @@ _GARBAGE_FAULT: Final = 1e-3  # bytes discarded, of all
 _HITS_LEAST, _GARBAGE_LEAST_BYTES = 3, 1024  # fewer are chance, or packets that were cut when the port was opened
 
 
-def check_inquiry(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
-    """Yield what a board's answers say, its counting aside; `busy` explains answers that come late."""
-    identity = inquiry.described.identity
+def check_probe(probed: ProbeResult, plate: Plate | None, busy: str = "") -> Iterator[Finding]:
+    """Yield the findings on a board's answers, its counting aside; `busy` explains answers that come late."""
+    identity = probed.described.identity
     yield ANSWERS.ok(f"{identity.product} {identity.serial_number}, firmware {identity.firmware}")
     if plate is None:
         yield FITS.not_checked(
@@ -45,11 +45,11 @@ def check_inquiry(inquiry: ProbeResult, plate: Plate | None, busy: str = "") -> 
         )
         yield UNIT.not_checked("no plate file")
     else:
-        yield _fits(inquiry, plate)
-        yield _unit(inquiry, plate)
-    yield _reference(inquiry)
-    yield excused(_round_trip(inquiry), busy)
-    yield _reset(inquiry)
+        yield _fits(probed, plate)
+        yield _unit(probed, plate)
+    yield _reference(probed)
+    yield excused(_round_trip(probed), busy)
+    yield _reset(probed)
 
 
 def check_capture(capture: Capture) -> Iterator[Finding]:
@@ -71,13 +71,13 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
 
 
 def _steady(capture: Capture) -> Finding:
-    said = (*capture.losses, *capture.interruptions)
-    if not said:
+    stops = (*capture.losses, *capture.interruptions)
+    if not stops:
         return STEADY.ok("frames came all the time")
     return STEADY.fault(
-        f"frames stopped {len(said)} times in {capture.seconds:.1f} s: {said[0]}",
+        f"frames stopped {len(stops)} times in {capture.seconds:.1f} s: {stops[0]}",
         "check plug, cable, hub and the board's power: move the cable and watch",
-        Amount(float(len(said)), 0.0, "interruptions"),
+        Amount(float(len(stops)), 0.0, "interruptions"),
     )
 
 
@@ -159,15 +159,15 @@ def _all_frames(capture: Capture) -> int:
     return max(1, capture.frames + capture.after.lost.total - capture.before.lost.total)
 
 
-def _fits(inquiry: ProbeResult, plate: Plate) -> Finding:
-    problems = incompatibilities(inquiry.described.description, plate)
+def _fits(probed: ProbeResult, plate: Plate) -> Finding:
+    problems = incompatibilities(probed.described.description, plate)
     if problems:
         return FITS.fault("; ".join(problems), "connect the right board, or name the right plate file")
     return FITS.ok(f"the board counts what plate {plate.name} needs")
 
 
-def _unit(inquiry: ProbeResult, plate: Plate) -> Finding:
-    unit, present = plate.calibration.unit, inquiry.described.identity.serial_number
+def _unit(probed: ProbeResult, plate: Plate) -> Finding:
+    unit, present = plate.calibration.unit, probed.described.identity.serial_number
     if unit is None:
         return UNIT.not_checked("the plate file does not say with which board it was calibrated")
     if unit != present:
@@ -178,8 +178,8 @@ def _unit(inquiry: ProbeResult, plate: Plate) -> Finding:
     return UNIT.ok(unit)
 
 
-def _reference(inquiry: ProbeResult) -> Finding:
-    rate = inquiry.tick_rate
+def _reference(probed: ProbeResult) -> Finding:
+    rate = probed.tick_rate
     if rate is None:
         return REFERENCE.not_checked("its ticks could not be timed")
     evidence = (
@@ -195,8 +195,8 @@ def _reference(inquiry: ProbeResult) -> Finding:
     )
 
 
-def _round_trip(inquiry: ProbeResult) -> Finding:
-    times_s = round_trip_s(inquiry)
+def _round_trip(probed: ProbeResult) -> Finding:
+    times_s = round_trip_s(probed)
     if times_s is None:
         return ROUND_TRIP.fault(
             "it says who it is, and answers no ping", "start the board anew, or update its firmware"
@@ -214,8 +214,8 @@ def _round_trip(inquiry: ProbeResult) -> Finding:
     )
 
 
-def _reset(inquiry: ProbeResult) -> Finding:
-    cause = inquiry.described.identity.reset_cause
+def _reset(probed: ProbeResult) -> Finding:
+    cause = probed.described.identity.reset_cause
     if cause == ResetCause.BROWN_OUT:
         return RESET.warning(
             "its supply had broken down", "check the board's power: a shorter cable, another port, a hub with a supply"

@@ -15,7 +15,7 @@ from resonator_daemon.tones.tone_detector import ToneReading
 
 FEWEST_FRAMES: Final = 3  # of a reading
 PAIRS: Final = tuple(combinations(range(CHANNEL_COUNT), 2))
-_TONES_PAIRED: Final = 64  # more say no more about two channels
+_TONES_PAIRED: Final = 64  # more add nothing about two channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,17 +48,17 @@ class PlateReading:
 
 
 def plate_reading(reading: ToneReading, expected: ExpectedTones) -> PlateReading:
-    """Return what a tone reading says about a plate with these tones."""
+    """Return a tone reading against the tones of a plate."""
     shift = reading.frequency_hz / expected.f0_hz - 1.0
     std = np.hypot(reading.std, reading.oscillator_std)
     strange_hz = np.full(CHANNEL_COUNT, math.nan)
     gate_hz, touched = reading.gate_hz, False
     if expected.pressed_hz is not None:
         lowest_hz, highest_hz = expected.pressed_hz
-        (heard_hz,), off = reading.frequency_hz, np.abs(shift[0]) >= expected.band[0]
-        of_site = off & ((lowest_hz <= heard_hz) & (heard_hz <= highest_hz)).any(axis=0)
+        (tone_hz,), off = reading.frequency_hz, np.abs(shift[0]) >= expected.band[0]
+        of_site = off & ((lowest_hz <= tone_hz) & (tone_hz <= highest_hz)).any(axis=0)
         touched = bool(of_site.any())
-        strange_hz = np.where(off & ~of_site, heard_hz, math.nan)
+        strange_hz = np.where(off & ~of_site, tone_hz, math.nan)
         shift, std = np.where(off, math.nan, shift), np.where(off, math.nan, std)
         gate_hz = np.where(np.abs(gate_hz / expected.f0_hz.T - 1.0) < expected.band, gate_hz, math.nan)
     return PlateReading(

@@ -27,7 +27,7 @@ _RULES_FILE: Final = "the rules of docs/links.md, or: resonatord install"
 
 
 def check_port(port: str, host: Host, holders: Holders) -> Iterator[Finding]:
-    """Yield what there is to say of a serial port without opening it; `holders` have it open."""
+    """Yield the findings on a serial port, without opening it; `holders` have it open."""
     path = host.at(port)
     absent = _absent(path, port, host)
     if absent is not None:

@@ -16,7 +16,7 @@ _MARK_WIDTH: Final = 9
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that was found, in the order in which it was looked at."""
+    """Everything that was found, in the order of the checks."""
 
     findings: Sequence[Finding]
 
@@ -55,7 +55,7 @@ class Report:
         }
 
     def as_text(self, *, whole: bool = True) -> str:
-        """Return the lines for people; without a verdict where not everything was looked at."""
+        """Return the lines for people; without a verdict where not everything was checked."""
         lines = [line for area in Area for line in self._lines_of(area)]
         ending = self._ending() if whole else ()
         return "\n".join([*lines, *self._not_checked_together(), *ending]) + "\n"

@@ -1,4 +1,4 @@
-"""`resonatord doctor`: looks at everything in the order of causes, and says who must act."""
+"""`resonatord doctor`: checks everything in the order of causes, and names who must act."""
 
 import asyncio
 import json
@@ -14,14 +14,14 @@ from resonator_daemon.doctor import link_checks, sensor_checks
 from resonator_daemon.doctor.broker_checks import check_broker
 from resonator_daemon.doctor.capture import capture_board
 from resonator_daemon.doctor.clock_checks import check_clock
-from resonator_daemon.doctor.daemon_checks import check_daemon, told
+from resonator_daemon.doctor.daemon_checks import check_daemon, check_status
 from resonator_daemon.doctor.disk_checks import check_disk
 from resonator_daemon.doctor.finding import Area, Finding, Outcome, not_checked
 from resonator_daemon.doctor.host import Host
 from resonator_daemon.doctor.load import Load
 from resonator_daemon.doctor.port_checks import HOLDER, check_holder, check_port
 from resonator_daemon.doctor.report import Report
-from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon, works_by
+from resonator_daemon.doctor.running_daemon import find_daemon, published_status, works_by
 from resonator_daemon.doctor.service_checks import check_service
 from resonator_daemon.doctor.usb_checks import check_usb_device, check_usb_link, usb_device_of, usb_node
 from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCommandError
@@ -34,7 +34,7 @@ from resonator_daemon.session.probe import NoBoardError, ProbeResult, probe
 
 _BITS_PER_BYTE: Final = 8
 _DAEMON_HAS_IT: Final = "a daemon has the link; stop it to have the board itself looked at"
-_AFTER_INQUIRY: Final = (*link_checks.OF_AN_INQUIRY, *link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE)
+_AFTER_OPENING: Final = (*link_checks.OF_A_PROBE, *link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE)
 
 
 class UnusableConfigError(ConfigurationError):
@@ -45,7 +45,7 @@ class UnusableConfigError(ConfigurationError):
 
 @dataclass(frozen=True)
 class DoctorOptions:
-    """What is to be looked at: a configuration's board, or one on a link."""
+    """Options of a diagnosis: a configuration's board, or one on a link."""
 
     config_path: Path | None
     link: LinkTarget | None
@@ -56,7 +56,7 @@ class DoctorOptions:
 
 
 def doctor(options: DoctorOptions) -> ExitCode:
-    """Look, and print the report; FAILED where something is at fault.
+    """Check everything, and print the report; FAILED where something is at fault.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def doctor(options: DoctorOptions) -> ExitCode:
 
 
 class _NoBoardError(ConfigurationError):
-    """The configuration can be used, and there is nothing to look at."""
+    """The configuration can be used, and there is nothing to check."""
 
 
 class _Diagnosis:
@@ -104,40 +104,40 @@ class _Diagnosis:
         try:
             yield from self._all()
         finally:
-            self._say("")
+            self._show("")
 
     def _all(self) -> Iterator[Finding]:
         config = self._config
         if self._link is not None:
             yield from self._board(self._link)
-        self._say("clock, disk, service")
+        self._show("clock, disk, service")
         yield from check_clock(self._host)
         yield from check_disk(state_directory(), config.recording if config else None, config.name if config else None)
         yield from check_service(self._options.config_path, self._host)
         for broker in self._brokers():
-            self._say(f"broker {broker.host}:{broker.port}")
+            self._show(f"broker {broker.host}:{broker.port}")
             yield from asyncio.run(check_broker(broker, self._host))
 
     def _board(self, link: LinkTarget) -> Iterator[Finding]:
-        self._say(f"link {link}")
+        self._show(f"link {link}")
         node = self._node(link)
         holders = Holders((), True) if node is None else port_holders(str(node))
         of_port = list(self._port(link, holders))
-        heard = self._daemon(link, holders, of_port)
-        if heard:
+        of_daemon = self._daemon(link, holders, of_port)
+        if of_daemon:
             yield from (finding for finding in of_port if finding.id != HOLDER.id)
-            yield from heard
-            said = {finding.id for finding in heard}
-            yield from not_checked((check for check in _AFTER_INQUIRY if check.id not in said), _DAEMON_HAS_IT)
+            yield from of_daemon
+            reported = {finding.id for finding in of_daemon}
+            yield from not_checked((check for check in _AFTER_OPENING if check.id not in reported), _DAEMON_HAS_IT)
             return
         yield from of_port
         if any(finding.outcome is Outcome.FAULT for finding in of_port):
-            yield from not_checked((link_checks.OPENS, link_checks.ANSWERS, *_AFTER_INQUIRY), "the port cannot be used")
+            yield from not_checked((link_checks.OPENS, link_checks.ANSWERS, *_AFTER_OPENING), "the port cannot be used")
             return
-        yield from self._talk(link)
+        yield from self._probe(link)
 
     def _daemon(self, link: LinkTarget, holders: Holders, of_port: list[Finding]) -> list[Finding]:
-        """Return what the daemon says that has the link; empty where none has it."""
+        """Return the findings on the daemon that has the link; empty where none has it."""
         own_link = self._config is not None and self._config.link == link
         path = self._options.config_path if own_link else None
         answer = asyncio.run(find_daemon(link, path, {holder.pid for holder in holders.processes}))
@@ -146,10 +146,10 @@ class _Diagnosis:
         held = any(finding.id == HOLDER.id and finding.outcome is Outcome.FAULT for finding in of_port)
         if held or answer is not None or link.is_remote:
             for broker in self._brokers():
-                self._say(f"what a daemon publishes at {broker.host}:{broker.port}")
+                self._show(f"what a daemon publishes at {broker.host}:{broker.port}")
                 name = self._config.name if own_link and self._config is not None else None
-                if (status := asyncio.run(hear_daemon(broker, name, link))) is not None:
-                    return list(told(status, "MQTT"))
+                if (status := asyncio.run(published_status(broker, name, link))) is not None:
+                    return list(check_status(status, "MQTT"))
         return [] if answer is None else list(check_daemon(answer))
 
     def _brokers(self) -> tuple[Mqtt, ...]:
@@ -174,41 +174,41 @@ class _Diagnosis:
             if usb_node(link.usb_id, self._host) is not None:
                 yield check_holder(holders, str(link))
 
-    def _talk(self, link: LinkTarget) -> Iterator[Finding]:
+    def _probe(self, link: LinkTarget) -> Iterator[Finding]:
         try:
             opened = link.open()
         except LinkUnavailableError as error:
             yield link_checks.OPENS.fault(str(error), link.remedy)
-            yield from not_checked((link_checks.ANSWERS, *_AFTER_INQUIRY), "the link cannot be opened")
+            yield from not_checked((link_checks.ANSWERS, *_AFTER_OPENING), "the link cannot be opened")
             return
         try:
             yield link_checks.OPENS.ok(f"{link} is open")
-            self._say("asking the board who it is")
+            self._show("asking the board who it is")
             with Load(self._host) as load:
-                inquiry = probe(opened)
+                probed = probe(opened)
             busy = load.busy()
         except NoBoardError as error:
             check = link_checks.TALKS if error.is_a_board else link_checks.ANSWERS
             yield check.fault(str(error), "check power, cable and baud rate, and that it is this port")
-            yield from not_checked(_AFTER_INQUIRY, "no board answers")
+            yield from not_checked(_AFTER_OPENING, "no board answers")
             return
         finally:
             opened.close()
-        yield from self._listen(link, inquiry, busy)
+        yield from self._capture(link, probed, busy)
 
-    def _listen(self, link: LinkTarget, inquiry: ProbeResult, busy: str) -> Iterator[Finding]:
-        plate = self._plate(inquiry)
-        answered = list(link_checks.check_inquiry(inquiry, plate, busy))
+    def _capture(self, link: LinkTarget, probed: ProbeResult, busy: str) -> Iterator[Finding]:
+        plate = self._plate(probed)
+        answered = list(link_checks.check_probe(probed, plate, busy))
         yield from answered
         if plate is None:
-            yield from not_checked((*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "name a --config FILE")
+            yield from not_checked((*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), "name a --config FILE")
             return
         if any(f.outcome is Outcome.FAULT and f.id == link_checks.FITS.id for f in answered):
             yield from not_checked(
-                (*link_checks.OF_A_SITTING, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
+                (*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
             )
             return
-        capture = capture_board(link, plate, self._options.seconds, self._say, self._host)
+        capture = capture_board(link, plate, self._options.seconds, self._show, self._host)
         found = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
         of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in found]
         yield from of_link
@@ -222,13 +222,13 @@ class _Diagnosis:
         else:
             yield from sensor_checks.check_plate(capture, plate)
 
-    def _plate(self, inquiry: ProbeResult) -> Plate | None:
+    def _plate(self, probed: ProbeResult) -> Plate | None:
         if self._config is not None:
             return self._config.plate
-        name = inquiry.described.description.plate
+        name = probed.described.description.plate
         return load_plate(name) if name in shipped_plates() else None
 
-    def _say(self, what: str) -> None:
+    def _show(self, what: str) -> None:
         """Show progress in one line of a terminal."""
         if sys.stderr.isatty():
             sys.stderr.write(f"\r{what}\x1b[K")

@@ -16,9 +16,9 @@ from resonator_daemon.publishing.payloads import Condition, Info
 from resonator_daemon.publishing.subscriber import subscribe
 from resonator_daemon.publishing.topics import TOPICS
 
-_HEARD: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
+_STATUS_TOPICS: Final = ("info", "state/daemon", "state/link", "state/sensor", "health")
 _NS_MAX: Final = 2**63
-_LOOK_S, _HEAR_S = 2.0, 4.0  # the broker has the states, health comes each second
+LOOK_S, _STATUS_S = 2.0, 4.0  # the broker has the states, health comes each second
 
 
 async def find_daemon(link: LinkTarget, config_path: Path | None, pids: Collection[int]) -> Answer | None:
@@ -70,28 +70,28 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
         return False  # its file is not for this user to read, or has changed since
 
 
-async def hear_daemon(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[str, Any] | None:
-    """Return what a daemon publishes of itself, as its socket would give it; None where none says so in time.
+async def published_status(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[str, Any] | None:
+    """Return the status that a daemon publishes, as its socket would give it; None where none comes in time.
 
     Without a name it is the one that says it reads `link`.
     """
     plates: dict[str, dict[str, Any]] = {}
-    topics = tuple(TOPICS[path] for path in _HEARD)
+    topics = tuple(TOPICS[path] for path in _STATUS_TOPICS)
     try:
-        async with asyncio.timeout(_LOOK_S) as limit, aclosing(subscribe(broker, topics)) as messages:
+        async with asyncio.timeout(LOOK_S) as limit, aclosing(subscribe(broker, topics)) as messages:
             async for plate, path, message in messages:
-                said = plates.setdefault(plate, {})
+                status = plates.setdefault(plate, {})
                 if isinstance(message, Info):
-                    said["is_ours"] = _names(message.link, link)
+                    status["is_ours"] = _names(message.link, link)
                 else:
-                    said[path.removeprefix("state/")] = message.model_dump(mode="json")
-                wanted = plate == name if name else said.get("is_ours")
-                if wanted and "daemon" in said and said["daemon"].get("state") != Condition.ONLINE:
+                    status[path.removeprefix("state/")] = message.model_dump(mode="json")
+                wanted = plate == name if name else status.get("is_ours")
+                if wanted and "daemon" in status and status["daemon"].get("state") != Condition.ONLINE:
                     return None
                 if wanted and path in ("info", "state/daemon"):
-                    limit.reschedule(asyncio.get_running_loop().time() + _HEAR_S)
-                if wanted and said.keys() >= {"daemon", "link", "sensor", "health"}:
-                    return {**said, "broker": {"connected": True, "url": broker.anonymous().url}}
+                    limit.reschedule(asyncio.get_running_loop().time() + _STATUS_S)
+                if wanted and status.keys() >= {"daemon", "link", "sensor", "health"}:
+                    return {**status, "broker": {"connected": True, "url": broker.anonymous().url}}
     except TimeoutError:
         pass
     return None

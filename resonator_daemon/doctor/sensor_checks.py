@@ -24,7 +24,7 @@ TEMPERATURE: Final = Check("board.temperature", Area.SENSOR, "temperature of the
 CALIBRATION: Final = Check("sensor.calibration", Area.SENSOR, "calibration record")
 OF_THE_PLATE: Final = (CHANNELS, AT_REST, TONES, NOISE, CROSS_TALK, DRIFT, TEMPERATURE)
 
-_HEARD_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is heard
+_COUNTED_SHARE: Final = 0.5  # of the readings, in which a tone that is alive is counted
 _NOISE_WARNING, _NOISE_FAULT = 3.0, 10.0  # over what counter and oscillator give
 # What a counter takes for a signal is three times as strong as its noise; where they are equal, edges are lost.
 _SCATTER_WARNING_RADIAN, _SCATTER_FAULT_RADIAN = 1.0 / 3.0, 1.0
@@ -39,7 +39,7 @@ _STEP_KELVIN: Final = 5.0  # in some seconds: a sensor that is loose
 
 
 def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
-    """Yield what the tones say; `capture` is one in which frames came."""
+    """Yield the findings on the tones; `capture` is one in which frames came."""
     expected = capture.tones
     if len(capture.readings) < _READINGS_MIN:
         reason = f"{len(capture.readings)} readings of a tenth of a second, at least {_READINGS_MIN} are needed"
@@ -66,7 +66,7 @@ def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
 
 
 def check_calibration(plate: Plate, expiry_note: str) -> Finding:
-    """Return how the plate's record stands; `expiry_note` says that it has expired, or is empty."""
+    """Return the finding on the plate's record; `expiry_note` is a sentence once it has expired, else empty."""
     calibration = plate.calibration
     if calibration.id is None:
         return CALIBRATION.not_checked("the plate file has none")
@@ -120,23 +120,23 @@ def _at_rest(
 
 
 def _channels(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
-    """Judge each channel by the share of all tones that it hears, wherever they are."""
-    heard = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
-    dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if heard[channel] < _HEARD_SHARE]
-    least = f"a channel counts as alive that hears {100 * _HEARD_SHARE:.0f} % of its tones"
+    """Judge each channel by the share of all tones that it counts, wherever they are."""
+    counted = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
+    dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if counted[channel] < _COUNTED_SHARE]
+    least = f"a channel counts as alive that hears {100 * _COUNTED_SHARE:.0f} % of its tones"
     if dead:
         return CHANNELS.fault(
             f"channel {', '.join(dead)} of {CHANNEL_COUNT} hears too little; {least}",
             "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
-            Amount(float(heard.min()), _HEARD_SHARE),
+            Amount(float(counted.min()), _COUNTED_SHARE),
         )
-    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", Amount(float(heard.min()), _HEARD_SHARE))
+    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", Amount(float(counted.min()), _COUNTED_SHARE))
 
 
 def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
-    alive = np.isfinite(shift).mean(axis=(0, 1)) >= _HEARD_SHARE  # of dead channels another finding tells
-    heard = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
-    unheard = np.flatnonzero((heard < _HEARD_SHARE).any(axis=1))
+    alive = np.isfinite(shift).mean(axis=(0, 1)) >= _COUNTED_SHARE  # dead channels have a finding of their own
+    counted = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
+    uncounted = np.flatnonzero((counted < _COUNTED_SHARE).any(axis=1))
     off = np.nanmax(np.abs(_middle(shift)), axis=1, initial=0.0)  # (t,)
     outside = np.flatnonzero(off > expected.band)
     if np.isfinite(strange_hz).any():
@@ -156,12 +156,12 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
             "name the plate file of this plate; a single tone that is off is a broken site",
             Amount(1e6 * float(off[worst]), 1e6 * float(expected.band[worst]), "ppm"),
         )
-    if len(unheard):
-        names = ", ".join(expected.names[tone] for tone in unheard[:5])
+    if len(uncounted):
+        names = ", ".join(expected.names[tone] for tone in uncounted[:5])
         return TONES.fault(
-            f"{len(unheard)} of {len(off)} are not heard by every channel that is alive: {names}",
+            f"{len(uncounted)} of {len(off)} are not heard by every channel that is alive: {names}",
             "these sites are broken, or another tone covers theirs",
-            Amount(float(len(unheard)), 0.0, "tones"),
+            Amount(float(len(uncounted)), 0.0, "tones"),
         )
     if not alive.any():
         return TONES.not_checked("no channel hears them")
@@ -174,10 +174,10 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
 
 
 def _middle(shift: Floats) -> Floats:
-    """Mean over the readings, (t, 4), NaN where a tone is never heard."""
-    heard = np.isfinite(shift)
-    total = np.where(heard, shift, 0.0).sum(axis=0)
-    return np.where(heard.any(axis=0), total / np.maximum(heard.sum(axis=0), 1), math.nan)
+    """Mean over the readings, (t, 4), NaN where a tone is never counted."""
+    counted = np.isfinite(shift)
+    total = np.where(counted, shift, 0.0).sum(axis=0)
+    return np.where(counted.any(axis=0), total / np.maximum(counted.sum(axis=0), 1), math.nan)
 
 
 def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) -> Finding:
@@ -230,12 +230,12 @@ def _worse(one: Finding, other: Finding) -> Finding:
 
 
 def _cross_talk(pair_noise: Floats) -> Finding:
-    """Two channels that count by themselves differ by their noise; one that hears the other's does not."""
-    heard = np.isfinite(pair_noise)
-    if not heard.any():
+    """Two channels that count by themselves differ by their noise; one that receives the other's tone does not."""
+    counted = np.isfinite(pair_noise)
+    if not counted.any():
         return CROSS_TALK.not_checked("no two channels hear the same tone")
-    counts = np.maximum(heard.sum(axis=0), 1)
-    mean = np.where(heard.any(axis=0), np.where(heard, pair_noise, 0.0).sum(axis=0) / counts, math.inf)
+    counts = np.maximum(counted.sum(axis=0), 1)
+    mean = np.where(counted.any(axis=0), np.where(counted, pair_noise, 0.0).sum(axis=0) / counts, math.inf)
     pair = int(mean.argmin())
     alike = 1.0 / max(float(mean[pair]), 1e-6)
     first, second = PAIRS[pair]
@@ -254,9 +254,9 @@ def _cross_talk(pair_noise: Floats) -> Finding:
 def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
     """Fit a line to each tone's mean over the channels, and judge the fastest that is no noise."""
     with np.errstate(invalid="ignore"):
-        heard = np.isfinite(shift)
-        counts = heard.sum(axis=2)
-        values = np.where(counts, np.where(heard, shift, 0.0).sum(axis=2) / np.maximum(counts, 1), math.nan)  # (r, t)
+        counted = np.isfinite(shift)
+        counts = counted.sum(axis=2)
+        values = np.where(counts, np.where(counted, shift, 0.0).sum(axis=2) / np.maximum(counts, 1), math.nan)  # (r, t)
     complete = np.isfinite(values).all(axis=0)
     if not complete.any():
         return DRIFT.not_checked("no tone is heard all the time")

@@ -44,7 +44,7 @@ def _node(device: Path, host: Host) -> str:
 
 
 def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Iterator[Finding]:
-    """Yield what there is to say of the device that a USB link names."""
+    """Yield the findings on the device that a USB link names."""
     found = list(_named(link, host))
     wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
         f", serial {link.serial_number}" if link.serial_number else ""

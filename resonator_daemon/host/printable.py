@@ -1,6 +1,14 @@
-"""Foreign text made safe for terminals."""
+"""Text for terminals: foreign text made safe, and lines for people."""
+
+import sys
 
 
 def printable(text: object) -> str:
     """Return the text in one line, without control characters."""
     return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in str(text))
+
+
+def print_note(text: str) -> None:
+    """Print a line for people to the standard error."""
+    sys.stderr.write(f"{printable(text)}\n")
+    sys.stderr.flush()

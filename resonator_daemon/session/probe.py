@@ -11,9 +11,9 @@ from firmware_protocol.packets import ForeignVersion
 from resonator_daemon.links.link import Link, LinkLostError
 from resonator_daemon.session.clock import TOLERANCE_PPM, Exchange
 
-_ANSWER_S = 3.0
+ANSWER_S = 3.0
 _ASK_AGAIN_S = 0.3
-_PING_S = 0.05
+PING_S = 0.05
 _PINGS = 20
 _POLL_S = 0.01
 
@@ -103,13 +103,13 @@ class _Probe:
         last_said, next_ping = begun, begun
         while self._described is None or self._pings < _PINGS or not self._blink_answered:
             now = time.monotonic()
-            if self._described is None and now - begun > _ANSWER_S:
+            if self._described is None and now - begun > ANSWER_S:
                 raise self._no_board()
-            if self._described is not None and now - begun > 2 * _ANSWER_S:
+            if self._described is not None and now - begun > 2 * ANSWER_S:
                 break  # who it is is known; the rest was not answered in time
             if self._described is not None and now >= next_ping and self._pings < _PINGS:
                 self._ping()
-                next_ping = now + _PING_S
+                next_ping = now + PING_S
             if self._session.awaits_answer and now - last_said > _ASK_AGAIN_S:
                 self._session.ask_again()
                 if self._described is not None and not self._blink_answered:

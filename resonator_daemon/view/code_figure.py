@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from resonator_daemon.plate import Plate
+from resonator_daemon.view.pages import make_figure
 
 _INCHES: Final = (9.0, 4.5)
 
@@ -34,7 +34,7 @@ def write_code_figure(
     has_pilot
         Whether the pilot belongs to it.
     """
-    figure = Figure(figsize=_INCHES, layout="constrained")
+    figure = make_figure(_INCHES)
     above, ladder = figure.subplots(1, 2, width_ratios=[1, 1])
     outline_mm = 1e3 * np.vstack([plate.outline_m, plate.outline_m[:1]])
     above.plot(*outline_mm.T, color="0.4", linewidth=1.0)

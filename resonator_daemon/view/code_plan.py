@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.table import Table
 
-from resonator_daemon.errors import UserError
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
 from resonator_daemon.plate import Counter, Plate
+from resonator_daemon.view.code_figure import write_code_figure
+from resonator_daemon.view.pages import number_table
 from resonator_daemon.view.words import quantity
 
 BITS_A_BYTE: Final = 10  # on a serial line: start bit, 8 data bits, stop bit
@@ -159,7 +160,7 @@ class CodePlan:
         yield from self._sentences()
 
     def _site_table(self) -> Table:
-        table = _table("code", "site", "x mm", "y mm", "f0 Hz", "K ppm/N", "at the largest force Hz")
+        table = number_table("code", "site", "x mm", "y mm", "f0 Hz", "K ppm/N", "at the largest force Hz")
         tones = self.plate.tones
         for index in np.argsort(self.codes).tolist():
             x_m, y_m = self.plate.site_positions_m[index]
@@ -178,7 +179,7 @@ class CodePlan:
         return table
 
     def _guard_table(self) -> Table:
-        table = _table("a step must hold", "ppm")
+        table = number_table("a step must hold", "ppm")
         for cause, share in self.guard._asdict().items():
             if share:
                 table.add_row(_CAUSES[cause], f"{1e6 * share:.1f}")
@@ -188,7 +189,7 @@ class CodePlan:
 
     def _cost_table(self) -> Table:
         band = self.as_json()["band"]
-        table = _table("uses", "", "", "share")
+        table = number_table("uses", "", "", "share")
         table.add_row(
             "band, down to full load",
             f"{band['used_ppm']:.0f} ppm",
@@ -206,13 +207,15 @@ class CodePlan:
         return table
 
     def _noise_table(self) -> Table:
-        table = _table(f"noise of a force over {1e3 * self.window_s:g} ms", "counter mN", "oscillator mN", "both mN")
+        table = number_table(
+            f"noise of a force over {1e3 * self.window_s:g} ms", "counter mN", "oscillator mN", "both mN"
+        )
         for name, noise in self.noise.items():
             table.add_row(name.replace("_", " "), *(f"{1e3 * value:.2g}" for value in noise))
         return table
 
     def _trial_table(self) -> Table:
-        table = _table("touches, simulated", "number", "right", "one of two", "wrong", "undecided")
+        table = number_table("touches, simulated", "number", "right", "one of two", "wrong", "undecided")
         for name, found in (("one site", self.trials.one_touch), ("two sites", self.trials.two_touches)):
             if found.touches:
                 shares = [_share(count, found.touches) for count in found]
@@ -240,21 +243,9 @@ class CodePlan:
 
     def write_picture(self, path: Path) -> None:
         """Write plate and ladder to an SVG, PNG or PDF file; a UserError names what is missing."""
-        try:
-            from resonator_daemon.view.code_figure import write_code_figure
-        except ModuleNotFoundError as error:
-            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         write_code_figure(path, self.plate, self.codes, self.bands_hz(), self.guard.step, has_pilot=self.has_pilot)
 
 
 def _share(count: int, of: int) -> str:
     """Return a share; none of n is below 3 / n, at 95 %."""
     return f"{count / of:.2%}" if count else f"0 (< {300 / of:.2g}%)"
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(first, overflow="fold")
-    for name in others:
-        table.add_column(name, justify="right", overflow="fold")
-    return table

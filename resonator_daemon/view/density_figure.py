@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
+
+from resonator_daemon.view.pages import make_figure
 
 _PANELS_IN_A_ROW: Final = 4
 _PANEL_INCHES: Final = (2.6, 3.4)
@@ -35,7 +36,7 @@ def write_density_figure(
     columns = min(len(titles), _PANELS_IN_A_ROW)
     bands = math.ceil(len(titles) / columns)
     width, height = _PANEL_INCHES
-    figure = Figure(figsize=(width * columns, height * bands + 0.5), layout="constrained")
+    figure = make_figure((width * columns, height * bands + 0.5))
     figure.suptitle(title, fontsize="medium")
     axes = figure.subplots(2 * bands, columns, squeeze=False, height_ratios=[3, 1] * bands)
     omega = omega_rad_per_m * 1e-3

@@ -14,8 +14,9 @@ from rich.table import Table
 
 from resonator_daemon.elastic.sensor_resolution import LOADS, Load, SensorArray
 from resonator_daemon.elastic.sensor_sets import SensorSet
-from resonator_daemon.errors import UserError
+from resonator_daemon.view.density_figure import write_density_figure
 from resonator_daemon.view.maps import side_by_side, traction_map
+from resonator_daemon.view.pages import number_table
 from resonator_daemon.view.words import UNKNOWN, quantity
 
 FEATURES_M: Final = (0.5e-3, 1e-3, 2e-3, 4e-3)
@@ -182,7 +183,7 @@ class SensorPlan:
         yield from self._pictures(options.max_width, colours=colours)
 
     def _signal_table(self) -> Table:
-        table = _table("signal", "bandwidth rad/mm", "asymmetry", "strongest 1e-6/kPa", "blind at")
+        table = number_table("signal", "bandwidth rad/mm", "asymmetry", "strongest 1e-6/kPa", "blind at")
         for name, sensors in [*zip(self._names, self._rows, strict=True), ("set", self._sensors)]:
             table.add_row(
                 name,
@@ -194,14 +195,14 @@ class SensorPlan:
         return table
 
     def _resolution_table(self) -> Table:
-        table = _table("load", "finest mm", "best direction mm", "coarsest mm")
+        table = number_table("load", "finest mm", "best direction mm", "coarsest mm")
         for load, (finest, coarsest) in self._features.items():
             widest = "even" if coarsest == math.inf else _mm(coarsest)
             table.add_row(_LOAD_NAMES[load], _mm(finest), _mm(self._best[load]), widest)
         return table
 
     def _feature_table(self) -> Table:
-        table = _table(
+        table = number_table(
             "feature mm", "deepest mm: normal", "shear", "no shear", "widest pitch mm: normal", "shear", "no shear"
         )
         for n, feature_m in enumerate(FEATURES_M):
@@ -227,10 +228,6 @@ class SensorPlan:
 
     def write_picture(self, path: Path) -> None:
         """Write the pictures to an SVG, PNG or PDF file; a UserError names what is missing."""
-        try:
-            from resonator_daemon.view.density_figure import write_density_figure
-        except ModuleNotFoundError as error:
-            raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
         omega = np.linspace(-1.0, 1.0, _FIGURE_PIXELS) * _EDGE_IN_DEPTHS / self._sensors.depth_m
         title = f"Power density {_mm(self._sensors.depth_m)} mm deep, dark is strong"
         power = self._power(omega)
@@ -244,14 +241,6 @@ def _for_features(judge: Callable[[Load, float], float]) -> dict[Load, list[floa
 
 def _strongest_per_pascal(sensors: SensorSet) -> float:
     return math.sqrt(sensors.highest_power) / (2.0 * sensors.half_space.shear_modulus_pascal)
-
-
-def _table(first: str, *others: str) -> Table:
-    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
-    table.add_column(first, overflow="fold")
-    for name in others:
-        table.add_column(name, justify="right", overflow="fold")
-    return table
 
 
 def _mm(value_m: float) -> str:

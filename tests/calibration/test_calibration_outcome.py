@@ -57,9 +57,9 @@ def test_ideal_sites_get_the_true_codes(tmp_path: Path) -> None:
     assert record.kelvin == pytest.approx((293.15, 303.15))
     assert record.force_newton == pytest.approx((0.0, 0.5 * 9.80665))
     assert record.response is None
-    said = " ".join(notes(NOMINAL, WANTED, outcome, record))
-    assert "values kept: sites 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 13, 14, 15, 16" in said
-    assert "taken as 298.15 K" in said
+    printed = " ".join(notes(NOMINAL, WANTED, outcome, record))
+    assert "values kept: sites 1, 2, 3, 4, 5, 6, 8, 9, 10, 11, 13, 14, 15, 16" in printed
+    assert "taken as 298.15 K" in printed
 
 
 def test_masses_that_are_off_together_stay_within_what_the_record_states(tmp_path: Path) -> None:
@@ -102,32 +102,10 @@ def test_one_bad_loading_is_named(tmp_path: Path) -> None:
     assert abs(outcome.residual_newton[6]) == pytest.approx(0.05 * 9.80665, rel=0.1)
 
 
-def test_of_three_loads_all_are_doubted_where_one_is_bad(tmp_path: Path) -> None:
-    class Slipping(Touches):
-        def follow(self, steps: tuple[Step, ...], masses: dict[float, float] | None = None) -> None:
-            super().follow((*steps[:4], replace(steps[4], mass_kg=0.15), *steps[5:]), masses)
-
-    wanted = replace(WANTED, sites=(1, 7, 12), hold_s=0.5)
-    _, outcome = calibrated(wanted, Slipping(), tmp_path)
-    assert outcome.fit.site.tolist() == [0, 11]
-    assert {step.number for step in outcome.doubtful} == {4, 5, 6}
-    assert max(abs(outcome.residual_newton[number]) for number in (4, 5, 6)) > 0.03
-
-
 def test_scatter_from_touch_to_touch_becomes_the_model_error(tmp_path: Path) -> None:
     wanted = Wanted(sites=(1, 7, 9, 12), masses_kg=(0.1, 0.3, 0.5), hold_s=0.5, repeats=2)
     procedure, outcome = calibrated(wanted, Touches(physics=f"{IDEAL}sensitivity_scatter = 0.015"), tmp_path)
     assert recorded(wanted, procedure, outcome).model_error == pytest.approx(0.015, rel=0.3)
-
-
-def test_few_loads_leave_the_model_error_of_the_plate_file(tmp_path: Path) -> None:
-    wanted = replace(WANTED, sites=(7,), masses_kg=(0.05, 0.2))
-    procedure, outcome = calibrated(wanted, Touches(), tmp_path)
-    record = recorded(wanted, procedure, outcome)
-    assert record.model_error == NOMINAL.calibration.model_error
-    said = " ".join(notes(NOMINAL, wanted, outcome, record))
-    assert "model_error 0.015 stays" in said
-    assert "two loads or fewer of a site always fit" in said
 
 
 def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Path) -> None:
@@ -156,8 +134,8 @@ def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading(tmp_path: Pa
     stated = np.hypot(np.sqrt(np.mean(np.square(errors))), without.creep_share * 0.5 * 9.80665)
     assert site.residual_newton == pytest.approx(stated, rel=2e-3)  # what it says it is
     assert site.residual_newton > 0.05
-    said = notes(NOMINAL, wanted, without, recorded(wanted, procedure, without))
-    assert "hysteresis and creep were not fitted" in " ".join(said)
+    printed = notes(NOMINAL, wanted, without, recorded(wanted, procedure, without))
+    assert "hysteresis and creep were not fitted" in " ".join(printed)
 
 
 def test_without_the_response_fitted_the_record_covers_what_it_does_to_forces(tmp_path: Path) -> None:

@@ -46,7 +46,7 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "said"),
+    ("wanted", "printed"),
     [
         ({"sites": (7, 17)}, "--sites: plate 'quartz16' has no site 17; it has 1 to 16"),
         ({"sites": (7, 1, 7)}, "--sites: site 7 is named 2 times"),
@@ -67,9 +67,5 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
         ({"kelvin": 290.0, "temperatures_kelvin": (300.0, 300.0)}, "a temperature is named twice"),
     ],
 )
-def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(wanted: dict[str, object], said: str) -> None:
-    assert said in refused(replace(USUAL, **wanted))
-
-
-def test_every_finding_is_told_at_once() -> None:
-    assert refused(Wanted(sites=(99,), masses_kg=(0.2, 0.1), repeats=0)).count("\n") == 2
+def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(wanted: dict[str, object], printed: str) -> None:
+    assert printed in refused(replace(USUAL, **wanted))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from emulated_loads import NOMINAL, TRUE, Touches, frames, lead
 
-from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, single_tone_records
+from firmware_protocol.layouts import SINGLE_TONE_STRUCT, single_tone_records
 from resonator_daemon.calibration.load_procedure import LoadProcedure, Prompt
 from resonator_daemon.calibration.refusal import CalibrationRefusedError
 from resonator_daemon.calibration.steps import Wanted, plan_steps
@@ -75,24 +75,24 @@ def test_a_touched_plate_has_no_baseline(tmp_path: Path) -> None:
     touches = Touches()
     touches.press(11, 0.5, 0.2, 20.0)
     procedure = LoadProcedure(NOMINAL, plan_steps(WANTED, NOMINAL), 20.0)
-    news, said = refused(procedure, touches, tmp_path)
+    news, printed = refused(procedure, touches, tmp_path)
     assert news == []
-    assert said == "baseline: site 11 is touched; take everything off the plate and begin again"
+    assert printed == "baseline: site 11 is touched; take everything off the plate and begin again"
 
 
 def test_a_step_that_is_never_done_ends_the_calibration_with_the_reason(tmp_path: Path) -> None:
     steps = plan_steps(WANTED, NOMINAL)
-    _, said = refused(LoadProcedure(NOMINAL, steps, 4.0), Touches(seconds=12.0), tmp_path)
-    assert said == "step 1 (100 g on site 7): not done within 4 s (--timeout-s): nothing was placed"
+    _, printed = refused(LoadProcedure(NOMINAL, steps, 4.0), Touches(seconds=12.0), tmp_path)
+    assert printed == "step 1 (100 g on site 7): not done within 4 s (--timeout-s): nothing was placed"
     wrong = Touches()
     wrong.press(5, 1.0, 4.0, 20.0)
-    _, said = refused(LoadProcedure(NOMINAL, steps, 4.0), wrong, tmp_path)
-    assert "site 5 carries a load, not site 7" in said
+    _, printed = refused(LoadProcedure(NOMINAL, steps, 4.0), wrong, tmp_path)
+    assert "site 5 carries a load, not site 7" in printed
     kept = Touches()
     kept.press(7, 0.1 * 9.80665, 4.0, 20.0)
-    news, said = refused(LoadProcedure(NOMINAL, steps, 4.0), kept, tmp_path)
+    news, printed = refused(LoadProcedure(NOMINAL, steps, 4.0), kept, tmp_path)
     assert kinds(news)[-1] == ("remove", 1)
-    assert "the last load was not taken away" in said
+    assert "the last load was not taken away" in printed
 
 
 def changed(payload: bytes, channel: int, **fields: int) -> bytes:
@@ -100,18 +100,6 @@ def changed(payload: bytes, channel: int, **fields: int) -> bytes:
     records = list(single_tone_records(payload))
     records[channel] = records[channel]._replace(**fields)
     return b"".join(SINGLE_TONE_STRUCT.pack(*record) for record in records)
-
-
-def test_a_channel_without_signal_is_named(tmp_path: Path) -> None:
-    def deaf() -> object:
-        for index, payload in frames(TRUE, Touches(seconds=10.0), tmp_path):
-            yield index, changed(payload, 2, flags=int(RecordFlag.NO_SIGNAL))
-
-    procedure = LoadProcedure(NOMINAL, plan_steps(WANTED, NOMINAL), 3.0)
-    with pytest.raises(CalibrationRefusedError) as refusal:
-        list(lead(procedure, NOMINAL, deaf()))
-    assert "baseline: not done within 3 s" in str(refusal.value)
-    assert "channel 2 receives no tone (no_signal) instead of the pilot" in str(refusal.value)
 
 
 def test_a_series_goes_on_without_release(tmp_path: Path) -> None:
@@ -136,8 +124,8 @@ def test_a_series_that_is_released_is_refused(tmp_path: Path) -> None:
     steps, touches = plan_steps(replace(WANTED, response=True, response_hold_s=1.0), NOMINAL), Touches()
     touches.load(7, 0.1, 1.0)
     touches.load(7, 0.3, 1.0)
-    _, said = refused(LoadProcedure(NOMINAL, steps, 20.0), touches, tmp_path)
-    assert "step 2 (300 g on site 7): site 7 was released within its series of loads" in said
+    _, printed = refused(LoadProcedure(NOMINAL, steps, 20.0), touches, tmp_path)
+    assert "step 2 (300 g on site 7): site 7 was released within its series of loads" in printed
 
 
 def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
@@ -149,16 +137,3 @@ def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
     assert kinds(list(lead(procedure, NOMINAL, counted)))[-1] == ("remove", 1)
     assert procedure.done
     assert procedure.loadings[1].times_s.shape == (10,)
-
-
-def test_a_damaged_record_is_not_heard(tmp_path: Path) -> None:
-    steps, touches = plan_steps(replace(WANTED, masses_kg=(0.1,)), NOMINAL), Touches()
-    touches.load(7, 0.1, 2.5)
-
-    def damaged() -> object:
-        for index, payload in frames(TRUE, touches, tmp_path):
-            yield index, changed(payload, 1, s1_ticks=2**64 - 1) if index == 400 else payload
-
-    procedure = LoadProcedure(NOMINAL, steps, 20.0)
-    list(lead(procedure, NOMINAL, damaged()))
-    assert np.ptp(procedure.loadings[1].shift, axis=0).max() < 2e-8

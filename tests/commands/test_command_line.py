@@ -2,7 +2,6 @@
 
 import json
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable
@@ -22,21 +21,21 @@ COMMAND = (sys.executable, "-m", "resonator_daemon")
 ALL = tuple(command_names())
 
 
-class Said(NamedTuple):
+class Printed(NamedTuple):
     returncode: int
     stdout: str
     stderr: str
 
 
-Resonatord = Callable[..., Said]
+Resonatord = Callable[..., Printed]
 
 
 @pytest.fixture
 def resonatord(capsys: pytest.CaptureFixture[str]) -> Resonatord:
     """The command, in the test's own process."""
 
-    def run(*arguments: str) -> Said:
-        return Said(exit_code(*arguments), *capsys.readouterr())
+    def run(*arguments: str) -> Printed:
+        return Printed(exit_code(*arguments), *capsys.readouterr())
 
     return run
 
@@ -154,45 +153,6 @@ def test_what_cannot_be_printed_fails(arguments: tuple[str, ...]) -> None:
     assert run.stderr == "resonatord: No space left on device\n"
 
 
-def test_emulate_says_in_a_sentence_what_cannot_be_opened(resonatord: Resonatord, tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = taken.getsockname()[1]
-        for arguments, said in (
-            (
-                ("--pty", tmp_path / "no" / "b"),
-                f"{tmp_path}/no/b cannot be made: No such file or directory; name a file",
-            ),
-            (("--truth", tmp_path / "no" / "x"), f"the truth cannot be written to {tmp_path}/no/x: No such file or"),
-            (("--truth", tmp_path), f"the truth cannot be written to {tmp_path}: Is a directory\n"),
-            (
-                ("--tcp", f"127.0.0.1:{port}"),
-                f"tcp://127.0.0.1:{port} cannot be listened on: Address already in use; name another",
-            ),
-        ):
-            link = () if arguments[0] in ("--pty", "--tcp") else ("--tcp", "127.0.0.1:0")
-            run = resonatord("emulate", "--plate", "quartz16", *map(str, (*arguments, *link)))
-            assert run.returncode == 78
-            assert run.stderr.startswith(f"resonatord: {said}"), run.stderr
-            assert run.stderr.count("\n") == 1
-
-
-def test_emulate_says_each_mistake_of_a_scenario_and_of_faults_in_a_line(
-    resonatord: Resonatord, tmp_path: Path
-) -> None:
-    scenario = tmp_path / "mine.toml"
-    scenario.write_text("plate = 3\nseed = -1\n[[touches]]\nforce_newton = 1\n")
-    for arguments, keys in (
-        (("--scenario", str(scenario)), {"plate", "seed", "touches[0].start_s"}),
-        (("--faults", "noise=1,bit_error_rate=2"), {"noise", "bit_error_rate"}),
-    ):
-        run = resonatord("emulate", "--plate", "quartz16", *arguments, "--pty", str(tmp_path / "board"))
-        assert run.returncode == 78
-        lines = run.stderr.splitlines()
-        assert {line.split(": ")[2] for line in lines} == keys
-        assert len(lines) == len(keys)
-        assert all(line.startswith("resonatord: ") and line.isprintable() for line in lines)
-
-
 def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(resonatord: Resonatord) -> None:
     run = resonatord("emulate", "--scenario-schema")
     assert run.returncode == 0
@@ -242,13 +202,3 @@ async def test_run_starts_with_nothing_there_and_stops_on_sigterm(config_path: P
     assert daemon.returncode == 0
     assert "Traceback" not in stderr
     assert link["reason"].startswith("no port /dev/serial/by-id/usb-RD_board_0042-if00; ")
-
-
-def test_check_takes_a_decoders_own_file(tmp_path: Path, resonatord: Resonatord) -> None:
-    file = tmp_path / "decoder.toml"
-    file.write_text('[mqtt]\nurl = "mqtt://broker"\n[decoding]\nplates = ["+"]\ngroup = "touch"\n')
-    assert resonatord("check", str(file)).returncode == 0
-    file.write_text('[mqtt]\nurl = "mqtt://broker"\n[decoding]\nplates = ["+"]\nguroup = "touch"\n')
-    refused = resonatord("check", str(file))
-    assert refused.returncode == 78
-    assert "guroup" in refused.stderr

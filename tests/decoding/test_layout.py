@@ -43,6 +43,11 @@ def test_no_grid(positions):
     assert as_grid(positions) is None
 
 
+def test_spacing():
+    assert spacing_m(GRID) == pytest.approx(4e-4)
+    assert spacing_m(GRID[:1]) == np.inf
+
+
 def test_border_is_the_outermost_ring_and_what_lies_beyond():
     inside = at_border(GRID, GRID).reshape(4, 5)
     assert inside[[0, -1]].all()
@@ -59,6 +64,11 @@ def test_duplicates_are_named():
     with pytest.raises(ValueError, match="sites 3 and 20"):
         refuse_duplicates(np.vstack([GRID, GRID[3]]), np.full(21, 1e-3))
     refuse_duplicates(np.vstack([GRID, GRID[3]]), np.append(np.full(20, 1e-3), 2e-3))
+
+
+def test_cells_of_a_grid_are_its_pixels():
+    x, y = np.meshgrid(np.arange(7) * 4e-4, np.arange(5) * 4e-4)
+    np.testing.assert_allclose(cell_areas_m2(np.column_stack([x.ravel(), y.ravel()])), 1.6e-7, rtol=1e-9)
 
 
 def scattered(count=150):
@@ -85,6 +95,22 @@ def test_cells_of_scattered_sites_are_those_of_voronoi():
     assert len(ours) > 40
     np.testing.assert_allclose(ours, exact, rtol=0.1)
     assert ours.sum() == pytest.approx(exact.sum(), rel=0.01)
+
+
+def test_cells_fill_the_hull_and_little_more():
+    sites = scattered()
+    areas = cell_areas_m2(sites)
+    hull = ConvexHull(sites)
+    within_half_a_spacing = hull.volume + hull.area * spacing_m(sites) / 2.0  # `area` is the perimeter
+    assert hull.volume < areas.sum() < 1.01 * within_half_a_spacing
+
+
+def test_every_cell_has_an_area():
+    """Also those of sites so close to each other that a raster may miss what lies between."""
+    middle = GRID[7]
+    close = middle + 1e-6 * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+    assert (cell_areas_m2(np.vstack([GRID, close])) > 0.0).all()
+    assert (cell_areas_m2(GRID[:5]) > 0.0).all()
 
 
 def test_gaps_are_seen_between_clumps() -> None:

@@ -106,6 +106,15 @@ def test_location_and_honest_errors(depth_mm: float, decibel: float, shear: floa
     assert 0.5 < rms(scores.of_moment)[2] < 1.4
 
 
+def test_what_is_hardly_felt_is_not_told() -> None:
+    """At 1 mm and 20 dB a contact between sites can be anywhere."""
+    scores = Scores(decoder(1e-3, 20), 1e-3, noise_std(1e-3, 20), 0.0, 60)
+    off = np.abs(scores.of_centre).max(axis=1)
+    assert "ambiguous" in scores.statuses
+    assert len(off) >= 12
+    assert np.mean(off > 4.0) < 0.1
+
+
 def test_one_site_alone_cannot_tell_a_place() -> None:
     sites = np.array([[0.0, 0.0], [12e-3, 0.0], [0.0, 12e-3]])
     frame = signals(np.array([5e-4, 5e-4]), 1e-3, sites_m=sites)
@@ -218,6 +227,11 @@ def test_lost_signals() -> None:
     assert np.isnan(decoded.traction_std_pascal).all()
 
 
+def test_garbage_is_rejected() -> None:
+    frames = 5.0 * np.random.default_rng(4).uniform(-1.0, 1.0, (5, 3, 16))
+    assert set(decoder(2e-3, 40).decode(frames).status.tolist()) == {"rejected"}
+
+
 def test_evidence() -> None:
     std = noise_std(3e-3, 20)
     noise = 0.9 * std * np.random.default_rng(5).standard_normal((3, 16))
@@ -226,6 +240,13 @@ def test_evidence() -> None:
     frame = signals(np.array([1e-3, 0.0]), 3e-3)
     expected = 48 * norm.logpdf(0.0, scale=std) - 3.0 * np.log(48)
     assert decoder(3e-3, 20).decode(frame).log_evidence == pytest.approx(expected, abs=0.1)
+
+
+def test_border() -> None:
+    for x, expected in ((9.5e-3, True), (0.0, False)):
+        patch = found(signals(np.array([x, 0.0]), 3e-3), 3e-3)
+        assert patch.at_border is expected
+        assert decoder(3e-3, 40).decode(signals(np.array([x, 0.0]), 3e-3)).border_contact is expected
 
 
 def test_sites_at_two_depths() -> None:

@@ -2,11 +2,15 @@
 
 import logging
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from resonator_daemon import decoding, elastic
+from resonator_daemon.decoding import setup_cache
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
@@ -55,11 +59,33 @@ def test_anything_else_is_built(directory: Path, changed: dict[str, float]) -> N
     assert cached(depends_on(), build) == 101
 
 
-def test_other_libraries_build_anew(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_code_and_other_libraries_build_anew(
+    directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert set(setup_cache._CODE) == {Path(room.__path__[0]) for room in (decoding, elastic)}
+    source = tmp_path / "code" / "decoder.py"
+    source.parent.mkdir()
+    source.write_text("a = 1\n")
+    monkeypatch.setattr(setup_cache, "_CODE", (source.parent,))
     build = Builder()
     cached("key", build)
-    monkeypatch.setattr(np, "__version__", "0.1")
+    source.write_text("a = 2\n")
     assert cached("key", build) == 102
+    monkeypatch.setattr(np, "__version__", "0.1")
+    assert cached("key", build) == 103
+    monkeypatch.undo()
+
+
+def test_another_process_finds_it(directory: Path) -> None:
+    """Strings and sets hash anew in each process; the name of the file must not."""
+    assert cached(depends_on(), Builder()) == 101
+    code = "from test_setup_cache import *; print(cached(depends_on(), lambda: 0))"
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
+    environment["PYTHONHASHSEED"] = "7"
+    said = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    assert said == "101\n"
 
 
 @pytest.mark.parametrize("damage", [b"", b"abc", b"not a pickle", b"\x80\x05cnowhere\nNothing\n."])
@@ -92,6 +118,17 @@ def test_where_nothing_can_be_kept_it_is_built_each_time(tmp_path: Path, monkeyp
     assert [cached("key", build) for _ in range(2)] == [101, 102]
 
 
+def test_a_directory_that_may_only_be_read_still_serves(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    build = Builder()
+    cached("key", build)
+
+    def refused(_: Path) -> None:
+        raise PermissionError(30, "read-only file system")
+
+    monkeypatch.setattr(Path, "touch", refused)
+    assert cached("key", build) == 101
+
+
 def test_the_four_that_were_used_last_are_kept(directory: Path) -> None:
     build = Builder()
     files: dict[int, Path] = {}
@@ -115,24 +152,27 @@ def test_an_interrupted_write_leaves_nothing(directory: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("systemd", "xdg", "expected"),
+    ("systemd", "xdg", "home", "expected"),
     [
-        ("a:b", "x", "a"),
-        (None, "x", "x/resonatord"),
-        ("", "", ".cache/resonatord"),
-        (None, None, ".cache/resonatord"),
+        ("/a:/b", "/x", "/h", "/a"),
+        (None, "/x", "/h", "/x/resonatord"),
+        ("", "", "/h", "/h/.cache/resonatord"),
+        (None, "relative", "/h", "/h/.cache/resonatord"),
+        (None, None, "/h", "/h/.cache/resonatord"),
     ],
 )
 def test_the_directory_is_systemds_else_that_of_xdg(
-    systemd: str | None, xdg: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    systemd: str | None, xdg: str | None, home: str, expected: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for name, value in (("CACHE_DIRECTORY", systemd), ("XDG_CACHE_HOME", xdg)):
+    for name, value in (("CACHE_DIRECTORY", systemd), ("XDG_CACHE_HOME", xdg), ("HOME", home)):
         monkeypatch.delenv(name, raising=False)
         if value is not None:
-            monkeypatch.setenv(name, f"{tmp_path}/{value}" if value else "")
-    cached("key", Builder())
-    assert len(list((tmp_path / expected).glob("*.pickle"))) == 1
+            monkeypatch.setenv(name, value)
+    assert setup_cache._directory() == Path(expected)
+
+
+def test_no_test_writes_into_the_real_home() -> None:
+    assert Path.home() not in setup_cache._directory().parents
 
 
 def test_what_a_killed_program_left_is_removed_and_what_is_being_written_stays(directory: Path) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from example_messages import example
 from numpy.typing import NDArray
 
 from resonator_daemon.demo.score import Accuracy, PlateScore
@@ -12,11 +13,9 @@ from resonator_daemon.demo.truth import TruthTable
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import (
-    Compensation,
     ContactEvent,
     Decoded,
     DecodedSummary,
-    EventContact,
     Forces,
     Grid,
     Lost,
@@ -103,49 +102,17 @@ class Run:
 
     def onset(self, t_ns: int, site: int = 7, event: Any = "onset", arrived_ns: int | None = None) -> None:
         """Take an event of that time, which arrives at once unless another time is given."""
-        contact = EventContact(
-            id=1,
-            site=site,
-            position_m=(0.0, 0.0),
-            position_std_m=(0.0, 0.0),
-            position_correlation=0.0,
-            force_newton=0.02,
-            noise_newton=0.0,
-            systematic_newton=0.0,
-            since_t_ns=T0_NS,
-            duration_s=0.0,
-            status="ok",
-            peak_newton=0.02,
-        )
-        header = HEADER | {"t_ns": t_ns}
-        message = ContactEvent(**header, board_ticks=1, event=event, contact=contact)
+        contact = example(ContactEvent).contact.model_copy(update={"site": site})
+        message = example(ContactEvent, **HEADER | {"t_ns": t_ns}, event=event, contact=contact)
         self.take(topics.CONTACT_EVENT, message, t_ns if arrived_ns is None else arrived_ns)
 
     def forces(
         self, number: int, *sites: tuple[int, float], frames: int = 2, arrived_ns: int = FAR_NS, seq: int = 0
     ) -> None:
         """Take the message of the window of so many frames whose last gate was frame `number`."""
-        forces = tuple(
-            SiteForce(site=site, force_newton=newton, noise_newton=0.0, systematic_newton=0.0, status="ok")
-            for site, newton in sites
-        )
-        message = Forces(
-            **HEADER | {"seq": seq},
-            board_ticks=TICKS * (number + 1),
-            window_s=frames * FRAME_NS * 1e-9,
-            status="ok",
-            reason="",
-            sites=forces,
-            beats=(),
-            compensation=Compensation(
-                baseline="held",
-                common_mode=(0.0,) * 4,
-                common_mode_std=0.0,
-                plate_kelvin=0.0,
-                plate_kelvin_std=0.0,
-                response="off",
-            ),
-        )
+        forces = tuple(example(SiteForce, site=site, force_newton=newton) for site, newton in sites)
+        ticks, window_s = TICKS * (number + 1), frames * FRAME_NS * 1e-9
+        message = example(Forces, **HEADER | {"seq": seq}, board_ticks=ticks, window_s=window_s, sites=forces)
         self.take(topics.FORCES, message, arrived_ns)
 
     def decoded(
@@ -169,20 +136,11 @@ class Run:
 
     def patches(self, number: int, *patches: tuple[tuple[float, float], float]) -> None:
         """Take the summary of frame `number`: centroids and normal forces."""
-        told = tuple(
+        reported = tuple(
             Patch.model_construct(id=id, centroid_m=centroid_m, force_newton=(0.3, 0.0, newton))
             for id, (centroid_m, newton) in enumerate(patches, 1)
         )
-        message = DecodedSummary(
-            **HEADER,
-            board_ticks=TICKS * (number + 1),
-            decoder="open-plane+contact",
-            chi2=1.0,
-            border_contact=False,
-            status="ok",
-            reason="",
-            patches=told,
-        )
+        message = example(DecodedSummary, **HEADER, board_ticks=TICKS * (number + 1), patches=reported)
         self.take(topics.DECODED_SUMMARY, message)
 
     def result(self, until_ns: int = FAR_NS) -> Accuracy:

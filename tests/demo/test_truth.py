@@ -59,10 +59,6 @@ def test_a_file_that_is_not_there_yet_is_read_once_it_is(path: Path, table: Trut
     assert len(table.lines) == 1
 
 
-def test_closing_what_was_never_there_is_no_failure(path: Path) -> None:
-    TruthTable(path).close()
-
-
 def test_lines_keep_ticks_and_time_exactly(path: Path, table: TruthTable) -> None:
     append(path, text_of(1, touch((0.1, 0.0, 1.2))))
     table.read_on()
@@ -95,23 +91,10 @@ def test_a_window_is_the_gates_up_to_its_last(path: Path, table: TruthTable) -> 
     assert window[0].board_ticks == 5000
 
 
-@pytest.mark.parametrize("ticks", [4000, 9001, 11000, 0])
-def test_a_window_that_ends_at_no_line_is_not_there(path: Path, table: TruthTable, ticks: int) -> None:
-    append(path, "".join(map(text_of, range(6))) + text_of(6)[:-1])  # the last line is not whole yet
-    table.read_on()
-    assert table.window(ticks, 1) is None
-
-
 def test_a_window_that_began_before_the_file_is_not_there(path: Path, table: TruthTable) -> None:
     append(path, "".join(map(text_of, range(6))))
     table.read_on()
     assert table.window(6000, 3) is None
-
-
-def test_net_force_sums_over_the_contacts() -> None:
-    line = line_of(touch((0.1, -0.2, 1.0)), touch((0.3, 0.1, 0.5)))
-    np.testing.assert_allclose(line.net_force_newton, [0.4, -0.1, 1.5])
-    np.testing.assert_array_equal(line_of().net_force_newton, [0.0, 0.0, 0.0])
 
 
 SHAPE = NY, NX = 20, 32
@@ -140,24 +123,11 @@ def partial_slip(force_newton: tuple[float, float, float], x_m: float, y_m: floa
     return averaged
 
 
-@pytest.mark.parametrize("force", [(0.0, 0.0, 1.0), (0.2, -0.1, 0.8)])
-def test_a_line_stands_for_a_partial_slip_contact(force: tuple[float, float, float]) -> None:
-    line = line_of(touch(force, (1.7e-3, -0.6e-3)))
-    traction = surface_traction(line, SHAPE, PITCH_M)
-    expected = partial_slip(force, 1.7e-3, -0.6e-3)
-    np.testing.assert_allclose(traction, expected, atol=2e-3 * expected[2].max())
-    np.testing.assert_allclose(traction.sum(axis=(1, 2)) * PITCH_M**2, force, rtol=1e-9, atol=1e-12)
-
-
 def test_the_tractions_of_two_contacts_add_up() -> None:
     places: tuple[tuple[float, float], ...] = ((-3e-3, 1e-3), (3e-3, -1e-3))
     line = line_of(touch((0.0, 0.0, 0.3), places[0]), touch((0.05, 0.0, 0.2), places[1]))
     expected = partial_slip((0.0, 0.0, 0.3), *places[0]) + partial_slip((0.05, 0.0, 0.2), *places[1])
     np.testing.assert_allclose(surface_traction(line, SHAPE, PITCH_M), expected, atol=2e-3 * expected[2].max())
-
-
-def test_without_contact_there_is_no_traction() -> None:
-    np.testing.assert_array_equal(surface_traction(line_of(), SHAPE, PITCH_M), np.zeros((3, NY, NX)))
 
 
 def test_at_points_the_traction_is_what_its_mean_over_small_pixels_tends_to() -> None:

@@ -8,5 +8,5 @@ from resonator_daemon.session import probe as port_inquiry
 
 @pytest.fixture(autouse=True)
 def _short_looks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(port_inquiry, "_PING_S", 0.01)
-    monkeypatch.setattr(broker_checks, "_TURNS", 8)
+    monkeypatch.setattr(port_inquiry, "PING_S", 0.01)
+    monkeypatch.setattr(broker_checks, "TURNS", 8)

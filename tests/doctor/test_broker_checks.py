@@ -50,7 +50,7 @@ async def test_a_broker_without_nodelay_shows_spikes(tmp_path: Path) -> None:
 
 
 async def test_a_broker_that_refuses_says_whom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(broker_checks, "_ACCEPT_S", 1.0)
+    monkeypatch.setattr(broker_checks, "ACCEPT_S", 1.0)
     broker = Mosquitto(tmp_path, "allow_anonymous false")
     await broker.start()
     try:
@@ -72,7 +72,7 @@ async def test_a_broker_that_is_not_there_is_a_fault(url: str, id: str) -> None:
 
 
 async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(broker_checks, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(broker_checks, "ANSWER_S", 0.2)
     async with Gate(int(mosquitto.url.rpartition(":")[2])).standing() as gate:
         gate.bytes_per_s = 1000.0
         finding = (await found(f"mqtt://127.0.0.1:{gate.port}"))["broker.round_trip"]
@@ -83,7 +83,7 @@ async def test_a_way_that_is_too_narrow_is_told(mosquitto: Mosquitto, monkeypatc
 
 
 async def test_who_takes_connections_and_says_nothing_is_no_matter_of_accounts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(broker_checks, "_ACCEPT_S", 0.3)
+    monkeypatch.setattr(broker_checks, "ACCEPT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         findings = await found(f"mqtt://127.0.0.1:{silent.getsockname()[1]}", times=ConnectionTimes(connect_s=0.1))
     assert findings["broker.accepts"].outcome is Outcome.FAULT

@@ -13,9 +13,6 @@ from resonator_daemon.commands import main
 from resonator_daemon.doctor import clock_checks, run
 from resonator_daemon.doctor.finding import FINE, Area, Check
 from resonator_daemon.doctor.report import WIDTH, Report
-from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
-from resonator_daemon.links.carriers.tcp import TcpTarget
-from resonator_daemon.monitoring.status_client import Answer
 from simulators.emulator import EmulatorOptions
 from simulators.faults import parse_faults
 
@@ -32,9 +29,9 @@ def configuration(folder: Path, link: str, url: str = "mqtt://127.0.0.1:9", plat
 
 def asked(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, dict[str, object]]:
     code = main(["doctor", *map(str, arguments), "--json"])
-    said = json.loads(capsys.readouterr().out)
-    assert isinstance(said, dict)
-    return code, said
+    printed = json.loads(capsys.readouterr().out)
+    assert isinstance(printed, dict)
+    return code, printed
 
 
 def outcomes(report: dict[str, object]) -> dict[str, str]:
@@ -126,7 +123,7 @@ def test_a_wrong_plate_is_the_sensors_and_is_not_listened_to(
 def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from resonator_daemon.session import probe as port_inquiry
 
-    monkeypatch.setattr(port_inquiry, "_ANSWER_S", 0.2)
+    monkeypatch.setattr(port_inquiry, "ANSWER_S", 0.2)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         assert asked(capsys, address)[1]["cause"] == "board.answers"
@@ -137,57 +134,13 @@ def test_what_is_no_board_is_the_wirings(capsys: pytest.CaptureFixture[str], mon
     assert "is switched on and in the network (ping 127.0.0.1)" in findings[0]["remedy"]
 
 
-def test_what_a_daemon_has_is_not_taken_from_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    status = {
-        "pid": 7,
-        "config": {"in_use": "last_good", "file": "hand.toml", "problems": ["link: missing"]},
-        "link": {"state": "online", "reason": ""},
-        "sensor": {"state": "stalled", "reason": "the pilot is lost on channel 2"},
-        "health": {"boots": [{"frames": 990, "lost": {"damaged": 10}}]},
-        "broker": {"connected": True, "url": "mqtt://x"},
-    }
-
-    async def answers(*_asked: object) -> Answer:
-        return Answer(tmp_path / "status.sock", status, None)
-
-    def opened(_link: object) -> None:
-        raise AssertionError("the daemon's link was opened")
-
-    monkeypatch.setattr(run, "find_daemon", answers)
-    monkeypatch.setattr(TcpTarget, "open", opened)
-    code, report = asked(capsys, "--config", configuration(tmp_path, "tcp://127.0.0.1:9"))
-    found = outcomes(report)
-    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.errors")
-    assert (found["daemon.runs"], found["daemon.config"], found["daemon.sensor"]) == ("ok", "fault", "fault")
-    assert found["sensor.noise"] == "not_checked"
-    findings = report["findings"]
-    assert isinstance(findings, list)
-    assert len(findings) == len(found)  # none is said twice, of the daemon's word and of what it hides
-
-
-def test_a_port_that_this_process_holds_without_a_daemon_is_said_to_be_held(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port)):
-        held = open_serial(SerialTarget(str(port), 4_000_000))
-        code, report = asked(capsys, f"serial:{port}?baud=4000000")
-        held.close()
-    assert (code, report["verdict"], report["cause"]) == (1, "wiring", "link.opens")
-    findings = report["findings"]
-    assert isinstance(findings, list)
-    assert "is held by" in next(f["evidence"] for f in findings if f["id"] == "link.opens")
-
-
 def test_mistakes_of_the_user_are_told_in_a_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code("doctor") == 2
     assert exit_code("doctor", "--broker", "http://x") == 2
     assert "argument --broker: got 'http://x'; must be mqtt://host:port" in capsys.readouterr().err
     path = configuration(tmp_path, "nothing")
-    code, said = asked(capsys, "--config", path)
-    assert (code, said["ok"]) == (78, False)
+    code, printed = asked(capsys, "--config", path)
+    assert (code, printed["ok"]) == (78, False)
 
 
 def test_a_recording_is_no_board_and_its_file_is_not_called_bad(

@@ -8,7 +8,7 @@ import pytest
 from made_up_host import MadeUpHost
 
 from resonator_daemon.config import Recording
-from resonator_daemon.doctor.clock_checks import check_clock, is_synchronised
+from resonator_daemon.doctor.clock_checks import check_clock
 from resonator_daemon.doctor.disk_checks import check_disk
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.host import Host
@@ -45,10 +45,6 @@ def test_a_clock_at_1970_is_a_fault(computer: MadeUpHost) -> None:
 @pytest.mark.parametrize(("kept", "outcome"), [(False, Outcome.WARNING), (None, Outcome.NOT_CHECKED)])
 def test_a_clock_that_nobody_keeps_is_a_warning(computer: MadeUpHost, kept: bool | None, outcome: Outcome) -> None:
     assert clock(computer.host(), synchronised=kept)["clock.synchronised"] is outcome
-
-
-def test_the_kernel_tells_whether_somebody_keeps_its_clock() -> None:
-    assert is_synchronised() in (True, False, None)
 
 
 def recording(directory: Path, **keys: float) -> Recording:

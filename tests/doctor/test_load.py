@@ -29,13 +29,6 @@ def test_a_program_that_was_left_waiting_has_seen_a_busy_computer(tmp_path: Path
     assert load.busy().startswith("this computer is busy: it let a program that was to run wait for")
 
 
-def test_what_the_kernel_does_not_tell_is_no_excuse(tmp_path: Path) -> None:
-    computer = MadeUpHost(tmp_path)
-    assert Load(computer.host()).busy() == ""
-    computer.write("proc/stat", "cpu 1 nothing")
-    assert Load(computer.host()).busy() == ""
-
-
 def test_an_excuse_covers_what_is_bad_and_nothing_else() -> None:
     for bad in (CHECK.fault("seen", "do"), CHECK.warning("seen", "do")):
         assert excused(bad, "busy") == CHECK.not_checked("busy; seen: seen")

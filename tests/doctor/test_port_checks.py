@@ -49,25 +49,6 @@ def test_a_port_that_is_not_there_is_said_with_those_that_are(tmp_path: Path) ->
     assert {finding.outcome for name, finding in findings.items() if name != "port.exists"} == {Outcome.NOT_CHECKED}
 
 
-def test_a_missing_port_is_not_blamed_on_brltty_where_that_is_not_installed(tmp_path: Path) -> None:
-    computer = MadeUpHost(tmp_path)
-    assert "brltty" not in found(computer.host())["port.exists"].evidence
-    computer.write("usr/lib/udev/rules.d/85-brltty.rules", 'ENV{PRODUCT}=="1a86/7523/*"')
-    assert "brltty is installed" in found(computer.host())["port.exists"].evidence
-
-
-def test_a_link_to_a_port_that_is_gone_is_told_from_a_wrong_name(tmp_path: Path) -> None:
-    computer = MadeUpHost(tmp_path)
-    computer.link("dev/ttyUSB0", Path("/dev/none-such"))
-    assert "is a link to /dev/none-such, which is not there" in found(computer.host())["port.exists"].evidence
-
-
-def test_a_file_is_no_port(tmp_path: Path) -> None:
-    computer = MadeUpHost(tmp_path)
-    computer.write("dev/ttyUSB0", "")
-    assert "no serial port but a file" in found(computer.host())["port.exists"].evidence
-
-
 def test_a_port_of_another_group_names_the_group(computer: MadeUpHost) -> None:
     os.chown(computer.root / "dev" / "ttyUSB0", 0, 20)  # dialout on Debian
     finding = found(computer.host(closed="ttyUSB0"))["port.permission"]

@@ -14,15 +14,14 @@ from service_bench import Bench
 from resonator_daemon.commands import main
 from resonator_daemon.config import Mqtt
 from resonator_daemon.doctor import run, running_daemon
-from resonator_daemon.doctor.daemon_checks import check_daemon, told
+from resonator_daemon.doctor.daemon_checks import check_daemon, check_status
 from resonator_daemon.doctor.finding import Outcome
 from resonator_daemon.doctor.run import DoctorOptions, doctor
-from resonator_daemon.doctor.running_daemon import find_daemon, hear_daemon
+from resonator_daemon.doctor.running_daemon import find_daemon, published_status
 from resonator_daemon.links.carriers.serial import SerialTarget
 from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.links.carriers.usb import UsbTarget
 from resonator_daemon.links.port_holders import Holder, Holders
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.monitoring.status_client import Answer, ask_all
 
@@ -51,7 +50,7 @@ def answering(
 
 
 def judged(**change: object) -> dict[str, Outcome]:
-    return {finding.id: finding.outcome for finding in told(STATUS | change, "its socket")}
+    return {finding.id: finding.outcome for finding in check_status(STATUS | change, "its socket")}
 
 
 def unopenable(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -73,7 +72,7 @@ async def test_a_running_daemon_counts_on_while_the_doctor_looks(
     ):
         await heard.until(lambda: heard.payloads("resonator/hand/health"))
         await heard.until(
-            lambda: [said["state"] for said in heard.payloads("resonator/hand/state/sensor")][-1:] == ["online"]
+            lambda: [printed["state"] for printed in heard.payloads("resonator/hand/state/sensor")][-1:] == ["online"]
         )
         asked = (
             ["--config", str(bench.folder / "board.toml")] if by_configuration else [f"serial:{bench.port}?baud=9600"]
@@ -102,17 +101,17 @@ async def test_what_a_daemon_publishes_is_heard_by_its_name_or_its_link(
     async with bench.emulated(scenario="still"), observe(bench.broker_url) as heard:
         async with bench.running(bench.service()):
             await heard.until(lambda: heard.payloads("resonator/hand/health"))
-            by_name = await hear_daemon(broker, "hand", TcpTarget("10.0.0.1", 1))
-            by_link = await hear_daemon(broker, None, link)
-            monkeypatch.setattr(running_daemon, "_LOOK_S", 0.3)
-            neither = await hear_daemon(broker, None, SerialTarget("/dev/ttyACM7", 4_000_000))
-            nobody = await hear_daemon(broker, "foot", link)
-        offline = await hear_daemon(broker, "hand", link)
+            by_name = await published_status(broker, "hand", TcpTarget("10.0.0.1", 1))
+            by_link = await published_status(broker, None, link)
+            monkeypatch.setattr(running_daemon, "LOOK_S", 0.3)
+            neither = await published_status(broker, None, SerialTarget("/dev/ttyACM7", 4_000_000))
+            nobody = await published_status(broker, "foot", link)
+        offline = await published_status(broker, "hand", link)
     assert neither is nobody is offline is None
-    for said in (by_name, by_link):
-        assert said is not None
-        assert said["link"]["state"] == "online"
-        assert {finding.id: finding.outcome for finding in told(said, "MQTT")}["daemon.sensor"] is Outcome.OK
+    for printed in (by_name, by_link):
+        assert printed is not None
+        assert printed["link"]["state"] == "online"
+        assert {finding.id: finding.outcome for finding in check_status(printed, "MQTT")}["daemon.sensor"] is Outcome.OK
 
 
 async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
@@ -137,7 +136,7 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "printed"),
     [
         (
             {"in_use": "file", "loaded_t_ns": str(10**18)},
@@ -149,7 +148,7 @@ async def test_a_daemon_is_found_by_its_pid_its_file_or_the_link_in_its_file(
 )
 def test_a_bad_file_does_not_hide_that_a_daemon_runs(
     config: object,
-    said: str | None,
+    printed: str | None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -160,25 +159,12 @@ def test_a_bad_file_does_not_hide_that_a_daemon_runs(
         answering(monkeypatch, STATUS | {"config": config}, Path(f"/r/{instance}/status.sock"))
         assert main(["doctor", "--config", str(file), "--json"]) == 78
         out, err = capsys.readouterr()
-        told = [line for line in err.splitlines() if "a daemon runs all the same" in line]
-        assert len(told) == (instance == "hand" and said is not None)
-        assert all(said is not None and said in line and line.endswith("resonatord status hand") for line in told)
-        assert json.loads(out)["error"]["message"].count("a daemon runs") == len(told)
-
-
-@pytest.mark.parametrize(
-    ("one", "other", "same"),
-    [
-        ("serial:/dev/null?baud=9600", "serial:/dev/./null?baud=4000000", True),
-        ("serial:/dev/null?baud=9600", "serial:/dev/zero?baud=9600", False),
-        ("usb:1209:0001?serial=7", "usb:1209:0001", True),
-        ("usb:1209:0001?serial=7", "usb:1209:0001?serial=8", False),
-        ("usb:1209:0001", "usb:1209:0002", False),
-        ("tcp://a:1", "tcp://a:2", False),
-    ],
-)
-def test_links_are_the_same_where_they_lead_to_one_board(one: str, other: str, same: bool) -> None:
-    assert parse_link(one).leads_to_the_same(parse_link(other)) is same
+        lines = [line for line in err.splitlines() if "a daemon runs all the same" in line]
+        assert len(lines) == (instance == "hand" and printed is not None)
+        assert all(
+            printed is not None and printed in line and line.endswith("resonatord status hand") for line in lines
+        )
+        assert json.loads(out)["error"]["message"].count("a daemon runs") == len(lines)
 
 
 def looked(computer: MadeUpHost, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:

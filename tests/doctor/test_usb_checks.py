@@ -46,11 +46,6 @@ def test_a_device_that_is_not_there_is_a_fault(computer: MadeUpHost, link: UsbTa
     assert findings["usb.speed"].outcome is Outcome.NOT_CHECKED
 
 
-def test_two_alike_have_to_be_told_apart(computer: MadeUpHost) -> None:
-    computer.link("sys/bus/usb/devices/1-2", computer.root / USB)
-    assert "?serial=" in found(computer.host(), UsbTarget(0x1A86, 0x7523))["usb.device"].remedy
-
-
 def test_a_device_that_may_not_be_opened_is_a_fault(computer: MadeUpHost) -> None:
     finding = found(computer.host(closed="bus/usb/001/007"), UsbTarget(0x1A86, 0x7523))["usb.device"]
     assert finding.outcome is Outcome.FAULT

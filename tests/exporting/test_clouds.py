@@ -4,7 +4,7 @@ import numpy as np
 from export_bench import played
 
 from resonator_daemon.exporting.clouds import Clouds
-from resonator_daemon.publishing.payloads import Decoded, Forces, Grid, Info, SiteForce
+from resonator_daemon.publishing.payloads import Decoded, Grid
 
 NAMES = [f"{what}_{axis}_{unit}" for what, unit in (("traction", "pascal"), ("displacement", "m")) for axis in "xyz"]
 
@@ -38,18 +38,3 @@ def test_values_at_the_sites_have_the_places_of_the_sites() -> None:
         assert points is not None
         np.testing.assert_allclose(np.stack([points["x"], points["y"]], 1), plate.site_positions_m, rtol=1e-6)
         assert points["traction_x_pascal"].tolist() == list(range(len(plate.site_ids)))
-
-
-def test_other_messages_have_none() -> None:
-    assert Clouds(played("touches").config.plate).points(Info.model_construct()) is None
-
-
-def test_forces_have_the_places_of_their_own_sites() -> None:
-    plate = played("touches").config.plate
-    values = {"noise_newton": 0.1, "systematic_newton": 0.2, "hidden_newton": 0.3}
-    sites = [int(plate.site_ids[row]) for row in (9, 2)]
-    forces = [SiteForce.model_construct(site=site, force_newton=1.0 * site, **values) for site in sites]
-    points = Clouds(plate).points(Forces.model_construct(sites=tuple(forces)))
-    assert points is not None
-    np.testing.assert_allclose(np.stack([points["x"], points["y"]], 1), plate.site_positions_m[[9, 2]], rtol=1e-6)
-    assert points["site"].tolist() == points["force_newton"].tolist() == sites

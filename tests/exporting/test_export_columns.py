@@ -3,7 +3,7 @@
 import pytest
 
 from resonator_daemon.exporting.columns import sources, with_axis
-from resonator_daemon.publishing.payloads import ContactEvent, Contacts, DecodedSummary, Health, Patch, State
+from resonator_daemon.publishing.payloads import ContactEvent, Contacts, Health, Patch
 
 
 @pytest.mark.parametrize(
@@ -32,25 +32,11 @@ def test_columns_of_a_message_with_parts_and_vectors() -> None:
     assert columns["contact_position_y_m"].description.startswith("y: x and y in the plate's plane")
 
 
-def test_parts_that_may_be_missing_have_columns_that_may_be() -> None:
-    columns = {source.column.name: source.column for source in sources(State)}
-    assert columns["last_outage_frames_lost"].nullable
-    assert columns["last_outage_start_t_ns"].kind == "uint64"
-    assert not columns["state"].nullable
-
-
 def test_what_has_no_fixed_length_is_no_column() -> None:
     with pytest.raises(ValueError, match=r"contacts is tuple.*, which is no column"):
         list(sources(Contacts))
     with pytest.raises(ValueError, match=r"records_unusable is dict"):
         list(sources(Health))
-
-
-def test_values_are_those_of_the_message() -> None:
-    get = {source.column.name: source.get for source in sources(Patch)}
-    patch = Patch.model_construct(moment_newton_m=(1.0, 2.0, 3.0), id=None)
-    assert (get["moment_z_newton_m"](patch), get["moment_x_newton_m"](patch), get["id"](patch)) == (3.0, 1.0, None)
-    assert "patches" not in {source.column.name for source in sources(DecodedSummary, skip=("patches",))}
 
 
 def test_the_components_of_a_vector_that_is_missing_are_missing() -> None:

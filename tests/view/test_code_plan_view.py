@@ -2,7 +2,6 @@
 
 import io
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from resonator_daemon.errors import UserError
 from resonator_daemon.forces.code_plan import ForceNoise, GuardBand
 from resonator_daemon.forces.code_trials import Outcomes
 from resonator_daemon.forces.codes import CodeOverlap
@@ -99,11 +97,3 @@ def test_the_picture_is_written(tmp_path: Path, suffix: str, start: bytes) -> No
     path = tmp_path / f"codes{suffix}"
     make_plan().write_picture(path)
     assert path.read_bytes().startswith(start)
-
-
-def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
-    monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
-    monkeypatch.delitem(sys.modules, "resonator_daemon.view.code_figure", raising=False)
-    with pytest.raises(UserError, match=r"matplotlib.*pip install matplotlib"):
-        make_plan().write_picture(tmp_path / "codes.png")

@@ -55,10 +55,3 @@ def test_profiles_run_through_the_middle(tmp_path: Path, figures: list[Figure]) 
         expected = np.exp(-20.0 * w**2) * (1.0 + w * math.cos(angle) / 4.0) / np.nanmax(power)
         expected[20] = np.nan
         np.testing.assert_allclose(values, expected, atol=1e-12)
-
-
-def test_many_panels_wrap(tmp_path: Path, figures: list[Figure]) -> None:
-    write_density_figure(tmp_path / "five.pdf", list("abcde"), np.stack([blob(0.0, 0.0)] * 5), OMEGA, "five")
-    shown = [axes for axes in figures[0].axes if axes.axison]
-    assert [axes.get_title() for axes in shown if axes.get_title()] == list("abcde")
-    assert len(shown) == 10

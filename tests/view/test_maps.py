@@ -10,7 +10,6 @@ from resonator_daemon.view.maps import (
     SiteMark,
     pooling,
     round_scale,
-    scale_bar,
     site_map,
     traction_map,
 )
@@ -54,12 +53,6 @@ def test_sites_lie_where_they_are_on_the_plate() -> None:
     assert lines[1] == "·1" + " " * 18 + "2·"
     assert lines[10] == "·3" + " " * 9 + "4" + " " * 9 + "·"
     assert all(line == "·" + " " * 20 + "·" for line in lines[2:10])
-
-
-def test_a_narrow_place_keeps_the_proportions() -> None:
-    lines = text_of(site_map(SQUARE_M, [], 10.0, rows=40, columns_max=22))
-    assert {len(line) for line in lines} == {22}
-    assert len(lines) == 12
 
 
 def test_the_outline_is_drawn_also_where_it_is_not_convex() -> None:
@@ -111,20 +104,6 @@ def test_a_pressed_pixel_lies_where_it_is_on_the_skin(x: int, y: int) -> None:
     assert sum(colour != DARK for row in drawn for colour in row) == 1
 
 
-def test_values_beyond_the_scale_stay_on_it() -> None:
-    drawn = pixels_of(traction_map(np.array([[-5e3, 3e4], [0.0, 1e4]]), 1e4, 1, colours=True))
-    assert drawn == [[DARK, BRIGHT], [DARK, BRIGHT]]
-
-
-def test_an_odd_number_of_rows_leaves_the_upper_half_of_the_first_line_empty() -> None:
-    traction = np.zeros((3, 2))
-    traction[2, 1] = 1.0
-    first, second = traction_map(traction, 1.0, 1, colours=True)
-    assert [(segment.text, segment.style.bgcolor) for segment in first] == [("▄", None), ("▄", None)]
-    assert [tuple(segment.style.color.triplet) for segment in first] == [DARK, BRIGHT]
-    assert text_of([second]) == ["▀▀"]
-
-
 def test_pixels_outside_the_plate_are_empty() -> None:
     outside = -math.inf
     traction = np.array([[outside, 0.0, 0.0, outside], [outside, 1.0, outside, 1.0]])  # the lower row first
@@ -164,18 +143,6 @@ def test_pooling_is_the_least_that_fits() -> None:
     assert pooling((32, 32), rows=15, columns=32) == 2
     assert pooling((32, 32), rows=16, columns=31) == 2
     assert pooling((32, 32), rows=5, columns=80) == 4
-
-
-def test_colours_rise_evenly_in_lightness() -> None:
-    """Lightness L* of CIE 1976 from sRGB, so that the map reads without colour vision and in grey."""
-    rgb = np.array([segment.style.color.triplet for segment in scale_bar(64, colours=True)]) / 255
-    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
-    steps = np.diff(lightness)
-    assert lightness[0] < 20
-    assert lightness[-1] > 85
-    assert steps.min() > 0
-    assert steps.max() < 2.5 * steps.mean()
 
 
 @pytest.mark.parametrize(

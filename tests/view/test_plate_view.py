@@ -5,8 +5,8 @@ import math
 import pytest
 from view_messages import NOW_NS, S, forces, health, info, site_force, state
 
-from resonator_daemon.publishing.payloads import Lost, SiteInfo
-from resonator_daemon.publishing.topics import FORCES, HEALTH, INFO, STATE_DAEMON, STATE_LINK
+from resonator_daemon.publishing.payloads import Lost
+from resonator_daemon.publishing.topics import FORCES, INFO, STATE_DAEMON, STATE_LINK
 from resonator_daemon.view.plate_view import PlateView
 
 
@@ -44,12 +44,6 @@ def test_a_measurement_of_a_slow_plate_is_current_for_three_steps(view: PlateVie
     view.add("forces", forces(), NOW_NS)
     assert view.current(FORCES, NOW_NS + 23 * S // 10) is not None
     assert view.current(FORCES, NOW_NS + 25 * S // 10) is None
-
-
-def test_health_which_comes_once_a_second_is_current_for_three(view: PlateView) -> None:
-    view.add("health", health(), NOW_NS)
-    assert view.current(HEALTH, NOW_NS + 29 * S // 10) is not None
-    assert view.current(HEALTH, NOW_NS + 31 * S // 10) is None
 
 
 def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -> None:
@@ -91,12 +85,6 @@ def test_of_decimated_copies_the_rate_is_that_of_the_stream_and_nothing_is_misse
     assert view.missed == {"health": 2}
 
 
-def test_a_retained_message_that_comes_again_is_no_gap(view: PlateView) -> None:
-    for seq in (3, 0, 3):
-        view.add("state/link", state("online", seq=seq), NOW_NS)
-    assert view.missed["state/link"] == 2
-
-
 def test_losses_never_go_back_to_those_of_a_last_will(view: PlateView) -> None:
     view.add("forces", forces(lost=Lost(link_gap=4)), NOW_NS)
     view.add("state/daemon", state("offline", lost=Lost(link_gap=1)), NOW_NS)
@@ -126,13 +114,6 @@ def test_retained_messages_of_an_earlier_run_do_not_hide_the_present_one(view: P
     assert view.last(STATE_DAEMON) is not None
 
 
-def test_retained_messages_of_an_earlier_run_give_way_to_newer_ones(view: PlateView) -> None:
-    view.add("info", info({7: (0.0, 0.0)}), NOW_NS)
-    view.add("state/daemon", state("online", daemon_boot_id="new", t_ns=NOW_NS + S), NOW_NS)
-    assert view.last(INFO) is None
-    assert view.last(STATE_DAEMON) is not None
-
-
 def test_retained_messages_of_a_run_whose_clock_is_behind_are_found_once_it_measures(view: PlateView) -> None:
     behind = {"daemon_boot_id": "new", "t_ns": NOW_NS - 3600 * S}
     view.add("state/link", state("lost"), NOW_NS)
@@ -144,8 +125,3 @@ def test_retained_messages_of_a_run_whose_clock_is_behind_are_found_once_it_meas
     at_link = view.last(STATE_LINK)
     assert at_link is not None
     assert at_link.state == "online"
-
-
-def test_a_part_of_a_message_is_refused(view: PlateView) -> None:
-    with pytest.raises(ValueError, match="forces: got SiteInfo"):
-        view.add("forces", SiteInfo(site=1, position_m=(0.0, 0.0)), NOW_NS)

@@ -139,13 +139,6 @@ def test_pictures_have_colours_where_the_terminal_has(monkeypatch: pytest.Monkey
     assert "\x1b" not in "\n".join(rendered(shown))
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".pdf", b"%PDF"), (".svg", b"<?xml")])
-def test_the_picture_is_written(tmp_path: Path, suffix: str, start: bytes) -> None:
-    path = tmp_path / f"set{suffix}"
-    plan("p_n", "xz").write_picture(path)
-    assert path.read_bytes().startswith(start)
-
-
 def test_without_matplotlib_one_line_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)

@@ -96,15 +96,6 @@ def test_true_forces_stand_beside_the_measured() -> None:
     assert "latency p99 7.9 ms" in words(text)
 
 
-def test_a_contact_that_nobody_follows_and_a_map_without_errors_are_shown() -> None:
-    """As many decoders that share a skin make them."""
-    alone = PRESSED.model_copy(update={"id": None})
-    bare = decoded(skin_tractions()).model_copy(update={"traction_std_pascal": None})
-    view = quartz16(("decoded", bare), ("decoded/summary", summary(alone)))
-    assert "measured" in page(view)
-    assert "contact - 1.000 N normal" in summary_line(view, NOW_NS)
-
-
 def test_a_true_touch_between_sites_is_shown_where_it_is() -> None:
     truth = Truth((TrueContact(None, (0.004, 0.001), (0.0, 0.0, 10.0)),), None, None)
     text = page(quartz16(("forces", forces())), truth=truth)
@@ -156,14 +147,6 @@ def test_states_come_with_reason_and_duration_unless_online() -> None:
     assert "sensor drifting for 2 h 0 min: 0.3 ppm/s" in text
 
 
-def test_states_behind_an_offline_daemon_are_unknown() -> None:
-    will = state("offline", "connection lost").model_copy(update={"since_t_ns": None})
-    for at_ns in (NOW_NS, NOW_NS + 10 * S):
-        text = words(page(quartz16(("state/daemon", will)), at_ns=at_ns))
-        assert "daemon offline: connection lost link unknown (was online) sensor unknown (was online)" in text
-    assert "daemon unknown link unknown sensor unknown" in words(page(PlateView("left")))
-
-
 def test_rates_and_costs() -> None:
     view = quartz16()
     for number in range(201):
@@ -209,21 +192,6 @@ def test_each_contact_is_a_column_and_the_truth_another() -> None:
     assert "margin 0.42 ± 0.02 - status" in beside
 
 
-def test_an_untouched_skin_is_told_from_an_unknown_one() -> None:
-    surface = ("decoded", decoded(skin_tractions() * 0.0))
-    untouched = beside_the_map(page(skin32(surface, ("decoded/summary", summary()))))
-    assert untouched.startswith("no contact normal shear towards margin status ok")
-    unknown = beside_the_map(page(skin32(surface, ("decoded/summary", summary(status="no_signal")))))
-    assert unknown.startswith("contacts unknown normal")
-
-
-def test_contact_physics_that_was_given_up_is_said_with_its_reason() -> None:
-    dropped = summary(PRESSED, status="constraint_dropped", reason="friction coefficient 0.4 contradicted")
-    beside = beside_the_map(page(skin32(("decoded", decoded(skin_tractions())), ("decoded/summary", dropped))))
-    assert "normal 1.000 N" in beside
-    assert "status constraint_dropped (friction coefficient 0.4 contradicted), open-plane+contact" in beside
-
-
 def test_doubts_about_the_surface_are_said() -> None:
     nothing = ("decoded", decoded(np.full((3, 32, 32), math.nan)))
     poor = ("decoded/summary", summary(border_contact=True, status="rejected", chi2=math.nan))
@@ -235,24 +203,11 @@ def test_doubts_about_the_surface_are_said() -> None:
     assert "nan" not in text
 
 
-def test_a_pressed_pixel_is_on_the_map_where_it_is_on_the_skin() -> None:
-    rows = [line[:32] for line in page(skin32()).splitlines()[3:19]]
-    assert [(row, len(line) - len(line.lstrip())) for row, line in enumerate(rows) if line.strip()] == [(3, 20)]
-
-
 def test_measured_and_true_maps_share_one_scale() -> None:
     truth = Truth((), skin_tractions()[2] / 2, None)
     row = page(skin32(), truth=truth).splitlines()[6]
     shades = " .:-=+*#%@"
     assert (shades.index(row[:32].strip()), shades.index(row[34:66].strip())) == (3, 1)
-
-
-def test_the_noise_of_an_untouched_skin_stays_dark() -> None:
-    noise = np.random.default_rng(0).normal(0.0, 1000.0, (3, 32, 32))
-    text = page(skin32(("decoded", decoded(noise, std_pascal=1000.0)), ("decoded/summary", summary())))
-    assert "10 kPa" in text
-    shown = "".join(line[:32] for line in text.splitlines()[3:19])
-    assert set(shown) <= set(" .:-")
 
 
 SCATTERED = {number: ((number % 5 - 2) * 4e-3, (number // 5 - 2) * 4e-3) for number in range(25)}
@@ -278,20 +233,6 @@ def test_scattered_sites_have_a_map_of_the_nearest_within_the_outline() -> None:
     assert "f_z 0 .:-=+*#%@ 10 kPa" in words(text)
 
 
-def test_scattered_sites_have_no_map_before_their_places_are_known() -> None:
-    text = page(skin32(scattered(np.ones(25)), ("decoded/summary", summary(PRESSED))))
-    assert "f_z" not in text
-    assert "normal 1.000 N" in words(text)
-
-
-def test_an_unknown_pixel_does_not_spoil_the_scale() -> None:
-    traction = skin_tractions()
-    traction[:, 0, 0] = math.nan
-    text = page(skin32(("decoded", decoded(traction)), ("decoded/summary", summary())))
-    assert "10000 kPa" in text
-    assert text.count("?") == 1
-
-
 @pytest.mark.parametrize(("width", "height"), [(100, 40), (100, 37), (80, 24), (60, 15), (200, 60)])
 @pytest.mark.parametrize("color_system", [None, "256", "truecolor"])
 def test_two_plates_fit_the_terminal(width: int, height: int, color_system: str | None) -> None:
@@ -304,30 +245,10 @@ def test_two_plates_fit_the_terminal(width: int, height: int, color_system: str 
     assert ("\x1b[38;" in text) == (color_system is not None)
 
 
-def test_a_page_without_room_keeps_to_one_line_a_plate() -> None:
-    view = quartz16(("forces", forces(site_force(7, 1.0))))
-    text = page(view, view, view, width=80, height=12)
-    assert text.count("site 7 1.000 N ± 0.6 ± 12 mN; status ok; nothing lost") == 3
-    assert "·" * 10 not in text
-
-
 def test_text_that_does_not_fit_says_so() -> None:
     many = forces(*(site_force(number, 1.0) for number in range(1, 16)))
     text = page(quartz16(("forces", many)), width=80, height=12)
     assert "... more in a larger terminal" in text
-
-
-def test_colours_can_be_switched_off() -> None:
-    assert "▀" in page(skin32(), color_system="truecolor", force_terminal=True)
-    assert "▀" not in page(skin32(), color_system="truecolor", force_terminal=True, no_color=True)
-
-
-def test_brackets_in_names_are_no_markup() -> None:
-    view = PlateView("[red]left")
-    view.add("state/daemon", state("starting", "[bold] reason"), NOW_NS)
-    text = page(view)
-    assert "[red]left · plate unknown" in text
-    assert ": [bold] reason" in text
 
 
 def test_summary_lines() -> None:

@@ -9,7 +9,7 @@ docs/latency.md explains the figures. Example: resonatord bench latency --plate 
 import argparse
 import logging
 
-from resonator_daemon.commands._argument_types import picture, positive
+from resonator_daemon.commands._argument_types import options_of, picture, positive
 from resonator_daemon.errors import ExitCode
 
 
@@ -28,13 +28,4 @@ def run(arguments: argparse.Namespace) -> ExitCode:
     from resonator_daemon.demo.latency import LatencyOptions, bench_latency
 
     logging.getLogger().setLevel(logging.ERROR)  # the result shows the rest
-    return bench_latency(
-        LatencyOptions(
-            plate=arguments.plate,
-            seconds=arguments.seconds,
-            apart=arguments.apart,
-            broker=arguments.broker,
-            json=arguments.json,
-            picture=arguments.picture,
-        )
-    )
+    return bench_latency(options_of(LatencyOptions, arguments))

@@ -1,4 +1,4 @@
-"""Creep that shows while loads stand: what is known of it where no model of creep is fitted."""
+"""Creep that shows while loads stand: a bound for it where no model of creep is fitted."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.forces.calibration_fit import CalibrationFit
 from resonator_daemon.forces.loading_fit import RESPONSE_USUAL
 
-SIGMAS: Final = 2.0  # of the pace, so that holds too short to tell creep do not rule it out
+SIGMAS: Final = 2.0  # of the pace, so that holds too short to show creep do not rule it out
 CARRIED_ON_S: Final = math.exp(RESPONSE_USUAL[2])  # creep that begins at some pace and dies out goes on for its time
 
 
@@ -21,8 +21,10 @@ def creep_share(procedure: LoadProcedure, loadings: Sequence[Loading], fit: Cali
     The pace is the fastest that readings allow, of loads from zero on sites that `fit` has; NaN where there are none.
     """
     sites = fit.site.tolist()
-    told = [_pace(load, procedure, fit.sensitivity[sites.index(load.site)]) for load in loadings if load.site in sites]
-    pace, weight = np.array(told).reshape(-1, 2).T
+    growth = [
+        _pace(load, procedure, fit.sensitivity[sites.index(load.site)]) for load in loadings if load.site in sites
+    ]
+    pace, weight = np.array(growth).reshape(-1, 2).T
     if not weight.sum() > 0:
         return math.nan
     return (abs(float(weight @ pace / weight.sum())) + SIGMAS / math.sqrt(weight.sum())) * CARRIED_ON_S

@@ -1,4 +1,4 @@
-"""What a result must hold before it may be accepted: loads of a site that fit together, and K known well enough."""
+"""Conditions of a result that may be accepted: loads of a site that fit together, and K known well enough."""
 
 import math
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ from resonator_daemon.calibration.steps import SENSITIVITY_STD_MAX, Step
 from resonator_daemon.plate import Plate
 
 SCATTERS: Final = 5.0  # that a site's residual may be: far beyond chance, even of three loads with one to spare
-FEWEST_OTHERS: Final = 3  # sites, of which the middle one tells how touches scatter
+FEWEST_OTHERS: Final = 3  # sites, of which the middle one shows how touches scatter
 
 
 @dataclass(frozen=True)
-class Misfit:
+class OutlierSite:
     """A site whose loads leave more than scatter explains."""
 
     site_id: int
@@ -46,7 +46,7 @@ class _SiteLoads:
     freedom: int
 
 
-def find_misfits(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std: float) -> tuple[Misfit, ...]:
+def find_outliers(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std: float) -> tuple[OutlierSite, ...]:
     """Return the sites whose loads, but for doubtful ones, lie too far off their line; `steps` are all that was fitted.
 
     A load scatters by the plate file's model_error in each channel alone, or by what the other sites show, if that is
@@ -60,7 +60,7 @@ def find_misfits(plate: Plate, steps: Sequence[Step], outcome: Outcome, mass_std
         seen = math.sqrt(site.freedom / len(site.steps))  # of the scatter: the line takes the rest for itself
         limit_newton = SCATTERS * math.hypot(share * site.force_newton, BAD_NEWTON) * seen
         if not site.residual_newton <= limit_newton:
-            found.append(Misfit(site_id, site.steps, site.residual_newton, limit_newton, plate.force_max_newton))
+            found.append(OutlierSite(site_id, site.steps, site.residual_newton, limit_newton, plate.force_max_newton))
     return tuple(found)
 
 
@@ -99,7 +99,7 @@ def _by_site(steps: Sequence[Step], outcome: Outcome) -> dict[int, _SiteLoads]:
 
 
 def _usual(sites: Sequence[_SiteLoads]) -> float:
-    """Scatter of a load, relative, by the middle one of some sites; 0 where they are too few to tell."""
+    """Scatter of a load, relative, by the middle one of some sites; 0 where they are too few."""
     if len(sites) < FEWEST_OTHERS:
         return 0.0
     return math.sqrt(np.median([site.share**2 * site.freedom / chdtri(site.freedom, 0.5) for site in sites]))

@@ -1,0 +1,28 @@
+"""Parts of pages that show a plan: tables of numbers, and figures in files."""
+
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+
+from resonator_daemon.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def number_table(first: str, *others: str) -> Table:
+    """Return a table without lines, numbers at the right of each column but the first."""
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    table.add_column(first, overflow="fold")
+    for name in others:
+        table.add_column(name, justify="right", overflow="fold")
+    return table
+
+
+def make_figure(inches: tuple[float, float]) -> "Figure":
+    """Return an empty figure, which `savefig` writes in the format of a file's suffix; UserError without matplotlib."""
+    try:
+        from matplotlib.figure import Figure
+    except ModuleNotFoundError as error:
+        raise UserError(f"--picture needs {error.name}, which is not installed: pip install matplotlib") from error
+    return Figure(figsize=inches, layout="constrained")
