@@ -257,45 +257,6 @@ def test_a_bad_load_is_asked_for_once_more_and_a_person_is_asked_to_accept(desk:
     assert sensitivity_error(desk) < 3e-3
 
 
-LAID_ON_WRONGLY = (0.05, 0.2, 0.3)  # the last in place of 0.5
-USUAL_LOADS = ("--sites", "1", "--masses-grams", "50,200,500", "--hold-s", "0.3", "--accept")
-
-
-def test_three_loads_of_a_site_that_do_not_fit_together_are_asked_for_again_and_then_refused(
-    desk: Desk, capsys: pytest.CaptureFixture[str]
-) -> None:
-    before = desk.tree()
-    for mass_kg in 2 * LAID_ON_WRONGLY:
-        desk.touches.load(1, mass_kg, 0.3)
-    with desk.board():
-        code, printed, reported = desk.say(capsys, *USUAL_LOADS)
-    assert code == 1
-    assert [line["step"] for line in printed if line.get("event") == "captured"] == [1, 2, 3, 1, 2, 3]
-    assert "from the fit of this site so far: its loads do not fit together" in reported
-    sentence = (
-        "site 1: its loads do not fit together: residual 69. mN rms, at most 67 mN, 5 times what scatter explains"
-    )
-    assert len(re.findall(f"{sentence}; once more, please\n", reported)) == 1
-    assert re.search(f"{sentence}; check masses and places, and begin again\n", reported)
-    assert desk.tree() == before
-    assert desk.sessions() == []
-
-
-def test_exchanged_masses_are_refused_with_both_steps(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
-    before = desk.tree()
-    for mass_kg in (0.2, 0.05, 0.5):
-        desk.touches.load(7, mass_kg, 0.3)
-    with desk.board():
-        code, printed, reported = desk.say(capsys, "--sites", "7", *USUAL_LOADS[2:])
-    assert code == 1
-    assert "steps 1 (50 g on site 7) and 2 (200 g on site 7): the masses were exchanged" in reported
-    assert "; the loads of this site so far do not fit together\n" in reported  # 385 N from the fit, if that is one
-    assert [line["residual_newton"] for line in printed if line.get("event") == "captured"] == 3 * [None]
-    assert all("result" not in line for line in printed)
-    assert desk.tree() == before
-    assert desk.sessions() == []
-
-
 def test_a_port_that_the_daemon_holds_is_refused_at_once(desk: Desk, capsys: pytest.CaptureFixture[str]) -> None:
     with desk.board():
         link = open_serial(SerialTarget(str(desk.port), 4_000_000))

@@ -126,14 +126,3 @@ def test_a_series_that_is_released_is_refused(tmp_path: Path) -> None:
     touches.load(7, 0.3, 1.0)
     _, printed = refused(LoadProcedure(NOMINAL, steps, 20.0), touches, tmp_path)
     assert "step 2 (300 g on site 7): site 7 was released within its series of loads" in printed
-
-
-def test_missing_frames_cost_a_reading_and_nothing_else(tmp_path: Path) -> None:
-    steps, touches = plan_steps(replace(WANTED, masses_kg=(0.1,)), NOMINAL), Touches(seconds=5.0)
-    touches.load(7, 0.1, 2.5)
-    holes = {120, 121, 580, 581, 582}
-    counted = (frame for frame in frames(TRUE, touches, tmp_path) if frame[0] not in holes)
-    procedure = LoadProcedure(NOMINAL, steps, 20.0)
-    assert kinds(list(lead(procedure, NOMINAL, counted)))[-1] == ("remove", 1)
-    assert procedure.done
-    assert procedure.loadings[1].times_s.shape == (10,)

@@ -13,7 +13,6 @@ from observer import observe
 
 from resonator_daemon.commands import main
 from resonator_daemon.doctor import run as doctor_run
-from resonator_daemon.replay import checking
 
 CORPUS: Final = Path(__file__).parents[1] / "corpus"
 COMMAND: Final = (sys.executable, "-m", "resonator_daemon")
@@ -81,27 +80,6 @@ def test_one_that_runs_until_it_is_stopped_ends_well(
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_check_of_cases_says_how_many_it_had(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    whole = checking.check_case
-
-    def check_case(directory: Path, expected: Any) -> Any:
-        return whole(directory, expected) if directory.name == "refused" else interrupt()
-
-    monkeypatch.setattr(checking, "check_case", check_case)
-    cases = [str(CORPUS / name) for name in ("refused", "touches", "comb", "comb")]
-    assert main(["replay", "--check", *cases]) == 1
-    printed = capsys.readouterr()
-    assert printed.out.startswith("ok      refused: ")
-    assert printed.err == "resonatord: interrupted: 1 of 3 cases checked, 0 differ\n"
-    assert main(["replay", "--json", "--check", *cases]) == 1
-    (line,) = capsys.readouterr().out.splitlines()
-    reported = json.loads(line)
-    assert (reported["verb"], reported["ok"], error_of(reported)["code"]) == ("replay", False, "interrupted")
-    assert [case["case"] for case in reported["cases"]] == ["refused"]
-
-
 async def test_a_replay_to_a_broker_says_what_it_published(mosquitto: Mosquitto) -> None:
     recording = str(CORPUS / "touches" / "recording.mcap")
     command = [*COMMAND, "replay", recording, "--url", mosquitto.url, "--name", "hand", "--speed", "0.1", "--json"]
@@ -138,18 +116,3 @@ def test_a_doctor_says_what_was_found_and_gives_no_verdict(
     else:
         assert printed.out.startswith("software\n")
         assert "verdict" not in printed.out
-
-
-def test_a_bench_that_has_measured_nothing_says_so() -> None:
-    command = [*COMMAND, "bench", "latency", "--seconds", "600", "--json"]
-    bench = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert bench.stderr is not None
-    for line in bench.stderr:
-        if line.startswith("measuring"):
-            break
-    bench.send_signal(signal.SIGINT)
-    stdout, stderr = bench.communicate(timeout=60)
-    assert bench.returncode == 1
-    reported = json.loads(stdout)
-    assert (reported["verb"], reported["ok"], error_of(reported)["code"]) == ("bench latency", False, "interrupted")
-    assert stderr.splitlines()[-1] == "resonatord: interrupted before a message was measured"

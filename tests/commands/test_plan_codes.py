@@ -241,15 +241,6 @@ def test_bad_values_are_usage_errors_of_one_sentence(
     assert complaint in printed.err.splitlines()[-1]
 
 
-def test_a_given_step_that_the_band_has_no_room_for_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
-    code, found, complaints = plan(capsys, *GRID, "--step-ppm", "2000")
-    assert (code, found["error"]["code"]) == (1, "no_plan")
-    assert "16 codes with the pilot need 33082 ppm, the trapped band has 15000" in complaints[0]
-    # 1000 ppm to the pilot, 16 steps, 81.9 ppm of force.
-    assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.9")[0] == 0
-    assert plan(capsys, *GRID, "--step-ppm", "400", "--band-ppm", "7481.8")[0] == 1
-
-
 def test_the_page_names_every_option_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
     assert exit_code("plan", "codes", "--help") == 0
     options = set(re.findall(r"--[a-z0-9-]+[a-z0-9]", capsys.readouterr().out)) - {"--help"}

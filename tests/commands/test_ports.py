@@ -22,7 +22,6 @@ from resonator_daemon.links.carriers.serial import SerialTarget, open_serial
 from resonator_daemon.links.port_holders import Holders
 from resonator_daemon.session import probe as port_inquiry
 from simulators.emulator import EmulatorOptions
-from simulators.faults import parse_faults
 
 AMPLE_S = 30.0
 
@@ -148,15 +147,6 @@ def test_a_configuration_names_the_link_and_is_compared(
     printed = capsys.readouterr()
     assert "EMU-0001" in printed.out
     assert ("the board describes quartz16, the plate file has comb16" in printed.err) is (code == 69)
-
-
-def test_ticks_at_another_rate_than_described_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    port = tmp_path / "board"
-    with emulated(EmulatorOptions("quartz16", pty=port, faults=parse_faults("skew_ppm=5000"))):
-        code, printed = asked(capsys, "identify", f"serial:{port}?baud=4000000")
-    assert code == 0
-    assert printed["tick_rate"]["plausible"] is False
-    assert printed["tick_rate"]["deviation_ppm"] == pytest.approx(5000, abs=2 * printed["tick_rate"]["uncertainty_ppm"])
 
 
 class Stranger:

@@ -144,27 +144,6 @@ async def test_an_answer_that_cannot_be_read_is_said(
     assert "\x1b" not in page
 
 
-def test_one_that_this_user_may_not_ask_names_the_group(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    if os.geteuid() != 0:
-        pytest.skip("only root can ask as another user")
-    with listening(home, "hand"):
-        path = home / "hand" / SOCKET_NAME
-        os.chown(path, 0, 1)  # the group daemon, which is everywhere
-        path.chmod(0o660)
-        for place in (*home.parents, home, home / "hand"):
-            if place.is_relative_to("/tmp") and place != Path("/tmp"):
-                place.chmod(0o755)
-        os.seteuid(65534)
-        try:
-            code = main(["status"])
-        finally:
-            os.seteuid(0)
-    assert code == 1
-    assert "hand   this user may not ask it; users of the group daemon may: `sudo usermod -aG daemon" in (
-        capsys.readouterr().out
-    )
-
-
 async def test_what_is_not_well_is_in_the_block(capsys: pytest.CaptureFixture[str]) -> None:
     config = ConfigStatus(
         file="/etc/hand.toml",

@@ -13,7 +13,7 @@ from brokers import Mosquitto, free_port
 from commanded import commanded, state
 
 from resonator_daemon.commands import main
-from resonator_daemon.publishing import daemon_search, requests
+from resonator_daemon.publishing import daemon_search
 from resonator_daemon.publishing.commands import CommandRefusedError, Handler
 from resonator_daemon.publishing.message_examples import EXAMPLES
 from resonator_daemon.publishing.payloads import Info
@@ -140,15 +140,3 @@ async def test_without_a_name_the_daemon_is_found_by_its_link(mosquitto: Mosquit
     async with daemon(mosquitto.url, tared, name="EMU-0001"):
         code, printed, _ = await tare(mosquitto.url, name="")
     assert (code, printed) == (0, "common mode taken as untouched\n")
-
-
-def test_what_no_terminal_can_write_is_printed_without(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsysbinary: pytest.CaptureFixture[bytes]
-) -> None:
-    monkeypatch.setattr(requests, "reach", lambda _: asyncio.sleep(0))
-    monkeypatch.setattr(daemon_search, "find_daemon", lambda _: asyncio.sleep(0, "left"))
-    monkeypatch.setattr(requests, "request", lambda *_: asyncio.sleep(0, {"ok": True, "did": "a\ud800b"}))
-    config = tmp_path / "operator.toml"
-    config.write_text('name = "left"\n')
-    assert main(["tare", "--config", str(config)]) == 0
-    assert capsysbinary.readouterr().out == "a\N{REPLACEMENT CHARACTER}b\n".encode()

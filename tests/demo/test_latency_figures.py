@@ -1,11 +1,9 @@
 """Latencies, and what is missing, from messages and a truth that the test makes; and how they are told."""
 
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
 
 from resonator_daemon.demo.latency_figures import Arrival, Gates, measure, read_gates
 from resonator_daemon.demo.latency_report import LatencyReport
@@ -107,9 +105,3 @@ def test_words_and_json_tell_the_same() -> None:
     assert json.loads(json.dumps(reported.as_json()))["histogram"]["bounds_ms"] == list(BOUNDS_MS)
     assert reported.as_json()["count"] == 4
     assert reported.as_json()["over_20_ms"] == 1
-
-
-def test_a_picture_is_drawn(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib")
-    report(daemon_counts=(0, 5, *[0] * (len(BOUNDS_MS) - 1))).write_picture(tmp_path / "latency.svg")
-    assert (tmp_path / "latency.svg").read_text().count("<svg") == 1

@@ -242,25 +242,6 @@ def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Capture) -> N
     assert (found["host.overrun"], found["link.errors"]) == (Outcome.FAULT, Outcome.NOT_CHECKED)
 
 
-@pytest.mark.parametrize(
-    ("damaged", "discarded", "outcome"),
-    [
-        (0, 0, Outcome.OK),
-        (2, 0, Outcome.WARNING),
-        (3, 0, Outcome.FAULT),
-        (0, 1024, Outcome.WARNING),
-        (0, 1025, Outcome.FAULT),
-    ],
-)
-def test_a_packet_that_was_cut_is_no_broken_cable(
-    calm: Capture, damaged: int, discarded: int, outcome: Outcome
-) -> None:
-    lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
-    account = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
-    found = {finding.id: finding for finding in check_capture(dataclasses.replace(calm, after=account))}
-    assert found["link.errors"].outcome is outcome
-
-
 def test_a_board_that_does_not_count_is_the_sensors(calm: Capture) -> None:
     silent = dataclasses.replace(calm, seconds=0.0, after=calm.before, link="no frames")
     found = {finding.id: finding.outcome for finding in check_capture(silent)}

@@ -36,7 +36,7 @@ def points(cloud: Any) -> Any:
             "itemsize": cloud.point_step,
         }
     )
-    assert (cloud.width * cloud.point_step, cloud.height) == (cloud.row_step, 1)
+    assert (cloud.width * cloud.point_step, cloud.height, cloud.is_bigendian) == (cloud.row_step, 1, False)
     return np.frombuffer(bytes(cloud.data), dtype, cloud.width)
 
 

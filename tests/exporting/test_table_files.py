@@ -59,6 +59,7 @@ def test_forces_in_parquet_are_those_that_are_published(case: str, tmp_path: Pat
                 value = row[f"site_{site}_{key}"]
                 assert same(value, getattr(listed[site], key)) if site in listed else value is None
     assert touched > 20
+    assert not tables["forces"].schema.field("channel_0_beats").nullable
     assert pq.ParquetFile(tmp_path / "out-forces.parquet").num_row_groups > 1
 
 
@@ -93,7 +94,8 @@ def test_maps_of_a_skin_in_parquet(tmp_path: Path) -> None:
         shape = json.loads(field.metadata[b"shape"])
         read = np.array(tables[path][key].to_pylist(), np.float32).reshape(-1, *shape)
         np.testing.assert_array_equal(read, np.stack([getattr(m, key) for m in played_case.messages(path)]))
-    assert tables["decoded"].schema.field("traction_pascal").metadata[b"unit"] == b"Pa"
+    field = tables["decoded"].schema.field("traction_pascal")
+    assert (field.nullable, field.metadata[b"unit"]) == (True, b"Pa")
     assert tables["decoded"]["grid_origin_x_m"][0].as_py() == played_case.messages("decoded")[0].grid.origin_m[0]
     rows = iter(tables["decoded/summary"].to_pylist())
     for message in played_case.messages("decoded/summary"):

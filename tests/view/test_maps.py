@@ -82,11 +82,6 @@ def test_bars_beside_a_touched_site_are_measured_left_and_true_right() -> None:
     assert line_with(-0.001, None) == "▁12"
 
 
-def test_a_touch_on_no_site_has_a_cross_where_it_is() -> None:
-    lines = text_of(site_map(SQUARE_M, [SiteMark((0.0055, 0.0095), "", None, 10.0)], 10.0, rows=12, columns_max=80))
-    assert lines[1] == "·" + " " * 15 + "x█" + " " * 3 + "·"
-
-
 def test_labels_that_would_run_into_each_other_give_way_to_circles_and_touched_ones_never() -> None:
     crowd = [untouched(str(number), (number - 15.5) * 1e-3, 0.001) for number in (15, 16, 17, 18)]
     assert "15oo " in text_of(site_map(SQUARE_M, crowd, 10.0, rows=12, columns_max=80))[5]

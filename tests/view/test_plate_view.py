@@ -58,14 +58,6 @@ def test_rate_is_messages_that_arrived_within_the_last_second(view: PlateView) -
     assert view.age_s(NOW_NS + 4 * S) == pytest.approx(2.01)
 
 
-def test_rate_forgets_what_arrived_before_the_clock_was_set_back(view: PlateView) -> None:
-    for hours in (0, -1):
-        for number in range(1, 101):
-            view.add("forces", forces(), NOW_NS + hours * 3600 * S + number * S // 50)
-    assert view.rate_hz(FORCES, NOW_NS + 3 * S) == 0.0
-    assert len(view._run.arrivals["forces"]) == 50
-
-
 def test_gaps_are_counted_by_topic(view: PlateView) -> None:
     for seq in (5, 6, 9, 9, 10, 14):
         view.add("forces", forces(seq=seq), NOW_NS)

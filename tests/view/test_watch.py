@@ -10,13 +10,12 @@ import sys
 from asyncio.subprocess import PIPE, Process
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
-from pathlib import Path
 
 import numpy as np
 import pytest
 from view_messages import NOW_NS, S, decoded, forces, info, site_force, state
 
-from resonator_daemon.config import Mqtt, load_client
+from resonator_daemon.config import Mqtt
 from resonator_daemon.errors import UserError
 from resonator_daemon.publishing import topics
 from resonator_daemon.publishing.codec import encode
@@ -212,15 +211,3 @@ def test_json_line_has_arrays_as_lists_and_null_for_what_is_not_known() -> None:
     assert json.loads(line)["message"]["signals"] == [[0.5, None]] * 3
     line = json_line("left", "forces", forces(site_force(7, math.nan)))
     assert json.loads(line)["message"]["sites"][0]["force_newton"] is None
-
-
-async def test_broker_and_credentials_of_a_configuration(tmp_path: Path) -> None:
-    (tmp_path / "secret").write_text("word\n")
-    config = tmp_path / "board.toml"
-    config.write_text(f'plate = 7\n[mqtt]\nurl = "{NOBODY}"\nusername = "eve"\npassword_file = "secret"\n')
-    broker = load_client(config).mqtt
-    assert (broker.username, broker.password) == ("eve", "word")
-    async with watching("--config", str(config)) as process:
-        assert process.stdout is not None
-        line = await asyncio.wait_for(process.stdout.readline(), 20)
-    assert b"waiting for a plate" in line
