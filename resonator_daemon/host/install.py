@@ -160,15 +160,16 @@ def _contents(root: Path, program: Path, example_config: str) -> list[tuple[Path
     shipped = resources.files("resonator_daemon") / "service_files"
     texts = [(place, (shipped / name).read_text("utf-8")) for name, place in _PLACES.items()]
     texts.append((EXAMPLE, example_config))
-    return [(root / place.lstrip("/"), _sealed(_started_by(text, program))) for place, text in texts]
+    return [(root / place.lstrip("/"), sealed(started_by(text, program))) for place, text in texts]
 
 
-def _started_by(text: str, program: Path) -> str:
+def started_by(text: str, program: Path) -> str:
+    """Return the text of a unit that starts a program, its path escaped as units have it."""
     escaped = str(program).replace("\\", "\\\\").replace("%", "%%").replace(" ", "\\x20")  # systemd.service(5)
     return text.replace(f"ExecStart={_PROGRAM_IN_UNITS}", f"ExecStart={escaped}")
 
 
-def _sealed(text: str) -> str:
+def sealed(text: str) -> str:
     """Return the text with a last line by which `_judge` knows whether somebody changed it."""
     return f"{text}# resonatord install {hashlib.sha256(text.encode()).hexdigest()}\n"
 
@@ -183,7 +184,7 @@ def _judge(path: Path, content: str, dry_run: bool) -> Placed:
         raise InstallError(f"{path}: {error.strerror}") from error
     if there == content:
         return Placed(path, content, Action.UNCHANGED)
-    intact = there == _sealed(_SEAL.sub("", there))
+    intact = there == sealed(_SEAL.sub("", there))
     return Placed(path, content, update if intact else Action.KEPT)
 
 
