@@ -96,7 +96,10 @@ class PatchFinder:
         near = tree.query_pairs(_NEIGHBOUR * spacing_m(self._places_m), output_type="ndarray")
         self._pairs = np.vstack([near, neighbours(self._places_m, _NEIGHBOUR_DEPTHS * depth_m)])
         grid = as_grid(self._places_m)
-        self._shape = grid.shape if grid and _are_eight_neighbours(self._pairs, grid.shape) else None
+        pitches_m = (grid.pitch_x_m, grid.pitch_y_m) if grid else (0.0, np.inf)
+        # On a grid whose diagonals are short enough, neighbours are the eight around each place.
+        are_eight = math.hypot(*pitches_m) <= _NEIGHBOUR * min(pitches_m)
+        self._shape = grid.shape if grid and are_eight else None
         self._border = at_border(self._places_m, self._places_m)
 
     def find(self, traction_pascal: ArrayLike, traction_std_pascal: ArrayLike) -> list[Patch]:
@@ -181,19 +184,3 @@ class PatchFinder:
             centroid_m=centroid,
             centroid_std_m=spread[3:5] / abs(force[2]),
         )
-
-
-def _are_eight_neighbours(pairs: Indices, shape: tuple[int, int]) -> bool:
-    """Return whether pairs of places, in any order and number, are those of a grid's sides and diagonals."""
-    place = np.arange(shape[0] * shape[1]).reshape(shape)
-    expected = [
-        np.column_stack([first.ravel(), second.ravel()])
-        for first, second in (
-            (place[:, :-1], place[:, 1:]),
-            (place[:-1], place[1:]),
-            (place[:-1, :-1], place[1:, 1:]),
-            (place[:-1, 1:], place[1:, :-1]),
-        )
-    ]
-    given = np.unique(np.sort(pairs, axis=1), axis=0)
-    return np.array_equal(given, np.unique(np.concatenate(expected), axis=0))

@@ -19,8 +19,8 @@ from resonator_daemon.decoding.skin import Skin
 _ONSET_FRAMES = 2  # in a row: a patch of one frame may be noise
 _SIGNIFICANCE = 6.0  # standard deviations of the normal force at onset
 _RADIUS_SHARE = 0.5  # of the sites' extent: contacts are no larger
-_FRICTION_STD = 0.03  # relative, of a coefficient that was told: friction changes, and models are wrong
-_FRICTION_LEARNED = 0.1  # relative standard deviation at which an estimate begins to bound shear
+_FRICTION_STD = 0.03  # relative, of a coefficient that is given: friction changes, and models are wrong
+_FRICTION_KNOWN = 0.1  # relative standard deviation at which an estimate begins to bound shear
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class SkinEvent:
 
     event: Literal["onset", "release", "incipient_slip", "gross_slip"]
     contact: SkinContact
-    reason: str = ""  # of a release that no frame has told of
+    reason: str = ""  # of a release that no frame shows
 
 
 @dataclass
@@ -59,14 +59,14 @@ class SkinContacts:
     noise_std
         Of the signals, gain errors aside, (3, n).
     friction_coefficient
-        None where it is not known: then slip teaches it.
+        None where it is not known: then it is estimated from slip.
 
     Attributes
     ----------
     tracker
         Numbers the contacts.
     friction_estimate
-        What slip has taught so far, None where it has not.
+        Estimate from slip so far, None where there is none.
     """
 
     def __init__(self, skin: Skin, noise_std: Floats, friction_coefficient: float | None) -> None:
@@ -101,7 +101,7 @@ class SkinContacts:
             self._tracks[missing].frames = 0
         real = {i: patch for i, patch in found.items() if self._is_real(i, patch)}
         slips, slip_events = self._watch.update(signals, self._noise_of(signals), _starts(real))
-        self.friction_estimate = _learned(slips) or self.friction_estimate
+        self.friction_estimate = _estimated_friction(slips) or self.friction_estimate
         contacts = {i: self._contact(i, patch, slips.get(i)) for i, patch in real.items()}
         events = self._follow(contacts)
         events += [SkinEvent(event.event, contacts[event.contact]) for event in slip_events]
@@ -110,7 +110,7 @@ class SkinContacts:
     def alone(self, signals: Floats, patches: Sequence[Patch]) -> tuple[SkinContact, ...]:
         """Return the contacts of a single frame (3, n), numbered from 1; those that are tracked are not changed.
 
-        What slip has taught of friction is left out, too: frames may be those of many skins.
+        The friction estimate is left out, too: frames may be those of many skins.
         """
         real = {i: patch for i, patch in enumerate(patches, 1) if _is_significant(patch)}
         slips, _ = SlipWatch(self._model, self._friction).update(signals, self._noise_of(signals), _starts(real))
@@ -172,11 +172,11 @@ def _is_significant(patch: Patch) -> bool:
     return bool(patch.force_newton[2] > _SIGNIFICANCE * patch.force_std_newton[2])
 
 
-def _learned(slips: Mapping[int, PartialSlip]) -> float | None:
+def _estimated_friction(slips: Mapping[int, PartialSlip]) -> float | None:
     """Largest coefficient of those that are known well: too small a bound does far more harm than too large a one."""
     known = [
         slip.friction_coefficient
         for slip in slips.values()
-        if slip.friction_coefficient_std < _FRICTION_LEARNED * slip.friction_coefficient
+        if slip.friction_coefficient_std < _FRICTION_KNOWN * slip.friction_coefficient
     ]
     return max(known, default=None)

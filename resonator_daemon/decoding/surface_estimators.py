@@ -2,14 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.contact_physics.decoder import ContactDecoder
 from resonator_daemon.decoding.decoded import Decoded
-from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, is_sparse
+from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.decoding.fourier.decoder import FourierDecoder
 from resonator_daemon.decoding.layout import as_grid, cell_areas_m2
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
@@ -18,25 +17,21 @@ from resonator_daemon.decoding.skin import DecodingOptions, Skin
 
 # Of sums, relative, inside and at the border of the sites; both to fit closed-form contacts.
 _CUT_BIAS = 0.07, 0.15  # over a map cut to its support
-_SUM_BIAS = 0.0, 0.03  # of the traction without bounds: beyond the border nothing tells the load well
-
-
-class SurfaceEstimator(Protocol):
-    """Estimator of the surface from frames (3, n) in the order of time."""
-
-    name: str  # what decodes
-    shape: tuple[int, ...]  # of the places of its maps, (ny, nx) or (n,)
-    physics: ContactDecoder | None
-
-    def read(self, frame: Floats) -> Decoded:
-        """Return the map of a frame."""
-
-    def patches(self, decoded: Decoded) -> list[Patch]:
-        """Return the patches on the map that was read last."""
+_SUM_BIAS = 0.0, 0.03  # of the traction without bounds: beyond the border nothing determines the load well
 
 
 class MapEstimator:
-    """Linear map, with contact physics if asked for; its net loads have no bias."""
+    """Linear map, with contact physics if asked for; its net loads have no bias.
+
+    Attributes
+    ----------
+    name
+        Of the decoder.
+    shape
+        Of the places of its maps, (ny, nx) or (n,).
+    physics
+        None without contact physics.
+    """
 
     def __init__(
         self, skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
@@ -76,10 +71,12 @@ class MapEstimator:
         self._finder = PatchFinder(sites_m, cell_areas_m2(sites_m), skin.depth_m)
 
     def read(self, frame: Floats) -> Decoded:
+        """Return the map of a frame (3, n); frames are in the order of time."""
         decoder = self.physics or self._linear
         return decoder.decode(frame.reshape(3, *self.shape), displacement=self._displacement)
 
     def patches(self, decoded: Decoded) -> list[Patch]:
+        """Return the patches on the map that was read last."""
         if self.physics is None:
             return self._finder.find(decoded.traction_pascal, decoded.traction_std_pascal)
         return net_patches(self._finder, self.physics, decoded)
@@ -119,7 +116,7 @@ def _widened(patch: Patch, biases: tuple[float, float]) -> Patch:
 
 
 class ParametricEstimator:
-    """Parametric fit of the one contact that explains a frame best."""
+    """Parametric fit of the one contact that explains a frame best; methods and attributes as of `MapEstimator`."""
 
     name = "template"
     physics: ContactDecoder | None = None
@@ -145,8 +142,8 @@ class ParametricEstimator:
 
 def surface_estimator(
     skin: Skin, options: DecodingOptions, noise_std: Floats, progress: Callable[[str], None]
-) -> SurfaceEstimator:
+) -> MapEstimator | ParametricEstimator:
     """Return the estimator for the layout of the sites; ValueError for a skin or a method that cannot be decoded."""
-    if options.method == "open-plane" and is_sparse(skin.site_positions_m, skin.depth_m):
+    if options.method == "open-plane" and sparse_reason(skin.site_positions_m, skin.depth_m):
         return ParametricEstimator(skin, options, noise_std, progress)
     return MapEstimator(skin, options, noise_std, progress)

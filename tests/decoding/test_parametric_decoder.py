@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, is_sparse
+from resonator_daemon.decoding.fitting.parametric_decoder import ParametricDecoder, sparse_reason
 from resonator_daemon.decoding.patches import Patch
 from resonator_daemon.elastic import HalfSpace
 from simulators.contact import hertz_parts
@@ -276,10 +276,10 @@ def test_when_a_map_misleads() -> None:
         axis = np.arange(count) * pitch_mm * 1e-3
         return np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
 
-    assert is_sparse(SITES_M, 3e-3) == "parametric contact fit: 16 sites, a map needs at least 40"
-    assert is_sparse(sites(8, 2.9)[:39], 1e-3).startswith("parametric contact fit: 39 sites")
-    assert is_sparse(sites(8, 2.9)[:40], 1e-3) == ""
-    assert is_sparse(sites(8, 3.1), 1e-3) == (
+    assert sparse_reason(SITES_M, 3e-3) == "parametric contact fit: 16 sites, a map needs at least 40"
+    assert "39 sites" in str(sparse_reason(sites(8, 2.9)[:39], 1e-3))
+    assert sparse_reason(sites(8, 2.9)[:40], 1e-3) is None
+    assert sparse_reason(sites(8, 3.1), 1e-3) == (
         "parametric contact fit: sites 3.1 mm apart at a depth of 1 mm, a map needs at most 3 depths"
     )
 

@@ -1,4 +1,4 @@
-"""What frames have told of a contact so far, and the test of it against a frame that it does not explain."""
+"""Hypothesis about a contact from the frames so far, and the test of it against a frame that it does not explain."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from resonator_daemon.arrays import Bools, Floats, Indices, Labels, Singles
+from resonator_daemon.arrays import Floats, Indices, Labels, Singles
 from resonator_daemon.decoding.contact_physics.support_problem import SupportProblem
 from resonator_daemon.decoding.patches import NetLoad
 
@@ -50,14 +50,12 @@ class LoadSums:
         self._reference_m = centres_m[problem.pixels].mean(axis=0)
         self._unit = problem.model.std_pascal
         arms_m = centres_m[problem.pixels] - self._reference_m
-        masks = np.arange(1, int(self._blob_of.max()) + 1)[:, None] == self._blob_of
-        sums = np.array([_functionals(arms_m, mask) * area_m2 for mask in masks]).reshape(-1, 3 * arms_m.shape[0])
-        self._sums = sums  # (6 blobs, 3 n)
-        self._answers = _answers(problem, sums)
-        self._whole: dict[Blobs, _ContactSum] = {}
+        self._sums = _functionals(arms_m) * area_m2  # (6, 3, n)
         self._problem = problem
         self._parts = np.zeros(0, np.intp)  # which contact each pixel is nearest to, where a blob is divided, (n,)
-        self._divided: dict[tuple[int, Blobs, Blobs], _ContactSum] = {}
+        self._found: dict[tuple[Blobs, Blobs, int], _ContactSum] = {}  # by blobs, divided ones, part
+        for blob in range(1, int(self._blob_of.max()) + 1):
+            self._sum(frozenset({blob}), frozenset(), 0)
 
     def loads(
         self, places: Sequence[Indices], right_side: Singles, noise_std: float, about_m: tuple[float, float]
@@ -87,29 +85,21 @@ class LoadSums:
 
     def _sum(self, blobs: Blobs, divided: Blobs, part: int) -> "_ContactSum":
         """Sum over blobs that a contact touches; of those that are divided, over its part."""
-        if not divided:
-            if blobs not in self._whole:
-                rows = np.array([np.arange(6 * blob - 6, 6 * blob) for blob in sorted(blobs)])
-                self._whole[blobs] = self._contact_sum(
-                    np.isin(self._blob_of, list(blobs)), self._sums[rows].sum(axis=0), self._answers[rows].sum(axis=0)
-                )
-            return self._whole[blobs]
-        key = part, blobs, divided
-        if key not in self._divided:
-            own = ~np.isin(self._blob_of, list(divided)) | (self._parts == part)
-            chosen = np.isin(self._blob_of, list(blobs)) & own
-            sums = self._sums.reshape(-1, 6, 3 * chosen.size).sum(axis=0) * np.tile(chosen, 3)
-            self._divided[key] = self._contact_sum(chosen, sums, _answers(self._problem, sums))
-        return self._divided[key]
-
-    def _contact_sum(self, chosen: Bools, sums: Floats, answers: Floats) -> "_ContactSum":
-        return _ContactSum(
-            self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
-            answers,
-            self._reference_m,
-            self._centres_m[self._pixels[chosen]],
-            self._area_m2,
-        )
+        key = blobs, divided, part if divided else 0
+        if key not in self._found:
+            chosen = np.isin(self._blob_of, list(blobs))
+            if divided:
+                chosen &= ~np.isin(self._blob_of, list(divided)) | (self._parts == part)
+            sums = (self._sums * chosen).reshape(6, -1)
+            answers = _answers(self._problem, sums)
+            self._found[key] = _ContactSum(
+                self._unit * sums @ answers.T * np.outer(_STD_FACTOR, _STD_FACTOR),
+                answers,
+                self._reference_m,
+                self._centres_m[self._pixels[chosen]],
+                self._area_m2,
+            )
+        return self._found[key]
 
     def _parts_of(self, places: Sequence[Indices]) -> list[int]:
         """Divide the problem's pixels between contacts; return the part that belongs to each."""
@@ -122,7 +112,7 @@ class LoadSums:
             if np.unique(parts).size == parts.size and np.mean(parts[nearest] != self._parts) < _DIVIDED_AGAIN:
                 return [int(part) for part in parts]
         self._parts = nearest
-        self._divided = {}
+        self._found = {key: found for key, found in self._found.items() if not key[1]}
         return list(range(len(places)))
 
 
@@ -184,11 +174,11 @@ def _answers(problem: SupportProblem, sums: Floats) -> Floats:
     return answers
 
 
-def _functionals(arms_m: Floats, chosen: Bools) -> Floats:
+def _functionals(arms_m: Floats) -> Floats:
     """Sum forces x, y, z and moments x, y, z of unit areas of traction, (6, 3, n)."""
     x, y = arms_m.T
     sums = np.zeros((6, 3, x.size))
     sums[:3] = np.eye(3)[:, :, None]
     sums[3, 2], sums[4, 2] = y, -x
     sums[5, 0], sums[5, 1] = -y, x
-    return sums * chosen
+    return sums

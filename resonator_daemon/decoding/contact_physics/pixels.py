@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay, QhullError
 from resonator_daemon.arrays import Bools, Floats, Indices, Singles
 from resonator_daemon.decoding.layout import as_grid
 
-_PITCH_DEPTHS = 0.4  # finer pixels than this cannot be told apart at depth
+_PITCH_DEPTHS = 0.4  # finer pixels than this cannot be distinguished at depth
 _GRID_DEPTHS = (0.25, 0.5)  # pitches of a site grid that serve as they are
 _MARGIN_DEPTHS = 3.2
 _NEGLIGIBLE = 1e-6  # weight of an interpolation

@@ -44,11 +44,11 @@ class Fit:
         return float(max(self.chi_square - self.count, 0.0) / signal) if signal > 0.0 else 1.0
 
     @property
-    def doubt(self) -> str:
-        """Why the model does not hold for these signals; empty where it does, or where the noise hides it."""
+    def doubt(self) -> str | None:
+        """Why the model does not hold for these signals; None where it does, or where the noise hides it."""
         if self.chi2 > _CHI2_LIMIT and self.unexplained > _UNEXPLAINED_LIMIT:
             return f"{self.unexplained:.0%} of the signals' energy fits no such contact, chi2 {self.chi2:.3g}"
-        return ""
+        return None
 
     @cached_property
     def covariance(self) -> Floats:

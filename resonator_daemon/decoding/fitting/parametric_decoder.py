@@ -47,8 +47,8 @@ _DRAWS = 64  # of the contact, for error bars: traction is too steep at the rim 
 _RIM_FACTOR = 1.2  # errors at the rim are not Gaussian: with it 92 % within two standard deviations
 
 
-def is_sparse(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str:
-    """Return why a map would mislead for sites (n, 2) at a depth, or depths (n,); "" where it would not."""
+def sparse_reason(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str | None:
+    """Return why a map would mislead for sites (n, 2) at a depth, or depths (n,); None where it would not."""
     sites = np.asarray(site_positions_m, np.float64)
     if len(sites) < FEWEST_SITES:
         return f"parametric contact fit: {len(sites)} sites, a map needs at least {FEWEST_SITES}"
@@ -56,7 +56,7 @@ def is_sparse(site_positions_m: ArrayLike, depth_m: ArrayLike) -> str:
     if spacing > WIDEST_SPACING_DEPTHS * depth:
         limit = f"a map needs at most {WIDEST_SPACING_DEPTHS:g} depths"
         return f"parametric contact fit: sites {spacing * 1e3:.3g} mm apart at a depth of {depth * 1e3:.3g} mm, {limit}"
-    return ""
+    return None
 
 
 class ParametricDecoder:
@@ -118,7 +118,7 @@ class ParametricDecoder:
         self._upper = np.array([*highest_m, self._model.radius_max_m**2])
         self._search = CentreSearch(self._model, self._noise, lowest_m, highest_m)
         self._nearest = np.array([np.hypot(*(self._search.centres_m - place).T).argmin() for place in places])
-        self._why = is_sparse(sites, depths) or f"parametric contact fit: {count} sites"
+        self._why = sparse_reason(sites, depths) or f"parametric contact fit: {count} sites"
         self._draws = np.random.default_rng(0).standard_normal((_DRAWS // 2, _UNKNOWNS))
 
     def decode(self, signals: ArrayLike, *, displacement: bool = False) -> Decoded:
@@ -153,7 +153,7 @@ class ParametricDecoder:
         return Decoded.stack(decoded, leading, (3, len(self.query_positions_m))) if leading else decoded[0]
 
     def decode_with_patch(self, signals: ArrayLike, *, displacement: bool = False) -> tuple[Decoded, Patch | None]:
-        """Decode one frame (3, n), and tell of the contact; None where there is none or it is not known.
+        """Decode one frame (3, n); return its contact, too, None where there is none or it is not known.
 
         Area and radius of the patch are those of the disc, not of a blurred map; its border flag says that the centre
         lies among the outermost sites or beyond them.
@@ -212,8 +212,8 @@ class ParametricDecoder:
         moved = [force @ slope.reshape(3, -1) for slope in (disc.by_x, disc.by_y, by_square)]
         return force @ columns, np.vstack([*moved, columns])
 
-    def _doubt(self, best: Fit, others: list[Fit]) -> str:
-        """Return why the place is not known; empty where it is."""
+    def _doubt(self, best: Fit, others: list[Fit]) -> str | None:
+        """Return why the place is not known; None where it is."""
         x, y = 1e3 * best.parameters[:2]
         covariance = self._covariance(best)[:2, :2]
         std_m = float(np.sqrt(np.linalg.eigvalsh(covariance).max())) if np.isfinite(covariance).all() else np.inf
@@ -225,7 +225,7 @@ class ParametricDecoder:
             if not near and other.chi_square - best.chi_square < _RIVAL_FALL * max(best.chi2, 1.0):
                 other_x, other_y = 1e3 * other.parameters[:2]
                 return f"contacts at ({x:.1f}, {y:.1f}) and ({other_x:.1f}, {other_y:.1f}) mm fit about equally well"
-        return ""
+        return None
 
     def _covariance(self, found: Fit) -> Floats:
         """Of the contact, whose radius may be anything up to the largest one where it leaves no trace."""

@@ -6,7 +6,7 @@ force on radius a, and the margin to slip m = 1 - F_t / (mu F_n) = (c / a)^3,
 
     f_z = F_n h_a,    f_t = F_t [ h_a + m / (1 - m) (h_a - h_c) ],
 
-so that a frame tells m by itself; where mu is known, the forces tell it, too, and better.
+so that a frame determines m by itself; where mu is known, the forces determine it, too, and better.
 """
 
 import math
@@ -58,20 +58,20 @@ def describe(found: Fit, one: Floats, covariance: Floats, radius_max_m: float, *
     covariance
         Of those, (7, 7).
     radius_max_m
-        Of a contact that can be told from one without a rim.
+        Of a contact that can be distinguished from one without a rim.
     margin_known
         False where other margins explain the signals about as well.
     """
-    reason = _doubt(found, one, covariance, radius_max_m)
-    if reason:
-        return nothing_known(found.chi2, found.log_evidence, reason)
+    doubt = _doubt(found, one, covariance, radius_max_m)
+    if doubt is not None:
+        return nothing_known(found.chi2, found.log_evidence, doubt)
     std = np.sqrt(covariance.diagonal())
     margin, margin_std = float(one[MARGIN]), float(std[MARGIN])
     if not margin_known or margin_std > MARGIN_STD_LIMIT:
         slip, status, reason = (math.nan,) * 6, "unknown", _TOO_LITTLE
     else:
         slip = (margin, margin_std, *stick_ratio(margin, margin_std), *_friction(one, covariance))
-        status = "ok"
+        status, reason = "ok", ""
     return PartialSlip(
         one[:RADIUS],
         std[:RADIUS],
@@ -98,8 +98,8 @@ def nothing_known(chi2: float, log_evidence: float, reason: str) -> PartialSlip:
     )
 
 
-def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> str:
-    """Return why nothing is known of a contact; empty where something is."""
+def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> str | None:
+    """Return why nothing is known of a contact; None where something is."""
     if not np.isfinite(covariance).all():
         return "the signals do not determine the contact"
     if found.doubt:
@@ -108,7 +108,7 @@ def _doubt(found: Fit, one: Floats, covariance: Floats, radius_max_m: float) -> 
         return f"the normal force is below {_FORCE_SIGNIFICANCE:g} standard deviations"
     if one[RADIUS] >= radius_max_m:
         return f"the contact is larger than {radius_max_m} m in radius"
-    return ""
+    return None
 
 
 def stick_ratio(slip_margin: float, slip_margin_std: float) -> tuple[float, float]:

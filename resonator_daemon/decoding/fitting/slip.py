@@ -1,4 +1,4 @@
-"""Slip over time: margins frame by frame, friction learned on the way, and slip announced as it sets in."""
+"""Slip over time: margins frame by frame, friction estimated on the way, and slip announced as it sets in."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -17,10 +17,8 @@ REARM_MARGIN = 0.4  # ... and above this, it may be announced anew
 _IN_A_ROW = 2  # frames that must agree on an event: one may be noise
 _GROSS_MARGIN = 0.1  # where a margin that may be 0 is taken as 0
 _SIGNIFICANCE = 2.0  # standard deviations
-_LEARNED = 0.1  # relative standard deviation at which a coefficient begins to count as known
-_LEARNED_FLOOR = (
-    0.03  # relative standard deviation to which frames can bring it; friction changes, and models are wrong
-)
+_KNOWN = 0.1  # relative standard deviation at which a coefficient begins to count as known
+_KNOWN_FLOOR = 0.03  # relative standard deviation to which frames can bring it; friction changes, and models are wrong
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,7 @@ class SlipEvent:
 
     event: Literal["incipient_slip", "gross_slip"]
     contact: int  # its id
-    slip: PartialSlip  # of the frame that told
+    slip: PartialSlip  # of the frame that shows it
 
 
 @dataclass
@@ -43,8 +41,8 @@ class _Followed:
 class SlipWatch:
     """Slip monitor that fits each contact in each frame, from where it was in the frame before.
 
-    While nothing is known of friction, a contact that slips at its rim tells mu by its stick radius; from then on mu is
-    carried from frame to frame, contact by contact, and forces add what they know.
+    While nothing is known of friction, a contact that slips at its rim determines mu by its stick radius. From then on
+    mu is carried from frame to frame, contact by contact, and forces add their information.
 
     Parameters
     ----------
@@ -64,9 +62,9 @@ class SlipWatch:
     ) -> tuple[dict[int, PartialSlip], tuple[SlipEvent, ...]]:
         """Fit a frame; return fits and events by the ids of `contacts`.
 
-        A contact is told by its id; the start it comes with serves while the frame before gives no better. One that is
-        absent is forgotten. An event comes once, and again only after the margin has exceeded 0.4. Arguments otherwise
-        and errors as of `fit_partial_slip`.
+        A contact is identified by its id; the start it comes with serves while the frame before gives no better. One
+        that is absent is forgotten. An event comes once, and again only after the margin has exceeded 0.4.
+        Arguments otherwise and errors as of `fit_partial_slip`.
         """
         for gone in self._followed.keys() - contacts.keys():
             del self._followed[gone]
@@ -87,17 +85,17 @@ class SlipWatch:
                 (float(slip.centre_m[0]), float(slip.centre_m[1])),
                 slip.radius_m,
                 slip.slip_margin,
-                _learn(followed.start.friction, slip),
+                _updated_friction(followed.start.friction, slip),
             )
         return fits, tuple(events)
 
 
-def _learn(before: Friction | None, slip: PartialSlip) -> Friction | None:
+def _updated_friction(before: Friction | None, slip: PartialSlip) -> Friction | None:
     """Return the friction after a frame; the fit has weighed what was known before."""
     mu, std = slip.friction_coefficient, slip.friction_coefficient_std
-    if not std < (before.std if before else _LEARNED * mu):  # also where they are not known
+    if not std < (before.std if before else _KNOWN * mu):  # also where they are not known
         return before
-    return Friction(mu, max(std, _LEARNED_FLOOR * mu))
+    return Friction(mu, max(std, _KNOWN_FLOOR * mu))
 
 
 def _announce(followed: _Followed, slip: PartialSlip) -> list[Literal["incipient_slip", "gross_slip"]]:

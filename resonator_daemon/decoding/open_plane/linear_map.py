@@ -159,19 +159,16 @@ class LinearMap:
         """Estimate the surface from one frame (3 n,), in arrays of `shape`, (3, m) or m split in two."""
         whitened, known, energy = self._prepare(signals)
         frame = shape, whitened, known, energy
-        mode_set = self._mode_set(energy)
-        reason, lost_variance = "", None
-        if known is None:
-            choice, modes = self._complete(mode_set, whitened, energy)
-        else:
-            share = float(known.mean())
-            if share < KNOWN_LIMIT:
-                reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
-                return Estimate(*frame, np.nan, np.nan, "no_signal", reason)
+        share = 1.0 if known is None else float(known.mean())
+        if share < KNOWN_LIMIT:
+            reason = f"{share:.0%} of the signals known (finite, within {SIGNAL_LIMIT}), needs {KNOWN_LIMIT:.0%}"
+            return Estimate(*frame, np.nan, np.nan, "no_signal", reason)
+        mode_set, choice, modes, _ = self._choose(whitened, known, energy)
+        std, reason = self._std[choice.scale], ""
+        if known is not None:
+            added_variance = self._lost_signals(mode_set, known).added_variance(choice.scale)
+            std = np.sqrt(std**2 + added_variance)
             reason = f"{known.size - known.sum()} of {known.size} signals lost and filled in"
-            lost = self._lost_signals(mode_set, known)
-            choice, modes, _ = lost.choose(mode_set.modes.project(whitened), energy, self._floor(energy))
-            lost_variance = self._std[choice.scale] ** 2 + lost.added_variance(choice.scale)
 
         if choice.chi2 > CHI2_LIMIT:
             left = choice.chi2 * self._floor(energy) * whitened.size / energy
@@ -179,7 +176,6 @@ class LinearMap:
                 reason = f"chi2 {choice.chi2:.3g} exceeds {CHI2_LIMIT:.0f} and {left:.0%} of the energy are unexplained"
                 return Estimate(*frame, choice.log_evidence, choice.chi2, "rejected", reason)
 
-        std = self._std[choice.scale] if lost_variance is None else np.sqrt(lost_variance)
         excess = math.sqrt(choice.excess)
         surface = Surface(
             mode_set.modes,
@@ -195,19 +191,13 @@ class LinearMap:
     def anomaly_scores(self, signals: Floats) -> Floats:
         """Residual of each signal against the prediction from all others, in its standard deviations, (3 n,)."""
         whitened, known, energy = self._prepare(signals)
-        mode_set = self._mode_set(energy)
-        everything = np.arange(whitened.size)
-        if known is None:
-            choice, modes = self._complete(mode_set, whitened, energy)
-        elif known.mean() < KNOWN_LIMIT:
+        if known is not None and known.mean() < KNOWN_LIMIT:
             return np.full(whitened.size, np.nan)
-        else:
-            choice, modes, predicted = self._lost_signals(mode_set, known).choose(
-                mode_set.modes.project(whitened), energy, self._floor(energy)
-            )
+        mode_set, choice, modes, predicted = self._choose(whitened, known, energy)
+        if known is not None:
             whitened[~known] = predicted
         explained = mode_set.scale_grid.explained[choice.scale]
-        rows = mode_set.modes.rows(everything)
+        rows = mode_set.modes.rows(np.arange(whitened.size))
         key = mode_set.level, choice.scale
         if key not in self._inverse_diagonal:
             self._inverse_diagonal[key] = 1.0 - (rows**2) @ explained
@@ -227,13 +217,16 @@ class LinearMap:
         whitened[~known] = 0.0
         return whitened, known, float(whitened @ whitened)
 
-    def _complete(self, mode_set: ModeSet, whitened: Singles, energy: float) -> tuple[Choice, Singles]:
-        modes = mode_set.modes.project(whitened)
-        return mode_set.scale_grid.choose(modes, energy, self._floor(energy)), modes
-
-    def _mode_set(self, energy: float) -> ModeSet:
+    def _choose(
+        self, whitened: Singles, known: Bools | None, energy: float
+    ) -> tuple[ModeSet, Choice, Singles, Floats | None]:
+        """Return the mode set that serves a frame, its scale, its modes, and the lost signals predicted, whitened."""
         power = energy / self._whiten.size
-        return next((mode_set for mode_set in self._mode_sets if power <= mode_set.level), self._mode_sets[-1])
+        mode_set = next((mode_set for mode_set in self._mode_sets if power <= mode_set.level), self._mode_sets[-1])
+        modes, floor = mode_set.modes.project(whitened), self._floor(energy)
+        if known is None:
+            return mode_set, mode_set.scale_grid.choose(modes, energy, floor), modes, None
+        return mode_set, *self._lost_signals(mode_set, known).choose(modes, energy, floor)
 
     def _floor(self, energy: float) -> float:
         return 1.0 + self._gain_floor * energy

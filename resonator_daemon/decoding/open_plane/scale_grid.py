@@ -47,6 +47,7 @@ class ScaleGrid:
         self._log_det_coarse = self._log_det[::_STRIDE].copy()
         self._log_noise = log_noise
         self._constant = 2.0 * float(log_noise.sum())
+        self._samples = log_noise.size
 
     def choose(self, modes: Singles, energy: float, floor: float) -> Choice:
         """Maximise the likelihood for modes (r,) and the sum of squares of all whitened signals.
@@ -54,7 +55,7 @@ class ScaleGrid:
         `floor` is the noise variance to reckon with over the one that the signals were whitened by, at least 1.
         """
         mode_energy = modes * modes
-        samples = self._log_noise.size
+        samples = self._samples
         noise_energy = energy - float(modes.dot(modes))
         scale = 0
         if self.scales.size > 1:
@@ -67,7 +68,7 @@ class ScaleGrid:
             if 0 < best < len(deviance) - 1:
                 before, here, after = deviance[best - 1 : best + 2]
                 scale += round(_STRIDE * 0.5 * (before - after) / (before - 2.0 * here + after))
-        return self._choice(scale, mode_energy, noise_energy, floor, 0.0, samples, self._constant)
+        return self._choice(scale, mode_energy, noise_energy, floor, samples, self._constant)
 
     def judge(self, scale: int, modes: Singles, energy: float, floor: float, lost: Indices, log_det: float) -> Choice:
         """Likelihood of one scale where lost signals were filled in by the others' prediction.
@@ -76,22 +77,14 @@ class ScaleGrid:
         """
         mode_energy = modes * modes
         noise_energy = energy - float(modes.dot(modes))
-        kept = np.delete(self._log_noise, lost)
-        constant = 2.0 * float(kept.sum())
-        return self._choice(scale, mode_energy, noise_energy, floor, log_det, kept.size, constant)
+        constant = self._constant - 2.0 * float(self._log_noise[lost].sum()) + log_det
+        return self._choice(scale, mode_energy, noise_energy, floor, self._samples - lost.size, constant)
 
     def _choice(
-        self,
-        scale: int,
-        mode_energy: Singles,
-        noise_energy: float,
-        floor: float,
-        log_det: float,
-        samples: int,
-        constant: float,
+        self, scale: int, mode_energy: Singles, noise_energy: float, floor: float, samples: int, constant: float
     ) -> Choice:
         chi2 = (float(self._left[scale].dot(mode_energy)) + noise_energy) / (samples * floor)
         excess = max(chi2, 1.0)
-        deviance = float(self._log_det[scale]) + log_det + samples * (math.log(excess) + chi2 / excess)
+        deviance = float(self._log_det[scale]) + samples * (math.log(excess) + chi2 / excess)
         deviance += samples * math.log(2.0 * math.pi * floor) + constant
         return Choice(scale, chi2, floor * excess, -0.5 * deviance)
