@@ -15,8 +15,9 @@ from end_to_end_touches import (
     told_plate,
     warm_touches,
 )
+from plates import with_counter
 
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import load_plate
 from simulators.physics import Physics
 
 TOUCHES = 5
@@ -24,10 +25,6 @@ SHORT_TOUCHES = 50
 PAIRS = 16
 COMB_PAIRS = 8
 HELD_S = 30.0
-
-
-def at_rate(plate: Plate, frame_rate_hz: float) -> Plate:
-    return plate.model_copy(update={"counter": plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})})
 
 
 def test_ideal_sites_are_all_found_and_their_forces_right_to_3_millinewtons() -> None:
@@ -87,7 +84,7 @@ def test_two_touches_on_channelised_tones_are_both_found() -> None:
 
 
 def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_heard() -> None:
-    plate = at_rate(load_plate("comb16"), 12.5)
+    plate = with_counter(load_plate("comb16"), frame_rate_hz=12.5)
     site, _ = hold(plate, Physics(ideal=True, temperature_coefficient=-5e-8), 7, HELD_S)
 
     assert site.told == 1.0
@@ -98,12 +95,12 @@ def test_a_press_held_while_the_room_warms_does_not_drift_where_all_tones_are_he
 def test_a_press_held_on_a_plate_with_every_imperfection_stays_within_what_is_stated(
     name: str, frame_rate_hz: float
 ) -> None:
-    for held in hold(at_rate(told_plate(name), frame_rate_hz), Physics(), 7, HELD_S):
+    for held in hold(with_counter(told_plate(name), frame_rate_hz=frame_rate_hz), Physics(), 7, HELD_S):
         assert (held.told, held.covered) == (1.0, 1.0)
 
 
 def test_a_thermal_shock_is_no_contact() -> None:
-    assert contacts_of_a_shock(at_rate(told_plate("comb16"), 50.0)) == 0
+    assert contacts_of_a_shock(with_counter(told_plate("comb16"), frame_rate_hz=50.0)) == 0
 
 
 def test_a_press_of_the_whole_plate_is_felt_on_every_site() -> None:

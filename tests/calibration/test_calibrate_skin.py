@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brokers import Mosquitto, free_port
+from plates import plate_head, skin_grid, skin_table
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration import skin as calibrate_module
@@ -32,27 +33,7 @@ TIMEOUT_S = 60
 HEADER = {"daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_unc_ns": 42_000, "lost": Lost(), "board_ticks": None}
 FRAME_NS = 250_000_000
 NOISE = 2e-4
-PLATE = """\
-format = 1
-name = "small"
-outline_mm = [[-2, -2], [2, -2], [2, 2], [-2, 2]]
-transducers_mm = [[-2, -2], [2, -2], [2, 2], [-2, 2]]
-force_max_newton = 5
-[counter]
-kind = "channelised"
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.0
-[grid]
-shape = [7, 7]
-pitch_mm = 0.5
-signals = ["p_n", "eps_xz", "eps_yz"]
-f0_hz = 100e6
-spacing_hz = 3250
-order = [3, 21, 1]
-sensitivity = [-2.0e-11, 2.7e-6, 2.7e-6]
-"""
+PLATE = plate_head("small", (-2, -2), (2, 2), 5, "channelised") + skin_table() + skin_grid(7, 0.5, 3250, (3, 21, 1))
 
 
 def write_config(directory: Path, url: str, plate: str = "small.toml", name: str = 'name = "left"') -> str:

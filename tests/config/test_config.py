@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from plates import plate_head, site
 
 from resonator_daemon.config import Config, example_config, load_config
 from resonator_daemon.errors import ConfigurationError, ExitCode
@@ -18,25 +19,9 @@ from resonator_daemon.links.target import LinkTarget
 
 MINIMAL = 'plate = "quartz16"\nlink = "tcp://127.0.0.1:5000"\n'
 
-SLOW_PLATE = """\
-format = 1
-name = "slow"
-outline_mm = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-transducers_mm = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-force_max_newton = 1
-[counter]
-kind = "single-tone"
-reference_hz = 1e9
-frame_rate_hz = 250
-pilot_hz = 10.01e6
-[[sites]]
-id = 1
-position_mm = [0, 0]
-[[sites.tones]]
-signal = "force"
-f0_hz = [9e6, 9e6, 9e6, 9e6]
-sensitivity = [-6e-6, -6e-6, -6e-6, -6e-6]
-"""
+SLOW_PLATE = plate_head("slow", (-1, -1), (1, 1), 1, reference_hz=1e9, frame_rate_hz=250, pilot_hz=10.01e6) + site(
+    1, 0, 0, force=(9e6, -6e-6)
+)
 
 
 def loaded(tmp_path: Path, text: str) -> Config:
@@ -187,7 +172,9 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 def test_every_mistake_comes_at_once(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(SLOW_PLATE.replace("id = 1", "id = 0").replace("9e6, 9e6]", "-9e6, 9e6]"))
+    (tmp_path / "mine.toml").write_text(
+        SLOW_PLATE.replace("id = 1", "id = 0").replace("9000000.0, 9000000.0]", "-9000000.0, 9000000.0]")
+    )
     text = (
         'name = "a b"\nplate = "mine.toml"\nlink = "usb:1"\n'
         "[measurement]\nwindow_mz = 10\nwindow_ms = 3\nstep_ms = 4\n"

@@ -4,6 +4,7 @@ from datetime import date
 from pathlib import Path
 
 import pytest
+from plates import with_counter
 
 from resonator_daemon.config import Config, Mqtt, load_config
 from resonator_daemon.config.text import config_of, load_plate_text, load_settings_text, plate_text, settings_text
@@ -63,7 +64,7 @@ def test_settings_load_back_equal(tmp_path: Path) -> None:
 def test_a_configuration_of_a_recordings_parts(tmp_path: Path) -> None:
     """The default step does not suit this plate's frames: what the recording carries holds."""
     slow = load_plate("quartz16")
-    slow = slow.model_copy(update={"counter": slow.counter.model_copy(update={"frame_rate_hz": 250.0})})
+    slow = with_counter(slow, frame_rate_hz=250.0)
     (tmp_path / "slow.toml").write_text(plate_text(slow))
     recorded = loaded(
         tmp_path, 'plate = "slow.toml"\nlink = "tcp://127.0.0.1:1"\n[measurement]\nwindow_ms = 12\nstep_ms = 4\n'

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from plates import with_counter
 
 from resonator_daemon.config import Config, load_config
 from resonator_daemon.config.changes import Changes, applied, changes
@@ -52,7 +53,7 @@ def test_keys_that_changed(tmp_path: Path, text: str, live: tuple[str, ...], res
 
 def test_windows_of_a_new_plate_wait_for_it(tmp_path: Path) -> None:
     plate = load_plate("quartz16")
-    slow = plate.model_copy(update={"counter": plate.counter.model_copy(update={"frame_rate_hz": 250.0})})
+    slow = with_counter(plate, frame_rate_hz=250.0)
     (tmp_path / "slow.toml").write_text(plate_text(slow))
     old = loaded(tmp_path, BASE + "[measurement]\nwindow_ms = 11\n")
     new = loaded(

@@ -6,6 +6,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from plates import plate_head, site
 from report_makers import LOST, NAN, Losses, Messages, configured, gate_middle, literal
 
 from firmware_protocol.messages import Configuration, Description, Identity
@@ -17,29 +18,10 @@ from resonator_daemon.publishing.payloads import Condition, Lost
 from resonator_daemon.publishing.topics import HEALTH
 from resonator_daemon.session.frames import BoardOnline, LinkChange, Outage
 
-FORCE_SITE = """
-[[sites]]
-id = {id}
-position_mm = {position}
-[[sites.tones]]
-signal = "force"
-f0_hz = [{f0}, {f0}, {f0}, {f0}]
-sensitivity = [-6.3e-6, -6.3e-6, -6.3e-6, -6.3e-6]
-"""
 # Ids that are no indices, and ticks that are no nanoseconds.
-FORCE_PLATE = """\
-format = 1
-name = "three"
-outline_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
-transducers_mm = [[0, 0], [20, 0], [20, 10], [0, 10]]
-force_max_newton = 10
-[counter]
-kind = "single-tone"
-reference_hz = 250e6
-frame_rate_hz = 1000
-""" + "".join(
-    FORCE_SITE.format(id=number, position=position, f0=f0)
-    for number, position, f0 in ((70, [6, 4], 9.996e6), (30, [12.5, 4], 9.992e6), (12, [3, 8], 9.988e6))
+FORCE_PLATE = plate_head("three", (0, 0), (20, 10), reference_hz=250e6, frame_rate_hz=1000) + "".join(
+    site(number, *position_mm, force=(f0_hz, -6.3e-6))
+    for number, position_mm, f0_hz in ((70, (6, 4), 9.996e6), (30, (12.5, 4), 9.992e6), (12, (3, 8), 9.988e6))
 )
 
 GATE_MIDDLE = gate_middle(1_000_000)

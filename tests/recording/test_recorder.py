@@ -15,6 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from plates import with_counter
 from recording_bench import ONE_BATCH, PLATE, at, read, record
 
 from firmware_protocol.messages import Configuration
@@ -346,7 +347,7 @@ def test_a_recording_of_another_plate_is_refused(tmp_path: Path, caplog: pytest.
     record(path, EVENTS)
     with pytest.raises(LinkUnavailableError, match="of plate 'quartz16', the configuration names plate 'skin32'"):
         open_recording(str(path), load_plate("skin32"))
-    slower = PLATE.model_copy(update={"counter": PLATE.counter.model_copy(update={"frame_rate_hz": 500.0})})
+    slower = with_counter(PLATE, frame_rate_hz=500.0)
     with pytest.raises(LinkUnavailableError, match=r"another \[counter\] or other tones than plate 'quartz16' has now"):
         open_recording(str(path), slower)
     assert caplog.messages == []

@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +16,6 @@ from resonator_daemon.sensors.single_tone import SingleToneSensor
 from resonator_daemon.sensors.skin import SkinSensor
 
 QUARTZ, COMB = load_plate("quartz16"), load_plate("comb16")
-
-
-def changed(plate: Plate, **tables: Any) -> Plate:
-    return Plate.model_validate(plate.model_dump(mode="json", exclude_none=True) | tables)
 
 
 def oscillator_hz(plate: str) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import Any
 import cbor2
 import numpy as np
 import pytest
+from plates import plate_head, site, skin_table
 from report_makers import LOST, NAN, Messages, configured, gate_middle, literal
 
 from resonator_daemon.config import Config
@@ -25,24 +26,10 @@ from resonator_daemon.sensors.surface_messages import SurfaceMessages
 from resonator_daemon.sensors.surface_stream import SurfaceFrame
 from resonator_daemon.session.clock import Instant
 
-SCATTERED_SKIN = """\
-format = 1
-name = "one-spot"
-outline_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-transducers_mm = [[-2, -1], [2, -1], [2, 1], [-2, 1]]
-force_max_newton = 5
-[counter]
-kind = "channelised"
-[skin]
-youngs_modulus_pascal = 2e5
-poisson_ratio = 0.5
-depth_mm = 1.5
-[[sites]]
-id = 5
-position_mm = [1, 0.5]
-""" + "".join(
-    f'[[sites.tones]]\nsignal = "{signal}"\nf0_hz = {[f0] * 4}\nsensitivity = {[k] * 4}\n'
-    for signal, f0, k in (("p_n", 1e6, -1e-11), ("eps_xz", 2e6, 2e-6), ("eps_yz", 3e6, 3e-6))
+SCATTERED_SKIN = (
+    plate_head("one-spot", (-2, -1), (2, 1), 5, "channelised")
+    + skin_table(1.5)
+    + site(5, 1, 0.5, p_n=(1e6, -1e-11), eps_xz=(2e6, 2e-6), eps_yz=(3e6, 3e-6))
 )
 
 GATE_MIDDLE = gate_middle(10_000_000)

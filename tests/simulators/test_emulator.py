@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from emulation import emulated
+from plates import with_counter
 from wire_host import WAIT_S, Host, opened, truths, wait_for
 
 from firmware_protocol.host import Described, FramePart
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import load_plate
 from resonator_daemon.session.compatibility import incompatibilities
 from simulators.emulator import SERIAL_NUMBER, Emulator, EmulatorOptions
 
@@ -112,12 +113,6 @@ def test_a_skin_sends_all_its_tones_on_four_channels_over_tcp(
     assert emulator.report()["bytes_sent"] >= 80 * parts_a_frame * 36
 
 
-def at_rate(plate: Plate, frame_rate_hz: float) -> Plate:
-    return plate.model_copy(
-        update={"counter": plate.counter.model_copy(update={"frame_rate_hz": frame_rate_hz})},
-    )
-
-
 def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other() -> None:
     skin = load_plate("skin32")
     options = EmulatorOptions("skin32", tcp=("127.0.0.1", 0), frame_rate_hz=250.0)
@@ -127,7 +122,7 @@ def test_a_board_of_one_frame_rate_suits_the_plate_file_that_has_it_and_no_other
             host = Host(client.fileno(), gate_ticks=1_000_000)
             host.read_until(lambda: sum(isinstance(event, FramePart) for event in host.events) >= 10 * 20)
     (described,) = (event for event in host.events if isinstance(event, Described))
-    assert incompatibilities(described.description, at_rate(skin, 250.0)) == ()
+    assert incompatibilities(described.description, with_counter(skin, frame_rate_hz=250.0)) == ()
     assert incompatibilities(described.description, skin) == (
         "frame rate: the board makes 250 to 250 Hz, the plate file has 100 Hz",
     )

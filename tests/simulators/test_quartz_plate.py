@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
+from plates import with_counter
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.plate import Plate, load_plate
@@ -160,7 +161,7 @@ def test_a_touch_between_sites_is_heard_at_the_share_of_a_site() -> None:
 @pytest.mark.parametrize("counter", ["sums", "stamps"])
 @pytest.mark.parametrize(("channel", "level_db"), [(0, -40.0), (2, -20.0)])
 def test_two_touches_beat_as_theory_has_it(counter: Literal["sums", "stamps"], channel: int, level_db: float) -> None:
-    fine = PLATE.model_copy(update={"counter": PLATE.counter.model_copy(update={"reference_hz": 1e12})})
+    fine = with_counter(PLATE, reference_hz=1e12)
     quiet = {"pilot_level_db": -300.0, "noise_level_db": -290.0, "white_fm": 0.0, "jitter_s": 0.0}
     (near, near_k), (far, far_k) = tone_of(9), tone_of(7)
     beat_hz = (far / (1 - 2.0 * far_k) - near / (1 - near_k))[channel]

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from plates import with_tables
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.plate import Plate, load_plate
@@ -16,10 +17,6 @@ PLATE = load_plate("quartz16")
 SITES = 16
 REFERENCE_KELVIN = 298.15
 SILENT = {"ideal": True, "white_fm": 0.0}
-
-
-def plate_with(**keys: Any) -> Plate:
-    return Plate.model_validate({**PLATE.model_dump(mode="json", exclude_none=True), **keys})
 
 
 def physics(**keys: Any) -> Physics:
@@ -117,7 +114,7 @@ def test_ageing_is_logarithmic_in_days() -> None:
 
 
 def test_sensitivity_scatters_from_touch_to_touch_site_and_corner() -> None:
-    plate = plate_with(calibration={"model_error": 0.02})
+    plate = with_tables(PLATE, calibration={"model_error": 0.02})
     for of, std in ((physics(sensitivity_scatter=0.05), 0.05), (physics(sensitivity_scatter=None), 0.02)):
         sites = made(plate, of)
         each = np.array([advance(sites, 1, touch_id=touch).sensitivity_factor[0] - 1 for touch in range(1, 301)])
