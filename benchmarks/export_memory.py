@@ -62,7 +62,7 @@ def measure(form: str, minutes: int) -> dict[str, float]:
 
 
 def moments(steps: int) -> Iterator[Moment]:
-    """Give the messages of one press, anew for each step; a playback would take most of the time."""
+    """Give the messages of one press, anew for each step; a replaying would take most of the time."""
     forces = Forces.model_validate(EXAMPLES["Forces"] | {"board_ticks": 1, "t_ns": 1})
     contacts = Contacts.model_validate(EXAMPLES["Contacts"] | {"board_ticks": 1, "t_ns": 1, "contacts": []})
     for seq in range(steps):

@@ -11,8 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from resonator_daemon.replay.case import play_whole
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.case import replay_whole
+from resonator_daemon.replay.source import open_replay
 
 ASKED = 20.0  # times real time
 COMMAND = (sys.executable, "-m", "resonator_daemon")
@@ -35,12 +35,12 @@ def replay(path: Path) -> tuple[float, float, int, str]:
     """Replay once, without output; return recorded and processor seconds, frames, and what became of it."""
     begun_s = time.process_time()
     first_ns = last_ns = 0
-    with open_playback(path) as playback:
-        for moment in playback.moments():
+    with open_replay(path) as replaying:
+        for moment in replaying.moments():
             first_ns, last_ns = first_ns or moment.now.monotonic_ns, moment.now.monotonic_ns
-        frames = playback.counters.frames
+        frames = replaying.counters.frames
     took_s = time.process_time() - begun_s
-    return (last_ns - first_ns) * 1e-9, took_s, frames, f"{playback.differences} differences"
+    return (last_ns - first_ns) * 1e-9, took_s, frames, f"{replaying.differences} differences"
 
 
 def main(arguments: list[str]) -> None:
@@ -54,8 +54,8 @@ def main(arguments: list[str]) -> None:
             speeds.append(recorded_s / took_s)
         digests = set()
         for _ in range(runs):
-            with open_playback(path) as playback:
-                digests.add(play_whole(playback).sha256)
+            with open_replay(path) as replaying:
+                digests.add(replay_whole(replaying).sha256)
     print(f"{path.name}: {recorded_s:.0f} s, {frames} frames, {differences}")
     print(f"{'figure':<44} {'asked':>8} {'seen':>8}")
     print(f"{'times real time, on one core (best of 3)':<44} {f'>= {ASKED:g}':>8} {max(speeds):8.1f}")

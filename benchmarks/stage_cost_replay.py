@@ -8,7 +8,7 @@ from pathlib import Path
 from replay_speed import record
 from stage_cost_parts import RECORDED_S, reference_us
 
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 
 ROUNDS = 5
 
@@ -19,10 +19,10 @@ def main(folder: Path) -> None:
     for _ in range(ROUNDS):
         loop_us = reference_us()
         begun_s = time.process_time()
-        with open_playback(path) as playback:
-            for _moment in playback.moments():
+        with open_replay(path) as replaying:
+            for _moment in replaying.moments():
                 pass
-            frames = playback.counters.frames
+            frames = replaying.counters.frames
         samples.append(((time.process_time() - begun_s) / frames * 1e6, (loop_us + reference_us()) / 2))
     print(json.dumps({"replay of quartz16, bytes to messages": samples}))
 

@@ -246,7 +246,7 @@ class HostSession:
                     continue
                 try:
                     if counted and message_type == _FRAME_PART:
-                        self._take_part(found, events)
+                        self._read_part(found, events)
                     else:
                         self._interpret(found, events)
                 except MalformedMessageError:
@@ -261,15 +261,15 @@ class HostSession:
             needed = " or ".join(state.value for state, possible in HOST if possible is cue)
             raise ValueError(f"{cue.value}: the session must be {needed}, it is {self.state.value}")
         if step.next_state is not self.state:
-            self._forget_pending()
+            self._withdraw_pending()
         self.state = step.next_state
         if step.sends is MessageType.STOP:
             self._requests.send(step.sends)
         elif step.sends is not None:
-            self._forget_pending()
+            self._withdraw_pending()
             self._pending = self._requests.send(step.sends, payload)
 
-    def _forget_pending(self) -> None:
+    def _withdraw_pending(self) -> None:
         if self._pending is not None:
             self._requests.withdraw(self._pending)
         self._pending = None
@@ -278,7 +278,7 @@ class HostSession:
         if packet.boot_id != self._boot_id:
             if self._boot_id:
                 events.append(Rebooted(packet.boot_id))
-                self._requests.forget()
+                self._requests.discard_all()
                 self._pending = None
                 self._move(Cue.REBOOT)
             self._boot_id = packet.boot_id
@@ -288,7 +288,7 @@ class HostSession:
             case MessageType.FRAME:
                 raise MalformedMessageError(f"a frame has {_FRAME_BYTES} bytes, got {len(packet.payload)}")
             case MessageType.FRAME_PART:
-                self._take_part(packet, events)
+                self._read_part(packet, events)
             case MessageType.STATUS:
                 events.append(decode_message(BoardStatus, packet.payload))
             case MessageType.LOG:
@@ -297,11 +297,11 @@ class HostSession:
                 self._requests.answered(packet.sequence)
                 events.append(Pong(packet.payload, packet.board_ticks))
             case answer if answer in _ANSWERS:
-                self._take_answer(packet, events)
+                self._read_answer(packet, events)
             case _:
                 self.messages.unknown += 1
 
-    def _take_part(self, packet: Packet, events: list[HostEvent]) -> None:
+    def _read_part(self, packet: Packet, events: list[HostEvent]) -> None:
         """Read a part of a channelised frame: some thousands a second, each of many tones."""
         _, sequence, board_ticks, _, payload = packet
         size = len(payload)
@@ -318,7 +318,7 @@ class HostSession:
         records = memoryview(payload)[_BLOCK_BYTES:]
         events.append(tuple.__new__(FramePart, (sequence, board_ticks, size_bytes, block, records)))
 
-    def _take_answer(self, packet: Packet, events: list[HostEvent]) -> None:
+    def _read_answer(self, packet: Packet, events: list[HostEvent]) -> None:
         answered = self._requests.answered(packet.sequence)
         pending = self._pending
         if pending is not None and pending.number == packet.sequence:
@@ -347,5 +347,5 @@ class HostSession:
                 events.append(Started(self._configuration))
             case Cue.REFUSED:
                 events.append(decode_message(Refusal, packet.payload))
-        self._forget_pending()
+        self._withdraw_pending()
         self._move(cue)

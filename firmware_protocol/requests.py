@@ -76,8 +76,8 @@ class Requests:
         self._send_waiting()
         return answered.type
 
-    def forget(self) -> None:
-        """Drop everything: another boot knows nothing of it."""
+    def discard_all(self) -> None:
+        """Discard all requests: the board has started anew."""
         self._unanswered.clear()
         self._waiting.clear()
         self._outgoing.clear()

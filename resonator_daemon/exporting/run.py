@@ -15,8 +15,8 @@ from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.host.new_file import check_new, takes_a_stream
 from resonator_daemon.publishing.units import UNITS
 from resonator_daemon.replay.progress import Progress
-from resonator_daemon.replay.recorded_pipeline import Moment, Playback
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.recorded_pipeline import Moment, RecordingReplay
+from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
 
 
@@ -94,20 +94,20 @@ def export(
     for topic in target.topics:
         check_new(kind.place(target.output, target.topics, topic))
     span = find_span(path, start, end)
-    with open_playback(path, config) as playback, Progress(path, shown=show_progress) as progress:
-        output = kind(target.output, target.topics, Recorded(playback.config, _metadata(path, playback.config)))
-        files = _write(output, target.output, _part(playback, span, progress))
+    with open_replay(path, config) as replaying, Progress(path, shown=show_progress) as progress:
+        output = kind(target.output, target.topics, Recorded(replaying.config, _metadata(path, replaying.config)))
+        files = _write(output, target.output, _part(replaying, span, progress))
         summary = {
             "file": str(path),
             "format": target.form,
             "files": files,
             "rows": dict(output.rows),
-            "frames": playback.counters.frames,
-            "differences": playback.differences,
-            "damage": playback.damage,
+            "frames": replaying.counters.frames,
+            "differences": replaying.differences,
+            "damage": replaying.damage,
             "took_seconds": round(time.monotonic() - begun_s, 3),
         }
-        return summary, _what_is_wrong(playback, output, target, span)
+        return summary, _what_is_wrong(replaying, output, target, span)
 
 
 def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, int]:
@@ -125,9 +125,9 @@ def _write(output: Output, path: Path, moments: Iterator[Moment]) -> dict[str, i
         raise ExportFailedError(f"{path} cannot be written: {error.strerror or error}{removed}") from error
 
 
-def _part(playback: Playback, span: Span, progress: Progress) -> Iterator[Moment]:
-    for moment in playback.moments():
-        progress.at(playback.read_bytes)
+def _part(replaying: RecordingReplay, span: Span, progress: Progress) -> Iterator[Moment]:
+    for moment in replaying.moments():
+        progress.at(replaying.read_bytes)
         if span.is_over(moment.now):
             return
         if not span.is_before(moment.now):
@@ -149,14 +149,14 @@ def _metadata(path: Path, config: Config) -> dict[str, str]:
     }
 
 
-def _what_is_wrong(playback: Playback, output: Output, target: Target, span: Span) -> Sequence[str]:
+def _what_is_wrong(replaying: RecordingReplay, output: Output, target: Target, span: Span) -> Sequence[str]:
     wrong = []
-    if playback.damage is not None:
-        wrong.append(f"the file is {playback.damage}; all before that was exported")
-    if playback.differences:
-        wrong.append(f"the replay differs from what is recorded in {playback.differences} places")
-    if playback.refused:
-        wrong.append(f"the board was refused: {'; '.join(playback.refused)}")
+    if replaying.damage is not None:
+        wrong.append(f"the file is {replaying.damage}; all before that was exported")
+    if replaying.differences:
+        wrong.append(f"the replay differs from what is recorded in {replaying.differences} places")
+    if replaying.refused:
+        wrong.append(f"the board was refused: {'; '.join(replaying.refused)}")
     if not output.rows:
         wrong.append(f"it gives no messages of {', '.join(target.topics)}{span.words}")
     return wrong

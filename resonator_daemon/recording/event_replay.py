@@ -126,7 +126,7 @@ class Replay:
         self._begun: HostTime | None = None
         self._now = HostTime(0, 0, 0)
         self._reading = False
-        self._astray = True  # how the link stands is not known
+        self._astray = True  # the state of the link is unknown
         self._first = ""
         self.differences = 0
 
@@ -141,16 +141,16 @@ class Replay:
                 if event.idle if isinstance(event, TimersRun) else not self._reading:
                     self._compare_sent(event, b"")
                 self._reading = isinstance(event, Received)
-                self._take(event)
+                self._apply(event)
             case StateAnnounced() | Skipped() | ControlRequested():
-                self._take(event)
+                self._apply(event)
                 if isinstance(event, Skipped):
                     self._astray = True
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
             case SnapshotTaken():
-                # Told again and again, for whoever has not read what was before.
+                # Repeated for readers that have not read what was before.
                 if self._astray and self._machine.connection is None:
-                    self._take(event)
+                    self._apply(event)
                 self._astray = False
             case Opened():
                 if self._machine.connection is not None:
@@ -167,13 +167,13 @@ class Replay:
             case _ if self._raised is not None:
                 self._differ(event, f"the link would have been closed: {self._raised}")
             case Sent():
-                self._take(event)
+                self._apply(event)
                 self._compare_sent(event, event.data)
             case Overrun() | StopRequested() | BlinkRequested():
                 self._reading = False
-                self._take(event)
+                self._apply(event)
 
-    def _take(self, event: WireEvent) -> None:
+    def _apply(self, event: WireEvent) -> None:
         try:
             self._machine.apply(event)
         except (BoardRefusedError, LinkLostError) as error:

@@ -80,7 +80,7 @@ class AtBroker:
     async def __aenter__(self) -> Self:
         await reach(self._mqtt, named_by=self._named_by)
         await self._refuse_a_taken_name()
-        self._state = DaemonState(self.daemon_boot_id, self._say_state, lambda: self._publisher.republish())
+        self._state = DaemonState(self.daemon_boot_id, self._publish_state, lambda: self._publisher.republish())
         topic = full_topic(self._mqtt.prefix, self._name, STATE_DAEMON.path)
         self._publisher = Publisher(
             self._mqtt,
@@ -141,9 +141,9 @@ class AtBroker:
                             f"a daemon publishes as {self._base} ({message.state}: {reason}); stop it, or give --name"
                         )
         except TimeoutError:
-            pass  # nobody of this name has said anything
+            pass  # no message of this name came
 
-    def _say_state(self, standing: DaemonStanding) -> None:
+    def _publish_state(self, standing: DaemonStanding) -> None:
         self._publisher.publish(self._base, STATE_DAEMON, self._daemon_state(standing))
 
     def _standing(self, condition: Condition, reason: str) -> DaemonStanding:

@@ -17,8 +17,8 @@ from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.new_file import NoNewFileError, part_is_there, part_of
 from resonator_daemon.replay.lines import payload_json
 from resonator_daemon.replay.outputs import OutputFailedError
-from resonator_daemon.replay.recorded_pipeline import Playback
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.recorded_pipeline import RecordingReplay
+from resonator_daemon.replay.source import open_replay
 
 RECORDING_FILE: Final = "recording.mcap"
 EXPECTED_FILE: Final = "expected.jsonl.gz"
@@ -26,7 +26,7 @@ FORMAT: Final = 1
 KEPT_BYTES: Final = 64_000  # of JSON of each stream: of one that has more, each second message, each fourth...
 
 
-class Said(NamedTuple):
+class ReplayedMessage(NamedTuple):
     """A message of a replay: the number of those on its topic before it, and when, in UTC, it was made."""
 
     topic: str
@@ -54,7 +54,7 @@ class Outcome:
     """
 
     summary: dict[str, Any]
-    kept: list[Said]
+    kept: list[ReplayedMessage]
     sha256: str
     differences: int
     damage: str | None
@@ -67,21 +67,21 @@ class _Kept:
 
     bound_bytes: int | None
     every: int = 1
-    said: list[tuple[int, Said]] = field(default_factory=list)  # with their place among all
+    messages: list[tuple[int, ReplayedMessage]] = field(default_factory=list)  # with their place among all
     _size_bytes: int = 0
 
-    def put(self, place: int, message: Said) -> None:
+    def put(self, place: int, message: ReplayedMessage) -> None:
         if message.number % self.every:
             return
-        self.said.append((place, message))
+        self.messages.append((place, message))
         self._size_bytes += len(message.payload)
-        while self.bound_bytes is not None and self._size_bytes > self.bound_bytes and len(self.said) > 1:
+        while self.bound_bytes is not None and self._size_bytes > self.bound_bytes and len(self.messages) > 1:
             self.every *= 2
-            self.said = [(place, said) for place, said in self.said if said.number % self.every == 0]
-            self._size_bytes = sum(len(said.payload) for _, said in self.said)
+            self.messages = [(place, message) for place, message in self.messages if message.number % self.every == 0]
+            self._size_bytes = sum(len(message.payload) for _, message in self.messages)
 
 
-def play_whole(playback: Playback, every: Mapping[str, int] | None = None) -> Outcome:
+def replay_whole(replaying: RecordingReplay, every: Mapping[str, int] | None = None) -> Outcome:
     """Play a recording, and keep all messages that change something, and of the streams as many as are asked for.
 
     Parameters
@@ -93,30 +93,30 @@ def play_whole(playback: Playback, every: Mapping[str, int] | None = None) -> Ou
     kept: dict[str, _Kept] = {}
     digest = hashlib.sha256()
     place = begun_ns = 0
-    for moment in playback.moments():
+    for moment in replaying.moments():
         for topic, message in moment.messages:
             path, payload = topic.path, payload_json(message)
             if path not in kept:
                 fixed = every is not None or topic.qos == 1
                 kept[path] = _Kept(None if fixed else KEPT_BYTES, every.get(path, 1) if every is not None else 1)
-            kept[path].put(place, Said(path, counts[path], moment.now.utc_ns, payload))
+            kept[path].put(place, ReplayedMessage(path, counts[path], moment.now.utc_ns, payload))
             counts[path] += 1
             digest.update(f"{path} {payload}\n".encode())
             begun_ns = begun_ns or moment.now.utc_ns
             place += 1
-    account = playback.counters
+    counters = replaying.counters
     summary = {
-        "frames": account.frames,
-        "frames_lost": asdict(account.lost),
-        "differences": playback.differences,
-        "damaged": playback.damage is not None,
-        "refused": list(playback.refused),
+        "frames": counters.frames,
+        "frames_lost": asdict(counters.lost),
+        "differences": replaying.differences,
+        "damaged": replaying.damage is not None,
+        "refused": list(replaying.refused),
         "messages": dict(counts),
         "every": {path: topic.every for path, topic in kept.items()},
     }
-    in_order = sorted((item for topic in kept.values() for item in topic.said), key=lambda item: item[0])
-    said = [message for _, message in in_order]
-    return Outcome(summary, said, digest.hexdigest(), playback.differences, playback.damage, begun_ns)
+    in_order = sorted((item for topic in kept.values() for item in topic.messages), key=lambda item: item[0])
+    messages = [message for _, message in in_order]
+    return Outcome(summary, messages, digest.hexdigest(), replaying.differences, replaying.damage, begun_ns)
 
 
 def save_case(recording: Path, directory: Path) -> Outcome:
@@ -132,7 +132,7 @@ def save_case(recording: Path, directory: Path) -> Outcome:
         It cannot be written; nothing is left of it.
     """
     _check_free(directory)
-    with open_playback(recording):
+    with open_replay(recording):
         pass  # it can be replayed
     part = part_of(directory)
     try:
@@ -143,8 +143,8 @@ def save_case(recording: Path, directory: Path) -> Outcome:
         raise OutputFailedError(f"{directory} cannot be made: {error.strerror}") from error
     try:
         shutil.copyfile(recording, part / RECORDING_FILE)
-        with open_playback(part / RECORDING_FILE) as playback:  # whose name messages have
-            outcome = play_whole(playback)
+        with open_replay(part / RECORDING_FILE) as replaying:  # whose name messages have
+            outcome = replay_whole(replaying)
         write_expected(outcome, part)
         _check_free(directory)
         os.rename(part, directory)
@@ -163,14 +163,14 @@ def _check_free(directory: Path) -> None:
 def write_expected(outcome: Outcome, directory: Path) -> None:
     """Write what a replay is to come to into a case."""
     head = {"format": FORMAT, "sha256": outcome.sha256, **outcome.summary}
-    lines = [json.dumps(head), *(_line(said) for said in outcome.kept)]
+    lines = [json.dumps(head), *(_line(message) for message in outcome.kept)]
     with (directory / EXPECTED_FILE).open("wb") as file, gzip.GzipFile("", "wb", fileobj=file, mtime=0) as packed:
         packed.write("".join(f"{line}\n" for line in lines).encode())
 
 
-def _line(said: Said) -> str:
-    head = json.dumps({"topic": said.topic, "number": said.number, "now_ns": str(said.now_ns)})
-    return f'{head[:-1]}, "payload": {said.payload}}}'
+def _line(message: ReplayedMessage) -> str:
+    head = json.dumps({"topic": message.topic, "number": message.number, "now_ns": str(message.now_ns)})
+    return f'{head[:-1]}, "payload": {message.payload}}}'
 
 
 class _Head(BaseModel):
@@ -185,7 +185,7 @@ class _Head(BaseModel):
 
 
 class ExpectedMessage(BaseModel):
-    """A message that a replay is to give, as `Said` is one that it gave."""
+    """A message that a replay is to give, as `ReplayedMessage` is one that it gave."""
 
     model_config = ConfigDict(strict=True)
 
@@ -220,14 +220,14 @@ def read_expected(directory: Path) -> Expected:
     path = directory / EXPECTED_FILE
     try:
         lines = _objects(path)
-        told = next(lines)
-        if told["format"] != FORMAT:
+        head = next(lines)
+        if head["format"] != FORMAT:
             raise ConfigurationError(
-                f"{path} has format {told['format']!r}, this version reads {FORMAT}; save the case anew"
+                f"{path} has format {head['format']!r}, this version reads {FORMAT}; save the case anew"
             )
-        head = _Head.model_validate(told)
-        summary = {key: value for key, value in told.items() if key not in ("format", "sha256")}
-        return Expected(summary, head.sha256, [ExpectedMessage.model_validate(line) for line in lines])
+        checked = _Head.model_validate(head)
+        summary = {key: value for key, value in head.items() if key not in ("format", "sha256")}
+        return Expected(summary, checked.sha256, [ExpectedMessage.model_validate(line) for line in lines])
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"]) or "line"

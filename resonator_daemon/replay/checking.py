@@ -12,7 +12,7 @@ from resonator_daemon.errors import ConfigurationError, ExitCode, InterruptedCom
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.link import LinkUnavailableError
 from resonator_daemon.publishing.topics import DECODED
-from resonator_daemon.replay.case import RECORDING_FILE, Expected, Outcome, play_whole, read_expected
+from resonator_daemon.replay.case import RECORDING_FILE, Expected, Outcome, read_expected, replay_whole
 from resonator_daemon.replay.comparing import (
     ABSENT,
     DECODED_TOLERANCE,
@@ -22,7 +22,7 @@ from resonator_daemon.replay.comparing import (
     payload_differences,
     summary_differences,
 )
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 
 _TOLD: Final = 5  # differences of a case; the rest is counted
 _VALUE_LENGTH: Final = 60
@@ -103,8 +103,8 @@ def _bad(verdicts: Sequence[Verdict]) -> int:
 def check_case(directory: Path, expected: Expected) -> Verdict:
     """Replay a case and compare; a recording that cannot be replayed any more is a difference."""
     try:
-        with open_playback(directory / RECORDING_FILE) as playback:
-            outcome = play_whole(playback, expected.every)
+        with open_replay(directory / RECORDING_FILE) as replaying:
+            outcome = replay_whole(replaying, expected.every)
     except (LinkUnavailableError, ConfigurationError) as error:
         finding = Finding("recording", None, Difference("replay", "possible", str(error)))
         return Verdict(directory.name, 0, to_the_bit=False, differences=1, first=(finding,))
@@ -122,23 +122,23 @@ def _findings(expected: Expected, outcome: Outcome) -> list[Finding]:
     decoded = any(message.topic == DECODED.path for message in expected.messages)
     scales = Scales(DECODED_TOLERANCE if decoded else TOLERANCE)
     for message in expected.messages:
-        scales.take(message.topic, message.payload)
-    got = {(said.topic, said.number): said for said in outcome.kept}
+        scales.add(message.topic, message.payload)
+    kept = {(message.topic, message.number): message for message in outcome.kept}
     findings = []
     for message in expected.messages:
         now_ns = int(message.now_ns)
-        said = got.pop((message.topic, message.number), None)
-        if said is None:
+        replayed = kept.pop((message.topic, message.number), None)
+        if replayed is None:
             differences = [Difference(f"message {message.number}", "one", ABSENT)]
         else:
-            differences = [Difference("(made)", now_ns, said.now_ns)] if said.now_ns != now_ns else []
-            payload = json.loads(said.payload)
+            differences = [Difference("(made)", now_ns, replayed.now_ns)] if replayed.now_ns != now_ns else []
+            payload = json.loads(replayed.payload)
             differences += payload_differences(message.topic, message.payload, payload, scales)
         at_s = (now_ns - outcome.begun_ns) * 1e-9
         findings += [Finding(message.topic, at_s, difference) for difference in differences]
-    for said in got.values():
-        at_s = (said.now_ns - outcome.begun_ns) * 1e-9
-        findings.append(Finding(said.topic, at_s, Difference(f"message {said.number}", ABSENT, "one")))
+    for replayed in kept.values():
+        at_s = (replayed.now_ns - outcome.begun_ns) * 1e-9
+        findings.append(Finding(replayed.topic, at_s, Difference(f"message {replayed.number}", ABSENT, "one")))
     summary = (Finding("summary", None, found) for found in summary_differences(expected.summary, outcome.summary))
     return list(chain(findings, summary))
 

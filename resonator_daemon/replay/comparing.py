@@ -29,7 +29,7 @@ class Scales:
         self._tolerance = tolerance
         self._largest: dict[str, float] = {}
 
-    def take(self, topic: str, payload: Any) -> None:
+    def add(self, topic: str, payload: Any) -> None:
         for field, value in _floats(topic, payload):
             self._largest[field] = max(self._largest.get(field, 0.0), abs(value))
 

@@ -13,7 +13,7 @@ _EVERY_S: Final = 0.1
 
 
 class Progress:
-    """A bar by bytes of the file, where stderr is a terminal; what is said comes out above it.
+    """A bar by bytes of the file, where stderr is a terminal; what is printed comes out above it.
 
     Parameters
     ----------
@@ -42,5 +42,5 @@ class Progress:
             self._due_s = time.monotonic() + _EVERY_S
             self._bar.update(self._task, completed=read_bytes)
 
-    def say(self, text: str) -> None:
+    def print(self, text: str) -> None:
         self._bar.console.print(text, soft_wrap=True)

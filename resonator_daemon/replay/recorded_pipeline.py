@@ -40,7 +40,7 @@ class Moment(NamedTuple):
     mark: str | None = None
 
 
-class Playback:
+class RecordingReplay:
     """Plays one recording, once.
 
     Parameters
@@ -104,13 +104,13 @@ class Playback:
                 arrivals = self._queue.pop_all()
                 if arrivals and not self._keep(arrivals):
                     yield from self._measured()
-                    yield from self._taken(entry, arrivals)
+                    yield from self._apply_arrivals(entry, arrivals)
                     continue
                 self._waiting.append((entry.now, arrivals))
                 if len(self._waiting) >= _BLOCK_EVENTS:
                     yield from self._measured()
             yield from self._measured()
-            yield from self._taken(self._replay.end(), self._queue.pop_all())
+            yield from self._apply_arrivals(self._replay.end(), self._queue.pop_all())
 
     def _keep(self, arrivals: list[Arrival]) -> bool:
         """Keep frames to be measured with those of later events; return False where these do not merely adjoin."""
@@ -121,7 +121,7 @@ class Playback:
         kept += frames
         return True
 
-    def _taken(self, event: WireEvent, arrivals: list[Arrival]) -> Iterator[Moment]:
+    def _apply_arrivals(self, event: WireEvent, arrivals: list[Arrival]) -> Iterator[Moment]:
         """Give what follows from an event and its arrivals, measured by themselves."""
         for arrival in in_blocks(arrivals, _BLOCK_FRAMES):
             if isinstance(arrival, BoardRefused):
@@ -139,10 +139,10 @@ class Playback:
             if arrivals:
                 arrived = frames[start : start + len(arrivals)]
                 start += len(arrivals)
-                told = []
+                of_event = []
                 while readings and readings[0].sequence <= arrived[-1].index:
-                    told.append(readings.popleft())
-                self._board.publish(arrived, told)
+                    of_event.append(readings.popleft())
+                self._board.publish(arrived, of_event)
             yield from self._at(now)
 
     def _at(self, now: HostTime) -> Sequence[Moment]:

@@ -19,8 +19,8 @@ from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.outputs import Lines, Output
 from resonator_daemon.replay.pacing import AtSpeed, Pacing, StepByStep
 from resonator_daemon.replay.progress import Progress
-from resonator_daemon.replay.recorded_pipeline import Moment, Playback, Published
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.recorded_pipeline import Moment, Published, RecordingReplay
+from resonator_daemon.replay.source import open_replay
 from resonator_daemon.replay.span import Span, find_span
 from resonator_daemon.view.watch import broker_at
 
@@ -99,7 +99,7 @@ def what_is_wrong(differences: int, damage: str | None) -> list[str]:
 
 @contextmanager
 def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
-    """Say what was played until Ctrl-C, which asyncio hears itself, so that the broker is told of the end."""
+    """Report what was played until Ctrl-C. asyncio handles it, so that the end is published."""
     try:
         yield
     except KeyboardInterrupt:
@@ -111,7 +111,7 @@ def _interruptible_at_broker(tally: Tally) -> Iterator[None]:
 async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[dict[str, Any], list[str]]:
     config = options.config
     span = find_span(path, options.start, options.end)
-    told: dict[str, Any] = {}
+    summary: dict[str, Any] = {}
     output: Output
     if options.output is not None:
         output, boot_id, speed = Lines(options.output), None, options.speed or math.inf
@@ -120,42 +120,42 @@ async def _play_out(path: Path, options: ReplayOptions, tally: Tally) -> tuple[d
         named_by = "--url" if config is None or options.url is not None else "mqtt.url"
         output = AtBroker(_broker(options.url, config), _sound(name), path.name, named_by=named_by)
         boot_id, speed = output.daemon_boot_id, options.speed or 1.0
-        told["name"] = name
-    with open_playback(path, config, boot_id) as playback:
+        summary["name"] = name
+    with open_replay(path, config, boot_id) as replaying:
         pacing: Pacing = StepByStep(span.begun) if options.step else AtSpeed(speed)
         with Progress(path, shown=options.show_progress and not options.step) as progress:
             async with output:
-                await play(playback, span, pacing, output, progress, tally)
+                await play(replaying, span, pacing, output, progress, tally)
         if isinstance(output, AtBroker):
-            told["dropped"] = output.dropped
-        account = playback.counters
-        told |= {
-            "frames": account.frames,
-            "frames_lost": asdict(account.lost),
+            summary["dropped"] = output.dropped
+        counters = replaying.counters
+        summary |= {
+            "frames": counters.frames,
+            "frames_lost": asdict(counters.lost),
             "messages": dict(tally.messages),
             "seconds": round(tally.recorded_s, 3),
-            "differences": playback.differences,
-            "damage": playback.damage,
-            "refused": list(playback.refused),
+            "differences": replaying.differences,
+            "damage": replaying.damage,
+            "refused": list(replaying.refused),
         }
-        wrong = what_is_wrong(playback.differences, playback.damage)
-        return told, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
+        wrong = what_is_wrong(replaying.differences, replaying.damage)
+        return summary, wrong if tally.found else [*wrong, f"it gives no messages{span.words}"]
 
 
 async def play(
-    playback: Playback, span: Span, pacing: Pacing, output: Output, progress: Progress, tally: Tally
+    replaying: RecordingReplay, span: Span, pacing: Pacing, output: Output, progress: Progress, tally: Tally
 ) -> None:
     """Play a part of a recording out; what is before it is played, too, but its retained messages alone are kept."""
     retained: dict[Topic[Any], Published] = {}
-    for moment in playback.moments():
-        progress.at(playback.read_bytes)
+    for moment in replaying.moments():
+        progress.at(replaying.read_bytes)
         if span.is_over(moment.now):
             break
         if span.is_before(moment.now):
             retained |= {published.topic: published for published in moment.messages if published.topic.retained}
             continue
         if moment.mark is not None:
-            progress.say(f"mark: {printable(moment.mark)}")
+            progress.print(f"mark: {printable(moment.mark)}")
             continue
         if retained:
             moment = Moment(moment.now, (*retained.values(), *moment.messages))
@@ -181,14 +181,14 @@ def _broker(url: str | None, config: Config | None) -> Mqtt:
 
 def _recorded_name(path: Path, config: Config | None) -> str:
     """Return the name that a daemon had published under, or would have: the board's serial number."""
-    with open_playback(path, config) as playback:
-        if playback.config.name is not None:
-            return playback.config.name
-        for moment in playback.moments():
+    with open_replay(path, config) as replaying:
+        if replaying.config.name is not None:
+            return replaying.config.name
+        for moment in replaying.moments():
             for published in moment.messages:
                 if isinstance(published.message, Info) and published.message.serial_number:
                     return published.message.serial_number
-    raise ConfigurationError(f"{path} tells neither the name of a daemon nor the serial number of a board; give --name")
+    raise ConfigurationError(f"{path} has neither the name of a daemon nor the serial number of a board; give --name")
 
 
 def _sound(name: str) -> str:

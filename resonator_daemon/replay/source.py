@@ -12,7 +12,7 @@ from resonator_daemon.errors import ConfigurationError
 from resonator_daemon.host.printable import printable
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.recording.reader import PLATE_FILE, SETTINGS_FILE, Recording, open_recording
-from resonator_daemon.replay.recorded_pipeline import Playback
+from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
 _Loaded = TypeVar("_Loaded")
 
@@ -20,7 +20,9 @@ UNKNOWN_BOOT_ID: Final = "0" * 16  # of a recording that no daemon made
 
 
 @contextmanager
-def open_playback(path: Path, config: Config | None = None, daemon_boot_id: str | None = None) -> Iterator[Playback]:
+def open_replay(
+    path: Path, config: Config | None = None, daemon_boot_id: str | None = None
+) -> Iterator[RecordingReplay]:
     """Open a recording to be played with what it carries, or with another configuration of the same plate.
 
     Messages bear the given boot id of a daemon, or else the recorded one.
@@ -34,7 +36,7 @@ def open_playback(path: Path, config: Config | None = None, daemon_boot_id: str 
     """
     with open_recording(str(path), config.plate if config else None) as recording:
         boot_id = daemon_boot_id or recording.header.get("daemon_boot_id", UNKNOWN_BOOT_ID)
-        yield Playback(recording, config or recorded_config(recording), boot_id)
+        yield RecordingReplay(recording, config or recorded_config(recording), boot_id)
 
 
 def recorded_config(recording: Recording) -> Config:
@@ -54,7 +56,7 @@ def recorded_config(recording: Recording) -> Config:
 
 
 def _loaded(load: Callable[[str, Path], _Loaded], text: str, path: Path, name: str) -> _Loaded:
-    """Load a text that nobody can mend in its place, since it lies in the recording."""
+    """Load a text of the recording; errors say that the file itself cannot be edited."""
     try:
         return load(text, path / name)
     except ConfigurationError as error:

@@ -47,11 +47,11 @@ class Pings:
 
     def answered(self, opaque: bytes) -> Ping | None:
         """Return the ping that is answered; None where nobody waits for that."""
-        taken = self._on_the_way.pop(int.from_bytes(opaque, "little"), None)
-        if taken is not None:
-            for before in [ping for ping in self._on_the_way.values() if ping.sent_ns < taken.sent_ns]:
+        ping = self._on_the_way.pop(int.from_bytes(opaque, "little"), None)
+        if ping is not None:
+            for before in [other for other in self._on_the_way.values() if other.sent_ns < ping.sent_ns]:
                 del self._on_the_way[before.number]  # boards answer in order: it will not be answered any more
-        return taken
+        return ping
 
     def snapshot(self) -> tuple[Ping, ...]:
         """Return those on their way."""

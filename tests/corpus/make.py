@@ -26,8 +26,8 @@ from resonator_daemon.pipeline.control_requests import Control, SetWindow, Tare
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording.reader import Origin
 from resonator_daemon.recording.switch import RecordingSwitch
-from resonator_daemon.replay.case import EXPECTED_FILE, RECORDING_FILE, play_whole, save_case, write_expected
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.case import EXPECTED_FILE, RECORDING_FILE, replay_whole, save_case, write_expected
+from resonator_daemon.replay.source import open_replay
 from resonator_daemon.session.board_reader import BoardReader
 from resonator_daemon.session.frames import BoardOnline
 from simulators.emulator import Emulator, EmulatorOptions
@@ -227,8 +227,8 @@ def main(arguments: list[str]) -> None:
             damage(name)
         return
     for path in sorted(CORPUS.glob(f"*/{EXPECTED_FILE}")):
-        with open_playback(path.parent / RECORDING_FILE) as playback:
-            write_expected(play_whole(playback), path.parent)
+        with open_replay(path.parent / RECORDING_FILE) as replaying:
+            write_expected(replay_whole(replaying), path.parent)
 
 
 if __name__ == "__main__":

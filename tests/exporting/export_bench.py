@@ -9,7 +9,7 @@ from resonator_daemon.exporting.formats import format_class
 from resonator_daemon.exporting.output import Output, Recorded
 from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.replay.recorded_pipeline import Moment
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 METADATA = {"plate": "quartz16", "source_sha256": "00ff"}
@@ -34,8 +34,8 @@ def recording(case: str) -> Path:
 
 @cache
 def played(case: str) -> Played:
-    with open_playback(recording(case)) as playback:
-        return Played(playback.config, list(playback.moments()))
+    with open_replay(recording(case)) as replaying:
+        return Played(replaying.config, list(replaying.moments()))
 
 
 def write(form: str, path: Path, case: str, *more: Moment, times: int = 1) -> Output:

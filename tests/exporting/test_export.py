@@ -15,7 +15,7 @@ from export_bench import played, recording
 
 from resonator_daemon.commands import main
 from resonator_daemon.publishing.codec import decoded
-from resonator_daemon.replay.recorded_pipeline import Playback
+from resonator_daemon.replay.recorded_pipeline import RecordingReplay
 
 FORMATS = ("parquet", "csv", "npz", "mcap", "ros2")
 SIGNALS = dict(zip(FORMATS, [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTERM, signal.SIGHUP], strict=True))
@@ -133,15 +133,15 @@ def test_a_disk_that_is_full_keeps_nothing(
 def test_an_interrupt_leaves_nothing(
     form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    whole = Playback.moments
+    whole = RecordingReplay.moments
 
-    def interrupted(playback: Playback) -> Any:
-        for number, moment in enumerate(whole(playback)):
+    def interrupted(replaying: RecordingReplay) -> Any:
+        for number, moment in enumerate(whole(replaying)):
             if number == 100:
                 signal.raise_signal(SIGNALS[form])
             yield moment
 
-    monkeypatch.setattr(Playback, "moments", interrupted)
+    monkeypatch.setattr(RecordingReplay, "moments", interrupted)
     assert export(recording("touches"), *output(tmp_path, form)) == 1
     assert capsys.readouterr().err == "resonatord: interrupted: what was written is removed\n"
     assert list(tmp_path.iterdir()) == []

@@ -10,7 +10,7 @@ from resonator_daemon.pipeline.board_pipeline import BoardPipeline
 from resonator_daemon.publishing.codec import decoded
 from resonator_daemon.recording.event_replay import Replay
 from resonator_daemon.recording.reader import Mark, open_recording
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 from resonator_daemon.session.clock import Instant
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.link_state_machine import LinkStateMachine
@@ -39,8 +39,8 @@ def published(
 ) -> list[tuple[str, Any]]:
     """Return topic and message of all that follows from a recording, but for decoding."""
     path = CORPUS / case / "recording.mcap"
-    with open_playback(path) as playback:
-        config = playback.config
+    with open_replay(path) as replaying:
+        config = replaying.config
     if decoding is None:  # late frames of a skin are not decoded
         config = config.model_copy(update={"decoding": config.decoding.model_copy(update={"method": "off"})})
     messages: list[tuple[str, Any]] = []

@@ -11,7 +11,7 @@ EXPECTED = {"a": 1, "b": "one", "f": [0.0, 2.0], "g": [{"x": 1e-9}, {"x": 4e-9}]
 
 def differences(got: dict[str, Any], topic: str = "forces") -> list[Difference]:
     scales = Scales()
-    scales.take(topic, EXPECTED)
+    scales.add(topic, EXPECTED)
     return list(payload_differences(topic, EXPECTED, got, scales))
 
 
@@ -46,7 +46,7 @@ def test_what_is_one(change: dict[str, Any], found: Difference) -> None:
 def test_the_largest_value_of_a_field_sets_its_scale_in_whatever_order_they_come() -> None:
     for values in ([0.0, 2.0], [2.0, 0.0], [-2.0, 1.0, 0.5]):
         scales = Scales()
-        scales.take("forces", {"f": values})
+        scales.add("forces", {"f": values})
         assert scales.tolerance("forces.f[]") == pytest.approx(2e-6)
 
 

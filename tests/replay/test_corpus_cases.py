@@ -16,9 +16,9 @@ import pytest
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ConfigurationError, ExitCode
 from resonator_daemon.host.new_file import NoNewFileError
-from resonator_daemon.replay.case import EXPECTED_FILE, play_whole, read_expected, save_case
+from resonator_daemon.replay.case import EXPECTED_FILE, read_expected, replay_whole, save_case
 from resonator_daemon.replay.checking import Verdict, check_case, check_cases
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 CASES = sorted(path.parent for path in CORPUS.glob(f"*/{EXPECTED_FILE}"))
@@ -214,8 +214,8 @@ def test_replays_are_equal_to_the_byte_in_every_process(tmp_path: Path) -> None:
 def test_replays_are_equal_to_the_bit(case: str) -> None:
     digests = set()
     for _ in range(2):
-        with open_playback(CORPUS / case / "recording.mcap") as playback:
-            digests.add(play_whole(playback).sha256)
+        with open_replay(CORPUS / case / "recording.mcap") as replaying:
+            digests.add(replay_whole(replaying).sha256)
     assert len(digests) == 1
 
 

@@ -11,7 +11,7 @@ from resonator_daemon.publishing import outbox
 from resonator_daemon.replay.broker import AtBroker
 from resonator_daemon.replay.pacing import AtSpeed
 from resonator_daemon.replay.recorded_pipeline import Moment
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 from resonator_daemon.session.host_time import HostTime
 
 TOUCHES = Path(__file__).parents[1] / "corpus" / "touches" / "recording.mcap"
@@ -45,9 +45,9 @@ async def test_nothing_is_dropped_for_want_of_room(mosquitto: Mosquitto, monkeyp
     async with observe(mosquitto.url) as heard:
         output = AtBroker(Mqtt(url=mosquitto.url), "hand", TOUCHES.name)
         count = 0
-        with open_playback(TOUCHES, daemon_boot_id=output.daemon_boot_id) as playback:
+        with open_replay(TOUCHES, daemon_boot_id=output.daemon_boot_id) as replaying:
             async with output:
-                for now in playback.moments():
+                for now in replaying.moments():
                     for published in now.messages:
                         await output.put(published)
                         count += published.topic.path == "forces"

@@ -17,7 +17,7 @@ from resonator_daemon.publishing.codec import decode
 from resonator_daemon.publishing.requests import request
 from resonator_daemon.publishing.topics import TOPICS
 from resonator_daemon.replay.lines import payload_json
-from resonator_daemon.replay.source import open_playback
+from resonator_daemon.replay.source import open_replay
 from simulators.faults import parse_faults
 
 pytestmark = pytest.mark.undisturbed
@@ -45,11 +45,11 @@ def recording_service(bench: Bench, plate: str, link: str) -> Service:
 
 def replayed(path: Path) -> dict[str, list[dict[str, Any]]]:
     by_topic: dict[str, list[dict[str, Any]]] = {}
-    with open_playback(path) as playback:
-        for moment in playback.moments():
+    with open_replay(path) as replaying:
+        for moment in replaying.moments():
             for topic, message in moment.messages:
                 by_topic.setdefault(topic.path, []).append(json.loads(payload_json(message)))
-        assert (playback.differences, playback.damage) == (0, None)
+        assert (replaying.differences, replaying.damage) == (0, None)
     return by_topic
 
 
