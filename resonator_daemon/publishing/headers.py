@@ -19,10 +19,21 @@ class HeaderFields(TypedDict):
     lost: Lost
 
 
-class MeasuredFields(HeaderFields):
+class WindowFields(TypedDict):
+    """The header of what was measured, without its number: the same for all messages about one window."""
+
+    daemon_boot_id: str
+    board_boot_id: str | None
+    t_ns: int
+    t_unc_ns: int
+    lost: Lost
+    board_ticks: int | None
+
+
+class MeasuredFields(WindowFields):
     """The header of what was measured."""
 
-    board_ticks: int | None
+    seq: int
 
 
 class Headers:
@@ -59,9 +70,12 @@ class Headers:
         }
 
     def measured(self, topic: Topic[Any], t_ns: int, t_unc_ns: int, board_ticks: int) -> MeasuredFields:
-        """Return the header of a message about a window: the UTC of its middle, the board's ticks at its end."""
-        return {  # one dictionary, not one made of another: hundreds are made a second
-            "seq": self.next_seq(topic),
+        """Return the header of a message about a window, as of `of_window`."""
+        return {"seq": self.next_seq(topic), **self.of_window(t_ns, t_unc_ns, board_ticks)}
+
+    def of_window(self, t_ns: int, t_unc_ns: int, board_ticks: int) -> WindowFields:
+        """Return what headers of messages about a window share: the UTC of its middle, the board's ticks at its end."""
+        return {
             "daemon_boot_id": self._daemon_boot_id,
             "board_boot_id": self.board_boot_id,
             "t_ns": t_ns,

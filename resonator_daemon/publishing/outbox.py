@@ -301,7 +301,8 @@ class Outbox:
     def _put(self, queue: BoundedQueue[WaitingT], packet: WaitingT) -> None:
         for pushed_out in queue.put(packet):
             self._account.drop(Cause.QUEUE_FULL, pushed_out.topic)
-        self.pump_soon()
+        if not self._pumping:
+            self.pump_soon()
 
     def _drop(self, queue: BoundedQueue[WaitingT], cause: Cause) -> None:
         for packet in queue.clear():

@@ -9,7 +9,7 @@ from resonator_daemon.forces.site_identification import SiteForce as MeasuredFor
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded, encode_fields
 from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Forces, Status
-from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES, Topic
+from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
 from resonator_daemon.sensors.surface_messages import ContactFields
@@ -32,16 +32,23 @@ class ForceMessages:
     def __init__(self, plate: Plate, output: MessageOutput) -> None:
         self._plate = plate
         self._output = output
+        self._headers = output.headers
         self._site_ids: list[int] = plate.site_ids.tolist()
         self._since_utc_ns: dict[int, int] = {}  # of the present contacts, by id
 
-    def forces(self, reading: ForceReading, gate_middle: Instant) -> Encoded:
-        """Return a message of `forces`; `gate_middle` is that of the last gate in the window."""
+    def header(self, reading: ForceReading, gate_middle: Instant) -> dict[str, Any]:
+        """Return what both messages about a reading share; `gate_middle` is that of the last gate in the window."""
+        middle_ns = self._output.window_middle_ns(reading, gate_middle)
+        header = self._headers.of_window(middle_ns, gate_middle.uncertainty_ns, reading.board_ticks)
+        return {**header, "lost": vars(header["lost"])}
+
+    def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         made = reading.compensation
         return encode_fields(
             Forces,
             {
-                **self._header(FORCES, reading, gate_middle),
+                "seq": self._headers.next_seq(FORCES),
+                **header,
                 "window_s": reading.window_s,
                 "status": _STATUS[reading.status],
                 "reason": reading.reason,
@@ -58,11 +65,12 @@ class ForceMessages:
             },
         )
 
-    def contacts(self, reading: ForceReading, gate_middle: Instant) -> Encoded:
+    def contacts(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
         return encode_fields(
             Contacts,
             {
-                **self._header(CONTACTS, reading, gate_middle),
+                "seq": self._headers.next_seq(CONTACTS),
+                **header,
                 "status": _STATUS[reading.status],
                 "reason": reading.reason,
                 "contacts": tuple([self._contact(contact, reading, gate_middle) for contact in reading.contacts]),
@@ -80,10 +88,6 @@ class ForceMessages:
             reason=event.reason,
             contact=EventContact(**contact),
         )
-
-    def _header(self, topic: Topic[Any], reading: ForceReading, gate_middle: Instant) -> dict[str, Any]:
-        header = self._output.header(topic, reading, gate_middle)
-        return {**header, "lost": vars(header["lost"])}
 
     def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> dict[str, Any]:
         return {

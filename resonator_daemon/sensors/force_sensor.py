@@ -108,8 +108,10 @@ class ForceSensor(Sensor[ForceReading]):
         if output.is_late(gate_middle):
             output.skip(FORCES, CONTACTS)
             return
-        output.publish_result(FORCES, self._messages.forces(reading, gate_middle), gate_middle)
-        output.publish(CONTACTS, self._messages.contacts(reading, gate_middle))
+        messages = self._messages
+        header = messages.header(reading, gate_middle)
+        output.publish_result(FORCES, messages.forces(header, reading, gate_middle), gate_middle)
+        output.publish(CONTACTS, messages.contacts(header, reading, gate_middle))
 
     def end_contacts(self, reason: str) -> None:
         if self._processing is not None:

@@ -262,9 +262,10 @@ class BoardReader:
                     machine.apply(BlinkRequested(now))
                     self._send(link, now)  # apart from a ping, so that whoever joins here knows its number
                 pieces = self._read(link, machine.opened)
-                now = read_host_time()
-                if not pieces and (data := link.read(0.0)):  # silence ends before a thread that was kept waiting looks
-                    pieces = [Received(read_host_time(), data)]
+                if not pieces:
+                    now = read_host_time()  # silence ends before a thread that was kept waiting looks
+                    if data := link.read(0.0):
+                        pieces = [Received(read_host_time(), data)]
                 if link.overruns != overruns:
                     overruns = link.overruns
                     machine.apply(Overrun(read_host_time()))
@@ -274,7 +275,8 @@ class BoardReader:
                     self._pacing.has_read(self._queue.newest)
                 if pieces:
                     now = read_host_time()
-                machine.apply(TimersRun(now, idle=not pieces))
+                if not pieces or now.monotonic_ns >= machine.opened.due_ns():
+                    machine.apply(TimersRun(now, idle=not pieces))
                 if pieces and len(pieces[-1].data) < _FEW_BYTES and machine.opened.within_packet:
                     # A UART with a short queue hands on some bytes at a time, and each would cost a turn of all this.
                     time.sleep(_GATHER_S)

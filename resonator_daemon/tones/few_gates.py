@@ -7,7 +7,6 @@ from typing import NamedTuple
 from firmware_protocol.layouts import SingleToneRecord
 from resonator_daemon.tones.frequency_estimators import Sums, frequency_hz, merge_adjacent
 from resonator_daemon.tones.gate_block import GateBlock
-from resonator_daemon.tones.other_tones import end_residual_ticks2
 from resonator_daemon.tones.record_checks import Gate
 
 
@@ -49,7 +48,7 @@ class FewGates(GateBlock):
     def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
         low, high = -tolerance, tolerance
         off = [
-            [not low < hertz / pilot_hz - 1.0 < high for _, hertz, _ in gates[before:]]
+            [not low < gate.frequency_hz / pilot_hz - 1.0 < high for gate in gates[before:]]
             for gates, before, _ in self._columns
         ]
         return [list(row) for row in zip(*off, strict=True)] if any(map(any, off)) else []
@@ -60,9 +59,8 @@ class FewGates(GateBlock):
 
     def last(self, gate: int, frames: int) -> tuple[list[list[float]], list[list[float]]]:
         held = [gates[max(before + gate + 1 - frames, 0) : before + gate + 1] for gates, before, _ in self._columns]
-        return [[hertz for _, hertz, _ in gates] for gates in held], [
-            [end_residual_ticks2(sums[2], sums[4], sums[5], slope) if sums[2] else math.nan for sums, _, slope in gates]
-            for gates in held
+        return [[one.frequency_hz for one in gates] for gates in held], [
+            [one.residual_ticks2 for one in gates] for gates in held
         ]
 
     def windows(self, gates: Sequence[int], frames: Sequence[int]) -> "_FewWindows":
@@ -88,6 +86,6 @@ class _FewWindows:
             for gates, before, firsts in self._columns:
                 end = before + gate + 1
                 held = end - firsts[gate] >= count
-                sums.append(merge_adjacent([sums for sums, _, _ in gates[end - count : end]]) if held else None)
+                sums.append(merge_adjacent([one.sums for one in gates[end - count : end]]) if held else None)
             self._added = window, sums
         return self._added[1]

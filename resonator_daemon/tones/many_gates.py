@@ -26,7 +26,7 @@ def as_arrays(gates: Sequence[Sequence[Gate]], rows: int) -> tuple[Integers, Flo
     for channel, column in enumerate(gates):
         if column:
             sums[:, -len(column) :, channel] = np.array([gate.sums[:8] for gate in column]).T
-            lines[:, -len(column) :, channel] = np.array([gate[1:] for gate in column]).T
+            lines[:, -len(column) :, channel] = np.array([gate[1:3] for gate in column]).T
     return sums, lines
 
 
@@ -88,9 +88,10 @@ class ManyGates(GateBlock):
         """Return the last `count` gates of a channel."""
         start = self._sums.shape[1] - count
         sums, (hertz, slopes) = self._sums[:, start:, channel].T.tolist(), self._lines[:, start:, channel].tolist()
+        residuals = self._residual_ticks2[start:, channel].tolist()
         return [
-            Gate(Sums._make((*fields, fields[2] - 2)), frequency, slope)
-            for fields, frequency, slope in zip(sums, hertz, slopes, strict=True)
+            Gate(Sums._make((*fields, fields[2] - 2)), frequency, slope, residual_ticks2)
+            for fields, frequency, slope, residual_ticks2 in zip(sums, hertz, slopes, residuals, strict=True)
         ]
 
     def other_tones(self, pilot_hz: float, tolerance: float) -> list[list[bool]]:
@@ -127,7 +128,7 @@ class ManyGates(GateBlock):
 def _add_up(sums: Integers, start: NDArray[np.intp], end: NDArray[np.intp]) -> Integers:
     """Add up the gates from `start` to `end`, (k,), the last one included: (7, k, channels), see `_ManyWindows`.
 
-    As `counting.merge_adjacent` does, by differences of sums that run over all gates. They are exact also where these
+    As `merge_adjacent` does, by differences of sums that run over all gates. They are exact also where these
     wrap at 2^64.
     """
     low = int(start.min())

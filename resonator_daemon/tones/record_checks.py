@@ -55,11 +55,15 @@ _EXACT: Final = (
 
 
 class Gate(NamedTuple):
-    """One record: its sums, the frequency of the regression in Hz, and its slope in ticks per stamp."""
+    """One record: its sums, and of its regression the frequency in Hz and the slope in ticks per stamp.
+
+    `residual_ticks2` is the mean square that the line leaves at first and last stamp.
+    """
 
     sums: Sums
     frequency_hz: float
     slope_ticks: float
+    residual_ticks2: float
 
 
 class Gates(NamedTuple):
@@ -160,4 +164,6 @@ def read_gate(record: SingleToneRecord, reference_hz: float, band_hz: tuple[floa
         Sums,
         (first_edge, first_ticks, stamps, stride_edges, span_ticks, s1_ticks, s2_ticks, q2_ticks2, stamps - 2),
     )
-    return new_tuple(Gate, (sums, frequency_hz, slope))
+    middle, half = s1 / count, slope * steps / 2  # as of `end_residual_ticks2`
+    residual_ticks2 = ((middle - half) ** 2 + (span - middle - half) ** 2) / 2
+    return new_tuple(Gate, (sums, frequency_hz, slope, residual_ticks2))

@@ -13,7 +13,7 @@ from resonator_daemon.tones.many_gates import ManyGates, as_arrays, begins
 from resonator_daemon.tones.record_checks import RECORD, Gate, read_gate, read_gates
 
 _STRIDE_BREAK: Final = int(RecordFlag.STRIDE_BREAK)
-_NOTHING: Final = Gate(Sums(*[0] * 9), math.nan, math.nan)
+_NOTHING: Final = Gate(Sums(*[0] * 9), math.nan, math.nan, math.nan)
 FEW_GATES: Final = 16  # up to so many are taken one by one: arrays take longer
 
 
@@ -70,7 +70,7 @@ class ToneWindows:
                     first = len(gates)
                 else:
                     if first < len(gates):
-                        last_sums, last_hz, _ = gates[-1]
+                        last_sums, last_hz, _, _ = gates[-1]
                         if (
                             record.flags & _STRIDE_BREAK
                             or abs(read[1] - last_hz) > FREQUENCY_JUMP * read[1]

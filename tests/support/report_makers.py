@@ -64,10 +64,12 @@ class ReadForceMessages:
         self.event = self._made.event
 
     def forces(self, reading: ForceReading, gate_middle: Instant) -> Forces:
-        return decoded(Forces, self._made.forces(reading, gate_middle))
+        header = self._made.header(reading, gate_middle)
+        return decoded(Forces, self._made.forces(header, reading, gate_middle))
 
     def contacts(self, reading: ForceReading, gate_middle: Instant) -> Contacts:
-        return decoded(Contacts, self._made.contacts(reading, gate_middle))
+        header = self._made.header(reading, gate_middle)
+        return decoded(Contacts, self._made.contacts(header, reading, gate_middle))
 
 
 class Messages:
