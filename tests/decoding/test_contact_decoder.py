@@ -80,14 +80,6 @@ def test_error_in_the_centre_and_at_the_border(request, centre_m, friction, limi
         assert mean_error(decoder, contact, decibel) <= 1.03 * limit  # four draws scatter
 
 
-def test_traction_obeys_the_bounds(told):
-    signals, _ = frame_of(scene((1e-3, -5e-4), direction=2.0), 20)
-    told.reset()
-    f_x, f_y, f_z = told.decode(signals).traction_pascal
-    assert (f_z >= 0.0).all()
-    assert (np.hypot(f_x, f_y) <= 0.5 * f_z * (1.0 + 1e-5)).all()
-
-
 @pytest.fixture(scope="module")
 def varied():
     """Eight contacts of several sizes, away from the border."""
@@ -136,40 +128,6 @@ def test_net_load_has_no_bias_and_an_honest_error(told, decibel):
     z = np.array(z)
     assert 0.5 <= np.sqrt(np.mean(z[:, 2] ** 2)) <= 1.7
     assert 0.6 <= np.sqrt(np.mean(z[:, :2] ** 2)) <= 1.6
-
-
-def test_moment_turns_with_the_point_it_refers_to(told):
-    signals, truth = frame_of(scene((1e-3, 0.0)), 40)
-    told.reset()
-    told.decode(signals)
-    places = np.flatnonzero(truth[2] > 0.0)
-    centred, beside = (told.net_loads([places], about_m)[0] for about_m in [(1e-3, 0.0), (0.0, 2e-3)])
-    f_x, f_y, f_z = centred.force_newton
-    moved = np.cross([1e-3, -2e-3, 0.0], [f_x, f_y, f_z])
-    np.testing.assert_allclose(beside.moment_newton_m - centred.moment_newton_m, moved, atol=1e-3 * f_z * 1e-3)
-
-
-def test_frames_that_follow_each_other_stay_as_good(told):
-    frames, truths = zip(
-        *(frame_of(scene((-1e-3 + 6e-5 * k, 0.0), stick_ratio=0.7 - 0.02 * k), 20, k) for k in range(20)), strict=True
-    )
-    told.reset()
-    decoded = told.decode(np.array(frames))
-    assert decoded.traction_pascal.shape == (20, 3, 32, 32)
-    assert (decoded.status == "ok").all()
-    errors = [error(found, truth) for found, truth in zip(decoded.traction_pascal, truths, strict=True)]
-    assert np.mean(errors) <= 0.105
-
-
-def test_results_are_reproducible_and_the_leading_axis_is_time(told):
-    frames = np.array([frame_of(scene((4e-4 * k, 0.0)), 20, k)[0] for k in range(3)])
-    told.reset()
-    together = told.decode(frames.reshape(3, 3, 1024))
-    told.reset()
-    apart = [told.decode(frame.reshape(3, 1024)) for frame in frames]
-    for index, single in enumerate(apart):
-        np.testing.assert_array_equal(together.traction_pascal[index], single.traction_pascal)
-        assert single.traction_pascal.shape == (3, 1024)
 
 
 def test_lost_sites_cost_little(told):
@@ -297,15 +255,6 @@ def test_without_a_contact_the_linear_map_is_shown(told, linear):
     assert told.net_loads([np.arange(32 * 32)], (0.0, 0.0)) == [None]
 
 
-def test_frames_that_cannot_be_decoded_do_not_stop_the_next(told):
-    signals, truth = frame_of(scene(), 20)
-    told.reset()
-    decoded = told.decode(np.array([np.full_like(signals, np.nan), 1e6 * signals, signals]))
-    assert decoded.status.tolist() == ["no_signal", "no_signal", "ok"]
-    assert np.isnan(decoded.traction_pascal[:2]).all()
-    assert error(decoded.traction_pascal[2], truth) < 0.1
-
-
 @pytest.mark.parametrize("decibel", [30])
 def test_gain_errors_that_are_told_do_not_look_like_broken_bounds(decibel):
     linear = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, gain_std=0.02)
@@ -340,33 +289,6 @@ def test_irregular_sites(nu):
     assert error(decoded.traction_pascal, truth) < 0.8 * error(linear.decode(signals).traction_pascal, truth)
     (load,) = decoder.net_loads([np.flatnonzero(pressure > 0.0)], (5e-4, -1e-3))
     assert load.force_newton[2] == pytest.approx(1.0, rel=0.03)
-
-
-@pytest.mark.parametrize("friction", [0.0, -0.5, np.nan, np.inf])
-def test_friction_coefficients_that_cannot_be_are_refused(linear, friction):
-    with pytest.raises(ValueError, match=f"friction_coefficient is {friction}, must be finite and above 0"):
-        ContactDecoder(linear, friction)
-
-
-def test_signals_of_another_shape_are_refused(told):
-    for shape in ((3,), (3, 1000), (2, 32, 32), (5, 3, 32, 31)):
-        with pytest.raises(ValueError, match="shape"):
-            told.decode(np.zeros(shape))
-
-
-def test_background_leaves_the_growth_of_the_support_to_the_other_thread(linear):
-    heavy, light = scene((-2.4e-3, 0.0)), scene((3.4e-3, 0.0), force_newton=0.1)
-    both = type(heavy)(heavy.signals + light.signals, heavy.traction + light.traction)
-    signals, truth = frame_of(both, 30)
-    decoder = ContactDecoder(linear, 0.5, background=True)
-    decoder.decode(signals)
-    decoder.rebuild()
-    before = error(decoder.decode(signals).traction_pascal, truth)
-    assert decoder.rebuild()
-    decoded = decoder.decode(signals)
-    assert not decoder.rebuild()
-    assert decoded.status == "ok"
-    assert error(decoded.traction_pascal, truth) < 0.8 * before
 
 
 def indentation_m(offset_m, radius_m, peak_pascal):
@@ -437,17 +359,6 @@ def test_a_contact_that_rests_wants_no_new_matrices(linear):
         decoder.decode(frame_of(contact, 20, seed)[0])
         wanted += decoder.rebuild()
     assert wanted <= 2
-
-
-def test_the_other_thread_gives_bounds_up_too(linear):
-    signals, _ = frame_of(full_slip(0.65), 20)
-    decoder = ContactDecoder(linear, 0.5, background=True)
-    for _ in range(3):
-        decoder.decode(signals)
-        decoder.rebuild()
-    decoded = decoder.decode(signals)
-    assert decoded.status == "constraint_dropped"
-    assert "friction coefficient 0.5 contradicted" in decoded.reason
 
 
 def test_what_is_found_about_a_contact_that_has_ended_is_forgotten(linear):

@@ -5,7 +5,6 @@ import pytest
 from slip_scenes import DEPTH_M, NU, SITES_M, TO_TRIPLE, E, model
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.decoding.fitting import contact_model
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 from resonator_daemon.elastic import HalfSpace
 from simulators.half_space_fields import hertz_fields
@@ -58,13 +57,6 @@ def test_slopes_are_those_of_the_closed_form(discs: DiscModel) -> None:
             assert np.linalg.norm(slope[force] - expected[force]) < 1e-3 * np.linalg.norm(expected[force])
 
 
-def test_a_site_below_the_centre_has_slopes() -> None:
-    below = DiscModel(HalfSpace(E, NU), [[0.0, 0.0]], DEPTH_M, 3e-3)
-    found = below.signals(np.zeros(2), 1e-3)
-    assert np.isfinite(found.by_x).all()
-    assert found.by_x[0, 0] != 0.0
-
-
 def test_mixed_depths_and_compressible() -> None:
     depths = np.random.default_rng(0).choice([0.8e-3, 1.0e-3, 1.3e-3], len(SITES_M))
     found = DiscModel(HalfSpace(E, 0.3), SITES_M, depths, 3e-3).signals(np.array([1e-3, 0.0]), 2e-3)
@@ -110,12 +102,3 @@ def test_refuses_unknown_profiles_and_places_off_the_table(discs: DiscModel) -> 
 def test_sites_too_far_apart_for_a_table_are_refused():
     with pytest.raises(ValueError, match=r"sites span 283 depths, must be at most 200; is a depth of 0.001 m meant"):
         DiscModel(HalfSpace(2e5, 0.5), [[0.0, 0.0], [0.2, 0.2]], 1e-3, 5e-3)
-
-
-def test_the_table_does_not_depend_on_its_blocks(monkeypatch):
-    arguments = HalfSpace(2e5, 0.5), [[0.0, 0.0], [4e-3, 1e-3]], 1e-3, 3e-3
-    whole = DiscModel(*arguments).signals(np.array([1e-3, 5e-4]), 1.3e-3).value
-    monkeypatch.setattr(contact_model, "_BLOCK", 5000)
-    in_blocks = DiscModel(*arguments).signals(np.array([1e-3, 5e-4]), 1.3e-3).value
-    np.testing.assert_allclose(in_blocks, whole, rtol=1e-12, atol=1e-12 * np.abs(whole).max())
-    assert np.abs(whole).max() > 0.0

@@ -1,11 +1,11 @@
-"""The Fourier decoder on contacts whose signals come from superposed Boussinesq and Cerruti point loads."""
+"""The Fourier decoder on contacts whose signals come from closed forms in space."""
 
 import numpy as np
 import pytest
-from point_load_scenes import DEPTH, FORCE, PITCH, E, Scene, decoder, partial_slip, sites
+from point_load_scenes import DEPTH, FORCE, PITCH, E, Scene, decoder, partial_slip
+from sheared_contact import grid_positions
 
 from resonator_daemon.decoding import Decoded, FourierDecoder
-from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.elastic import HalfSpace
 
 
@@ -48,21 +48,12 @@ def test_contact_across_the_border_is_flagged_and_stays_sane(crossing: Scene):
         assert decoded.border_contact
 
 
-def test_gain_errors_do_not_spoil_the_frame(centred: Scene):
-    decode = decoder(centred, 40).decode
-    for gain_std, limit in [(0.01, 0.12), (0.05, 0.25)]:
-        gain = 1 + gain_std * np.random.default_rng(1).standard_normal(centred.signals.shape)
-        decoded = decode(centred.noisy(40, 0) * gain)
-        assert centred.error(decoded) < limit
-        assert decoded.chi2 > 1.2
-
-
 def test_displacement_under_a_hertz_contact():
     """Hertz's surface displacement, absolute: 4 % of it over the whole array, 3 % under the contact."""
     for nu in (0.3, 0.5):
         radius = 2.5e-3
-        scene = partial_slip(nu=nu, friction=0.0, radius=radius)
-        x, y = sites((32, 32))
+        scene = partial_slip(nu=nu, stick=1.0, radius=radius)
+        x, y = grid_positions().T.reshape(2, 32, 32)
         r = np.maximum(np.hypot(x, y), radius)
         peak, inside = 1.5 * FORCE / (np.pi * radius**2), np.hypot(x, y) < radius
         outer = (2 * radius**2 - r**2) * np.arcsin(radius / r) + r * radius * np.sqrt(1 - (radius / r) ** 2)
@@ -75,21 +66,6 @@ def test_displacement_under_a_hertz_contact():
         assert np.linalg.norm((found - truth)[inside]) < 0.03 * np.linalg.norm(truth[inside])
 
 
-def test_sheared_surface_moves_along_the_shear(centred: Scene):
-    """Mindlin: the stick region of a sheared contact moves as one; its displacement in closed form."""
-    radius, stick, friction, nu = 2.5e-3, 0.5, 0.5, 0.5
-    decoded = decoder(centred, 40).decode(centred.noisy(40, 0), displacement=True)
-    assert decoded.displacement_m is not None
-    tangential = friction * FORCE * (1 - stick**3)
-    mu = E / (2 * (1 + nu))
-    slip_term = 1 - (1 - tangential / (friction * FORCE)) ** (2 / 3)
-    truth = 3 * friction * FORCE * (2 - nu) / (16 * mu * radius) * slip_term
-    x, y = sites((32, 32))
-    stuck = np.hypot(x, y) < 0.8 * stick * radius
-    along = decoded.displacement_m[0] * np.cos(np.pi / 6) + decoded.displacement_m[1] * np.sin(np.pi / 6)
-    assert along[stuck].mean() == pytest.approx(truth, rel=0.05)
-
-
 @pytest.mark.parametrize("decibel", [11, 20, 30, 40])
 def test_error_bars_are_right_on_average(centred: Scene, decibel: float):
     decoded = decoder(centred, decibel).decode(np.stack([centred.noisy(decibel, seed) for seed in range(4)]))
@@ -97,12 +73,6 @@ def test_error_bars_are_right_on_average(centred: Scene, decibel: float):
     rms = np.sqrt(np.mean(ratio**2, axis=(0, 2, 3)))
     assert (rms > 0.6).all()
     assert (rms < 1.25).all()
-
-
-def test_evidence_prefers_the_true_noise(centred: Scene):
-    frame = centred.noisy(30, 0)
-    evidence = {decibel: decoder(centred, decibel).decode(frame).log_evidence for decibel in (20, 26, 30)}
-    assert evidence[30] > evidence[26] + 50 > evidence[20] + 100
 
 
 def test_evidence_of_noise_is_the_density_of_white_noise(centred: Scene):
@@ -113,21 +83,6 @@ def test_evidence_of_noise_is_the_density_of_white_noise(centred: Scene):
         density = -0.5 * np.log(2 * np.pi * std**2) - 0.5 * (frame[known] / std) ** 2
         decoded = decoder(centred, 30).decode(np.where(known, frame, np.nan))
         assert decoded.log_evidence == pytest.approx(density.sum(), rel=0.02)
-
-
-def test_noise_declared_far_too_small_is_seen_and_borne(centred: Scene):
-    decoded = decoder(centred, 80).decode(centred.noisy(30, 0))
-    assert decoded.chi2 > 1e4
-    assert decoded.status == "ok"
-    assert centred.error(decoded) < 0.14
-
-
-def test_noise_alone_decodes_to_nothing(centred: Scene):
-    std = centred.noise_std(30)
-    decoded = decoder(centred, 30).decode(std * np.random.default_rng(0).standard_normal((10, 3, 32, 32)))
-    assert np.abs(decoded.traction_pascal).max() < 0.005 * centred.traction.max()
-    assert not decoded.border_contact.any()
-    np.testing.assert_allclose(decoded.chi2, 1.0, atol=0.15)
 
 
 # --- noise of the channels, fixed scale
@@ -154,15 +109,6 @@ def test_noise_std_is_per_channel(centred: Scene):
     np.testing.assert_allclose(mean.traction_pascal, flat.traction_pascal, rtol=1e-9, atol=1e-6)
 
 
-def test_fixed_scale_makes_the_map_linear(centred: Scene):
-    linear = decoder(centred, 30, prior=Prior(std_pascal=1e4))
-    a, b = centred.noisy(30, 0), centred.noisy(30, 1)[:, ::-1]
-    decoded = linear.decode([a, b, 3 * a - 2 * b])
-    combined = 3 * decoded.traction_pascal[0] - 2 * decoded.traction_pascal[1]
-    np.testing.assert_allclose(decoded.traction_pascal[2], combined, atol=1e-9 * np.abs(combined).max())
-    assert centred.error(linear.decode(a)) < 0.14
-
-
 # --- lost and impossible signals
 
 
@@ -175,7 +121,7 @@ def test_scattered_losses_cost_little(centred: Scene, lost: float, decibel: floa
         frame = centred.noisy(decibel, seed)
         whole = decode(frame)
         gone = np.random.default_rng(seed + 50).random(frame.shape) < lost
-        decoded = decode(np.where(gone, np.nan, frame))
+        decoded = decode(np.where(gone, [[[np.nan]], [[-np.inf]], [[10.1]]], frame))
         assert centred.error(decoded) < limit * centred.error(whole)
         assert decoded.status == "ok"
         assert decoded.reason == f"{gone.sum()} of 3072 signals lost and filled in"
@@ -199,18 +145,6 @@ def test_hole_too_wide_to_fill_is_named(centred: Scene):
     frame = centred.noisy(40, 0)
     frame[:, 11:21, 11:21] = np.nan
     assert "too many side by side" in str(decoder(centred, 40).decode(frame).reason)
-
-
-@pytest.mark.parametrize("value", [np.inf, -np.inf, 1e6, -11.0])
-def test_impossible_signals_count_as_lost(centred: Scene, value: float):
-    frame = centred.noisy(30, 0)
-    frame[1, 16, 12] = value
-    marked = frame.copy()
-    marked[1, 16, 12] = np.nan
-    decode = decoder(centred, 30).decode
-    decoded = decode(frame)
-    np.testing.assert_array_equal(decoded.traction_pascal, decode(marked).traction_pascal)
-    assert decoded.reason == "1 of 3072 signals lost and filled in"
 
 
 def assert_unknown(decoded: Decoded) -> None:
@@ -241,14 +175,6 @@ def test_a_frame_that_no_load_explains_is_rejected(centred: Scene):
     assert "unexplained" in str(decoded.reason)
     assert decoded.chi2 > 100
     assert_unknown(decoded)
-
-
-def test_silence_is_a_frame_like_any_other(centred: Scene):
-    decoded = decoder(centred, 30).decode(np.zeros((3, 32, 32)), displacement=True)
-    assert decoded.status == "ok"
-    np.testing.assert_array_equal(decoded.traction_pascal, 0.0)
-    np.testing.assert_array_equal(decoded.displacement_m, 0.0)
-    assert not decoded.border_contact
 
 
 # --- shapes
@@ -282,13 +208,6 @@ def test_a_stack_decodes_as_its_frames_do(centred: Scene):
     assert isinstance(single.border_contact, bool)
 
 
-def test_an_empty_batch_is_empty(centred: Scene):
-    decoded = decoder(centred, 30).decode(np.empty((0, 3, 32, 32)))
-    assert decoded.traction_pascal.shape == (0, 3, 32, 32)
-    assert decoded.displacement_m is None
-    assert decoded.status.shape == (0,)
-
-
 @pytest.mark.parametrize("shape", [(3, 32, 31), (32, 32), (3, 1024), (2, 32, 32), ()])
 def test_refuses_signals_of_another_shape(centred: Scene, shape: tuple[int, ...]):
     with pytest.raises(ValueError, match=r"signals have shape .* must be \(..., 3, 32, 32\)"):
@@ -310,10 +229,3 @@ def test_refuses_parameters(changes: dict, message: str):
     arguments = {"shape": (32, 32), "pitch_m": PITCH, "depth_m": DEPTH, "noise_std": 1e-3} | changes
     with pytest.raises(ValueError, match=message):
         FourierDecoder(HalfSpace(E, 0.5), **arguments)
-
-
-@pytest.mark.parametrize("shape", [(2, 3), (3, 2), (1, 16)])
-def test_smallest_arrays_decode(shape: tuple[int, int]):
-    decoded = FourierDecoder(HalfSpace(E, 0.5), shape, PITCH, 0.0, 1e-3).decode(np.full((3, *shape), 0.1))
-    assert decoded.status == "ok"
-    assert np.isfinite(decoded.traction_pascal).all()

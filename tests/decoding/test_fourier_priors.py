@@ -58,45 +58,6 @@ def test_the_printed_recipe_is_a_setting(centred: Scene, decibel: float):
     assert centred.error(found) > 1.3 * centred.error(decoder(centred, decibel).decode(frame))
 
 
-def test_errors_of_the_printed_recipe_on_record(centred: Scene):
-    """They grow with the signal-to-noise ratio, here the same in each channel; white, of the true mean powers."""
-    powers = np.mean(centred.traction**2, axis=(1, 2))
-    rms = np.sqrt(np.mean(centred.signals**2, axis=(1, 2)))
-    settings: list[dict[str, Any]] = [
-        {
-            "extension": "periodic",
-            "spectra": lambda x, y: np.broadcast_to(powers, (y.size, x.size, 3)),
-            "prior": Prior(std_pascal=np.sqrt(powers[2])),
-        },
-        {"extension": "periodic"},
-        {},
-    ]
-    for decibel, published in RECORD:
-        std = rms * 10 ** (-decibel / 20)
-        noise = std[:, None, None] * np.random.default_rng(0).standard_normal((4, 3, 32, 32))
-        errors = []
-        for keywords in settings:
-            found = FourierDecoder(SKIN, (32, 32), PITCH, DEPTH, std, **keywords).decode(centred.signals + noise)
-            off = (found.traction_pascal - centred.traction).reshape(4, -1)
-            errors.append(np.mean(np.linalg.norm(off, axis=1)) / np.linalg.norm(centred.traction))
-        printed, periodic, default = errors
-        assert printed == pytest.approx(published, abs=0.015)
-        assert default < periodic < 0.75 * printed
-
-
-def test_without_regularisation_only_a_frame_without_noise_decodes(centred: Scene):
-    forward = transfer((32, 32))
-    plain = decoder(centred, 30, extension="periodic", spectra="white", prior=Prior(std_pascal=1e30))
-    model_signals = filtered(forward, centred.traction)
-    np.testing.assert_allclose(
-        plain.decode(model_signals).traction_pascal, centred.traction, atol=1e-8 * centred.traction.max()
-    )
-    noisy = plain.decode(centred.noisy(30, 0))
-    expected = filtered(np.linalg.inv(forward), centred.noisy(30, 0))
-    np.testing.assert_allclose(noisy.traction_pascal, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
-    assert centred.error(noisy) > 100
-
-
 def test_displacement_of_a_periodic_load_on_an_oblong_array():
     """A cosine pressure indents by 2 (1 - nu^2) / (E omega) times itself; its level does not."""
     shape, nu = (24, 30), 0.3
@@ -219,15 +180,6 @@ def test_refuses_parameters(keywords: Any, message: str):
 # --- sliding contacts
 
 
-def test_the_printed_spectra_of_a_sliding_contact_are_no_covariance():
-    mu = 0.5
-    printed = np.array([[mu**2, 0, mu], [0, mu**2, mu], [mu, mu, 1]])
-    with pytest.raises(ValueError, match=r"prior has the eigenvalue -0\.175, must have none below 0"):
-        FourierDecoder(
-            SKIN, (32, 32), PITCH, DEPTH, 1e-3, spectra=lambda x, y: np.broadcast_to(printed, (y.size, x.size, 3, 3))
-        )
-
-
 def test_sliding_is_a_mixture_of_gaussians_over_the_directions():
     """Evidence, mean and variance of 36 dense Gaussian models, their moments by averaging over angles."""
     mu, std, prior_std, sectors = 0.4, 4e-3, 2e3, 36
@@ -271,43 +223,6 @@ def test_sliding_is_a_mixture_of_gaussians_over_the_directions():
     np.testing.assert_allclose(
         found.traction_std_pascal.reshape(3, size), np.sqrt(within + between[:, None]), rtol=5e-3
     )
-
-
-@pytest.mark.parametrize(
-    ("degrees", "decibel", "tangential", "normal"),
-    [(30.0, 11, 0.19, 0.18), (35.0, 11, 0.19, 0.18), (-100.0, 20, 0.14, 0.13), (35.0, 30, 0.10, 0.095)],
-)
-def test_sliding_contact_of_unknown_direction(degrees: float, decibel: float, tangential: float, normal: float):
-    """Less than 0.65 of the error of the shear, wherever the direction lies in its sector."""
-    scene = partial_slip(stick=1e-6, direction=np.deg2rad(degrees))
-    frames = np.stack([scene.noisy(decibel, seed) for seed in range(4)])
-    found = decoder(scene, decibel, sliding_friction=0.5).decode(frames)
-    plain = decoder(scene, decibel).decode(frames)
-    off, off_plain = found.traction_pascal - scene.traction, plain.traction_pascal - scene.traction
-    assert np.linalg.norm(off[:, :2]) < 0.65 * np.linalg.norm(off_plain[:, :2])
-    assert np.linalg.norm(off[:, :2]) < tangential * 2 * np.linalg.norm(scene.traction[:2])
-    assert np.linalg.norm(off[:, 2]) < normal * 2 * np.linalg.norm(scene.traction[2])
-    assert (found.log_evidence > plain.log_evidence).all()
-    z_scores = np.sqrt(np.mean((off / found.traction_std_pascal) ** 2, axis=(0, 2, 3)))
-    assert (z_scores > 0.7).all()
-    assert (z_scores < 1.35).all()
-
-
-def test_without_friction_every_direction_is_the_same(centred: Scene):
-    """Then the average is any one of its members, evidence included."""
-    frame = centred.noisy(30, 0)
-    found = decoder(centred, 30, sliding_friction=1e-4).decode(frame)
-    plain = decoder(centred, 30, prior=Prior(tangential_ratio=5e-9)).decode(frame)
-    assert found.log_evidence == pytest.approx(plain.log_evidence, abs=1.0)
-    np.testing.assert_allclose(
-        found.traction_pascal[2], plain.traction_pascal[2], atol=1e-3 * plain.traction_pascal.max()
-    )
-
-
-def test_a_contact_that_sticks_in_part_shows_in_chi2(centred: Scene):
-    frame = centred.noisy(30, 0)
-    assert decoder(centred, 30, sliding_friction=0.5).decode(frame).chi2 > 1.4
-    assert decoder(centred, 30).decode(frame).chi2 < 1.1
 
 
 def test_lost_signals_of_a_sliding_contact():

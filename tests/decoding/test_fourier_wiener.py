@@ -4,14 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.sparse.linalg import lsqr
 from scipy.stats import multivariate_normal
 
 from resonator_daemon.decoding.fourier.extension import (
     ExtendedTransform,
-    extended_length,
     extension_matrix,
-    noise_power,
 )
 from resonator_daemon.decoding.fourier.wiener import SpectralWiener
 from resonator_daemon.elastic import HalfSpace, SpectralGrid
@@ -57,22 +54,6 @@ def in_space(spectrum: NDArray) -> NDArray:
     return fft.irfft2(spectrum.reshape(3, SHAPE[0], -1), s=SHAPE, norm="ortho").ravel()
 
 
-@pytest.mark.parametrize("q", BANK)
-def test_estimate_is_the_regularised_least_squares_solution(problem: dict[str, NDArray], q: float):
-    decoder = wiener(problem, np.array([q]))
-    fit = decoder.fit(spectrum(problem["signals"]), 1.0)
-    scaled_prior = np.sqrt(q) * dense(problem["prior_root"])
-    noise = np.repeat(NOISE_STD, SIZE // 3)
-    forward = dense(problem["forward"])
-    solution = lsqr(
-        (forward @ scaled_prior) / noise[:, None], problem["signals"] / noise, damp=1.0, atol=1e-14, btol=1e-14
-    )[0]
-    expected = scaled_prior @ solution
-    np.testing.assert_allclose(in_space(decoder.tractions(fit)), expected, atol=1e-10 * np.abs(expected).max())
-    predicted = forward @ expected
-    np.testing.assert_allclose(in_space(decoder.signals(fit)), predicted, atol=1e-10 * np.abs(predicted).max())
-
-
 def test_likelihood_and_posterior_are_those_of_the_joint_gaussian(problem: dict[str, NDArray]):
     noise = np.diag(np.repeat(NOISE_STD**2, SIZE // 3))
     prior_root = dense(problem["prior_root"])
@@ -110,30 +91,6 @@ def test_variance_grows_to_that_of_the_prior_where_nothing_is_known(problem: dic
     np.testing.assert_allclose(variance[0, :, 3], prior, rtol=2e-3)
 
 
-def test_extension_repeats_the_edges_and_tapers_to_zero():
-    values = np.array([3.0, 1.0, 2.0, 5.0, 4.0, 1.0, 6.0, 2.0])
-    extended = extension_matrix(8, 12) @ values
-    np.testing.assert_array_equal(extended[:8], values)
-    assert 2.0 > extended[8] > extended[9] > 0.0
-    assert 3.0 > extended[11] > extended[10] > 0.0
-    long = extension_matrix(8, 48) @ values
-    np.testing.assert_array_equal(long[10:46], 0.0)
-    np.testing.assert_array_equal(extension_matrix(5, 6) @ values[:5], [*values[:5], 0.0])
-
-
-@pytest.mark.parametrize(("count", "length"), [(32, 48), (1, 2), (16, 24), (64, 96), (33, 50), (400, 600)])
-def test_extended_length(count: int, length: int):
-    assert extended_length(count) == length
-
-
-def test_noise_power_is_what_extended_noise_shows():
-    matrix = extension_matrix(16, 24)
-    noise = np.random.default_rng(5).standard_normal((16, 20000))
-    measured = (np.abs(fft.fft(matrix @ noise, axis=0, norm="ortho")) ** 2).mean(axis=1)
-    np.testing.assert_allclose(noise_power(matrix), measured, rtol=0.06)
-    np.testing.assert_allclose(noise_power(matrix).sum(), (matrix**2).sum())
-
-
 @pytest.mark.parametrize(("shape", "side"), [((32, 32), 48), ((5, 7), 12)])
 def test_extended_transform_is_that_of_the_extended_field(shape: tuple[int, int], side: int):
     transform = ExtendedTransform(shape, "taper")
@@ -145,15 +102,3 @@ def test_extended_transform_is_that_of_the_extended_field(shape: tuple[int, int]
     np.testing.assert_allclose(transform.to_space(spectrum), fields, atol=1e-13)
     assert transform.extended_shape == (side, side)
     assert transform.samples_share == pytest.approx(shape[0] * shape[1] / side**2)
-
-
-@pytest.mark.parametrize("shape", [(6, 8), (5, 7)])
-def test_periodic_transform_extends_nothing(shape: tuple[int, int]):
-    transform = ExtendedTransform(shape, "periodic")
-    fields = np.random.default_rng(3).standard_normal((3, *shape))
-    expected = fft.rfft2(fields, norm="ortho").reshape(3, -1)
-    np.testing.assert_allclose(transform.to_spectrum(fields), expected, atol=1e-13)
-    np.testing.assert_allclose(transform.to_space(expected), fields, atol=1e-13)
-    np.testing.assert_allclose(transform.noise_power, 1.0)
-    assert transform.extended_shape == shape
-    assert transform.samples_share == 1.0

@@ -1,9 +1,6 @@
 """The open-plane decoder on contacts whose signals come from closed forms."""
 
-import pickle
 import warnings
-from copy import deepcopy
-from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -26,12 +23,6 @@ def decoder() -> OpenPlaneDecoder:
     return OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD)
 
 
-@pytest.fixture(scope="module")
-def equal_decoder() -> OpenPlaneDecoder:
-    """Its prior has equal power in all components."""
-    return OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, prior=Prior(tangential_ratio=1.0))
-
-
 def at(truth: Scene, decibel: float) -> Scene:
     """The scene, as strong as the noise of the fixtures' decoders makes it."""
     scale = NOISE_STD / noise_std(decibel)
@@ -50,41 +41,24 @@ def mean_error(truth: Scene, tractions) -> float:
 
 
 @pytest.mark.parametrize(
-    ("decibel", "equal", "shaped"), [(11, 0.254, 0.232), (20, 0.192, 0.176), (30, 0.138, 0.127), (40, 0.106, 0.090)]
+    ("centre_m", "decibel", "limit"),
+    [
+        ((0.0, 0.0), 11, 0.232),
+        ((0.0, 0.0), 20, 0.176),
+        ((0.0, 0.0), 30, 0.127),
+        ((0.0, 0.0), 40, 0.090),
+        ((5.5e-3, 0.0), 20, 0.176),
+        ((5.5e-3, 0.0), 40, 0.093),
+    ],
 )
-def test_centred_contact(decoder, equal_decoder, decibel: float, equal: float, shaped: float):
-    """Limits for a prior of equal power in all components, and for the default."""
-    truth = at(scene(), decibel)
-    for one, limit in ((equal_decoder, equal), (decoder, shaped)):
-        decoded = one.decode(frames(truth))
-        assert mean_error(truth, decoded.traction_pascal) < limit
-        assert (decoded.status == "ok").all()
-        assert (decoded.reason == "").all()
-        assert not decoded.border_contact.any()
-        assert decoded.chi2 == pytest.approx(np.ones(DRAWS), abs=0.1)
-
-
-@pytest.mark.parametrize(("decibel", "equal", "shaped"), [(20, 0.196, 0.176), (30, 0.147, 0.130), (40, 0.109, 0.093)])
-def test_contact_across_the_border_is_no_worse(decoder, equal_decoder, decibel: float, equal: float, shaped: float):
-    truth = at(scene((5.5e-3, 0.0)), decibel)
-    for one, limit in ((equal_decoder, equal), (decoder, shaped)):
-        decoded = one.decode(frames(truth))
-        assert mean_error(truth, decoded.traction_pascal) < limit
-        assert decoded.border_contact.all()
-
-
-def test_contact_beside_the_array_does_not_spoil_the_one_within(decoder):
-    within, beside = scene(), scene((9.5e-3, 0.0))
-    both = Scene(within.signals + beside.signals, within.traction + beside.traction)
-    assert mean_error(both, decoder.decode(frames(both)).traction_pascal) < 0.15
-
-
-@pytest.mark.parametrize("nu", [0.0, 0.4])
-def test_compressible_skin_and_another_direction(nu: float):
-    truth = scene((0.9e-3, -1.7e-3), nu=nu, direction=2.0)
-    std = float(np.sqrt(np.mean(truth.signals**2)) * 10 ** (-30 / 20))
-    decoder = OpenPlaneDecoder(HalfSpace(YOUNGS_PASCAL, nu), grid_positions(), DEPTH_M, std)
-    assert truth.error(decoder.decode(truth.frame(std, 0)).traction_pascal) < 0.14
+def test_contact_in_the_centre_and_across_the_border(decoder, centre_m, decibel: float, limit: float):
+    truth = at(scene(centre_m), decibel)
+    decoded = decoder.decode(frames(truth))
+    assert mean_error(truth, decoded.traction_pascal) < limit
+    assert (decoded.status == "ok").all()
+    assert (decoded.reason == "").all()
+    assert (decoded.border_contact == (centre_m[0] > 0.0)).all()
+    assert decoded.chi2 == pytest.approx(np.ones(DRAWS), abs=0.1)
 
 
 def test_scattered_sites_at_mixed_depths_asked_on_a_grid():
@@ -103,18 +77,6 @@ def test_scattered_sites_at_mixed_depths_asked_on_a_grid():
     assert whole.error(decoded.traction_pascal) < 0.2
     wrong = OpenPlaneDecoder(SKIN, sites, 1.05e-3, std)
     assert wrong.decode(whole.frame(std, 0)).log_evidence < decoded.log_evidence - 20
-
-
-def test_hertz_displacement(decoder):
-    """Hertz's indentation under pressure alone: u_z = (1 - nu^2) pi p0 (2 a^2 - r^2) / (4 a E) within the contact."""
-    truth = scene(stick_ratio=1.0)
-    decoded = decoder.decode(frames(truth, 1)[0].reshape(GRID), displacement=True)
-    assert decoded.displacement_m is not None
-    radius, peak = 2.5e-3, 1.5 / (np.pi * 2.5e-3**2)
-    square = np.sum(grid_positions() ** 2, axis=1).reshape(GRID[1:])
-    inside = square < radius**2
-    expected = 0.75 * np.pi * peak * (2 * radius**2 - square) / (4 * radius * YOUNGS_PASCAL)
-    assert np.abs(decoded.displacement_m[2] - expected)[inside].max() < 0.05 * expected.max()
 
 
 # --- the linear algebra
@@ -173,26 +135,6 @@ def test_estimate_std_and_evidence_are_those_of_the_dense_gaussian():
         assert decoded.chi2 == pytest.approx(energy / known.sum(), rel=1e-3)
 
 
-def test_a_stored_and_restored_decoder_decodes_alike(decoder):
-    frame = frames(scene(), 1)[0]
-    lost = np.where(np.random.default_rng(1).random(frame.shape) < 0.02, np.nan, frame)
-    before = [decoder.decode(signals, displacement=True) for signals in (frame, lost)]
-    restored = pickle.loads(pickle.dumps(decoder))
-    for signals, expected in zip((frame, lost), before, strict=True):
-        decoded = restored.decode(signals, displacement=True)
-        for field in fields(expected):
-            assert np.array_equal(getattr(decoded, field.name), getattr(expected, field.name))
-
-
-def test_a_result_outlives_the_next_frame(decoder):
-    first = decoder.decode(frames(scene(), 1)[0], displacement=True)
-    kept = deepcopy(first)
-    decoder.decode(frames(scene((3e-3, 1e-3)), 1)[0], displacement=True)
-    assert np.array_equal(first.traction_pascal, kept.traction_pascal)
-    assert np.array_equal(first.traction_std_pascal, kept.traction_std_pascal)
-    assert np.array_equal(first.displacement_m, kept.displacement_m)
-
-
 # --- faults
 
 
@@ -210,14 +152,6 @@ def test_dead_sites_cost_little(decoder):
     gone = np.isin(np.arange(1024), dead)
     std = decoded.traction_std_pascal
     assert (std[..., away & gone].mean(axis=-1) > 1.01 * std[..., away & ~gone].mean(axis=-1)).all()
-
-
-def test_gain_errors():
-    truth = at(scene(), 40)
-    told = OpenPlaneDecoder(SKIN, grid_positions(), DEPTH_M, NOISE_STD, gain_std=0.05)
-    gains = 1 + 0.05 * np.random.default_rng(1).standard_normal((DRAWS, 3, 1024))
-    decoded = told.decode(frames(truth) * gains)
-    assert mean_error(truth, decoded.traction_pascal) < 0.16
 
 
 def test_gain_std_is_noise_of_one_and_a_half_times_that_share_of_the_rms():
@@ -241,14 +175,6 @@ def test_noise_declared_too_small_is_seen_and_widens_the_error_bars():
     assert untold.chi2 > 50
     ratio = untold.traction_std_pascal / told.traction_std_pascal
     assert np.median(ratio) == pytest.approx(1.0, abs=0.1)
-
-
-def test_gain_errors_that_nobody_told_of_are_seen_and_borne(decoder):
-    truth = at(scene(), 40)
-    gains = 1 + 0.05 * np.random.default_rng(1).standard_normal((DRAWS, 3, 1024))
-    decoded = decoder.decode(frames(truth) * gains)
-    assert mean_error(truth, decoded.traction_pascal) < 0.2
-    assert (decoded.chi2 > 1.5).all()
 
 
 def test_anomaly_scores_point_at_the_dead_site(decoder):
@@ -317,15 +243,6 @@ def test_what_no_load_makes_is_rejected(decoder):
     assert np.isnan(decoded.traction_pascal).all()
 
 
-def test_no_load_decodes_to_nothing(decoder):
-    noise = noise_std(30) * np.random.default_rng(0).standard_normal(GRID)
-    for frame in (noise, np.zeros(GRID)):
-        decoded = decoder.decode(frame)
-        assert decoded.status == "ok"
-        assert (np.abs(decoded.traction_pascal) < 4 * decoded.traction_std_pascal).all()
-        assert not decoded.border_contact
-
-
 def test_shapes_of_signals(decoder):
     frame = frames(scene(), 1)[0]
     flat = decoder.decode(frame)
@@ -358,9 +275,3 @@ def test_parameters_out_of_range(change, message: str):
     sound = {"site_positions_m": grid_positions((8, 8)), "depth_m": 1e-3, "noise_std": 1e-5}
     with pytest.raises(ValueError, match=message):
         OpenPlaneDecoder(SKIN, **(sound | change))
-
-
-def test_two_sites_at_one_place():
-    sites = np.vstack([grid_positions((8, 8)), grid_positions((8, 8))[5]])
-    with pytest.raises(ValueError, match="sites 5 and 64"):
-        OpenPlaneDecoder(SKIN, sites, 1e-3, 1e-5)

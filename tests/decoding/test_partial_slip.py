@@ -43,15 +43,6 @@ def test_recovers_a_frame_without_noise(discs: DiscModel, friction: Friction | N
     np.testing.assert_allclose(found.friction_coefficient, 0.5, rtol=1e-2)
 
 
-@pytest.mark.parametrize("ratio", [0.3, 0.6, 0.8])
-def test_without_noise_the_best_is_the_truth(discs: DiscModel, ratio: float) -> None:
-    scene = replace(SCENE, stick_ratio=ratio)
-    found = one(discs, scene.signals, noise_std(scene.signals, 40.0), scene, None)
-    truth = np.array([*scene.centre_m, scene.radius_m, *scene.force_newton, ratio**3])
-    estimate = np.array([*found.centre_m, found.radius_m, *found.force_newton, found.slip_margin])
-    assert np.abs((estimate - truth) / np.sqrt(np.diag(found.covariance))).max() < 0.2
-
-
 @pytest.mark.parametrize(
     ("friction", "decibel", "limit"),
     [(Friction(0.5), 11.0, 0.03), (Friction(0.5), 30.0, 0.005), (None, 20.0, 0.025)],
@@ -75,45 +66,11 @@ def test_noisy_frames_with_honest_errors(
     assert ((rms > 0.6) & (rms < 1.5)).all()
 
 
-def test_wrong_depth_and_modulus(discs: DiscModel) -> None:
-    rng = np.random.default_rng(2)
-    wrong = model(1.05 * E, 1.05 * DEPTH_M)
-    ratios: dict[Friction | None, list[float]] = {None: [], Friction(0.5, 0.025): []}
-    for _ in range(20):
-        scene = Scene.random(rng)
-        signals = noisy(scene.signals, 20.0, rng) * np.array([[1.0 / 1.05], [1.0], [1.0]])
-        for friction, errors in ratios.items():
-            found = one(wrong, signals, noise_std(scene.signals, 20.0), scene, friction)
-            errors.append(found.stick_ratio - scene.stick_ratio)
-    for errors in ratios.values():
-        assert np.sqrt(np.mean(np.square(errors))) <= 0.05
-
-
-def test_two_contacts_in_each_others_field(discs: DiscModel) -> None:
-    left, right = Scene((-3e-3, 1e-3), 1.8e-3, 0.4, 0.3), Scene((2.5e-3, -1e-3), 2.1e-3, 0.7, 2.0, normal_newton=0.6)
-    signals = left.signals + right.signals
-    noise = noise_std(signals, 30.0)
-    frame = noisy(signals, 30.0, np.random.default_rng(3))
-    for friction in (None, Friction(0.5)):
-        found = fit_partial_slip(discs, frame, noise, [about(left, friction), about(right)])
-        for scene, contact in zip((left, right), found, strict=True):
-            assert abs(contact.slip_margin - scene.stick_ratio**3) < 4.0 * contact.slip_margin_std < 0.3
-            np.testing.assert_allclose(contact.force_newton, scene.force_newton, atol=0.01)
-
-
 def test_gross_slip_beyond_the_friction_given_is_seen(discs: DiscModel) -> None:
     scene = replace(SCENE, stick_ratio=0.0, mu=0.3)
     found = one(discs, scene.signals, noise_std(scene.signals, 30.0), scene, Friction(0.5, 0.05))
     assert found.slip_margin < 0.02
     assert found.friction_coefficient == pytest.approx(0.3, rel=0.02)
-
-
-def test_lost_signals_drop_out(discs: DiscModel) -> None:
-    rng = np.random.default_rng(4)
-    frame = noisy(SCENE.signals, 30.0, rng)
-    frame[:, rng.permutation(frame.shape[1])[:500]] = np.nan
-    found = one(discs, frame, noise_std(SCENE.signals, 30.0), SCENE, Friction(0.5))
-    assert abs(found.stick_ratio - SCENE.stick_ratio) < 0.02
 
 
 @pytest.mark.parametrize("decibel", [11.0, 20.0, 30.0])
@@ -128,18 +85,6 @@ def test_without_shear_the_margin_is_unknown_and_the_pose_is_not(discs: DiscMode
         assert found.radius_m == pytest.approx(scene.radius_m, rel=0.03)
 
 
-def test_with_friction_known_no_shear_is_full_margin(discs: DiscModel) -> None:
-    scene = replace(SCENE, stick_ratio=1.0)
-    found = one(
-        discs,
-        noisy(scene.signals, 20.0, np.random.default_rng(6)),
-        noise_std(scene.signals, 20.0),
-        scene,
-        Friction(0.5),
-    )
-    assert found.slip_margin > 0.97
-
-
 def test_another_shape_is_unknown(discs: DiscModel) -> None:
     flat = DiscModel(HalfSpace(E, NU), SITES_M, DEPTH_M, 3e-3, "flat").signals(np.zeros(2), 2.5e-3).value
     signals = flat[2] + 0.2 * flat[0]
@@ -147,13 +92,6 @@ def test_another_shape_is_unknown(discs: DiscModel) -> None:
     assert found.status == "unknown"
     assert "energy fits no such contact" in found.reason
     assert np.isnan([*found.force_newton, found.radius_m, found.slip_margin]).all()
-
-
-def test_noise_alone_is_unknown(discs: DiscModel) -> None:
-    frame = np.random.default_rng(7).standard_normal((3, len(SITES_M)))
-    found = fit_partial_slip(discs, frame, 1.0, [ContactStart((0.0, 0.0), 2e-3)])[0]
-    assert found.status == "unknown"
-    assert np.isnan(found.force_newton).all()
 
 
 @pytest.mark.parametrize("factor", [np.nan, 1e6])

@@ -32,13 +32,6 @@ def test_ids_follow_two_that_pass_each_other() -> None:
         assert {i: float(one.centroid_m[1]) for i, one in found.items()} == ids
 
 
-def test_order_does_not_matter() -> None:
-    tracker = PatchTracker()
-    tracker.update([patch(-3.0), patch(3.0)])
-    found = tracker.update([patch(3.2), patch(-3.1)])
-    assert {i: round(1e3 * float(one.centroid_m[0]), 1) for i, one in found.items()} == {1: -3.1, 2: 3.2}
-
-
 def test_a_jump_is_another_contact() -> None:
     tracker = PatchTracker()
     tracker.update([patch(0.0, radius_mm=1.5)])
@@ -64,14 +57,6 @@ def test_new_and_lost_ones() -> None:
     assert tracker.update([]) == {}
 
 
-def test_the_nearer_of_two_keeps_the_id() -> None:
-    tracker = PatchTracker()
-    tracker.update([patch(0.0)])
-    found = tracker.update([patch(1.5), patch(-0.2)])
-    assert float(found[1].centroid_m[0]) == pytest.approx(-2e-4)
-    assert sorted(found) == [1, 2]
-
-
 def test_one_out_of_reach_does_not_push_another_off() -> None:
     tracker = PatchTracker()
     tracker.update([patch(0.0, radius_mm=1.0), patch(1.9, radius_mm=2.0)])
@@ -89,21 +74,6 @@ def test_those_that_are_missing_for_a_moment_are_followed_on() -> None:
         assert tracker.ids == {1, 2}
     tracker.update([patch(0.0)])
     assert tracker.ids == {1}
-
-
-def test_after_a_new_start_nothing_is_followed_and_ids_go_on() -> None:
-    tracker = PatchTracker()
-    tracker.update([patch(0.0), patch(6.0)])
-    tracker.clear()
-    assert tracker.ids == frozenset()
-    assert list(tracker.update([patch(0.0)])) == [3]
-    assert tracker.last_id == 3
-
-
-def test_ids_follow_those_of_another() -> None:
-    tracker = PatchTracker()
-    tracker.last_id = 41
-    assert list(tracker.update([patch(0.0)])) == [42]
 
 
 def test_refuses() -> None:

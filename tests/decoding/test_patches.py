@@ -35,29 +35,12 @@ def test_one_contact() -> None:
     assert not patch.at_border
 
 
-def test_flat_and_grid_maps_are_the_same() -> None:
-    traction = pressed((0.1, 0.0, 1.0), (0.0, 0.0), 2e-3)
-    (grid,), (flat,) = find(traction), find(traction.reshape(3, -1))
-    np.testing.assert_array_equal(grid.places, flat.places)
-    np.testing.assert_array_equal(grid.force_newton, flat.force_newton)
-
-
 def test_two_contacts_keep_their_own_load() -> None:
     traction = pressed((0.0, 0.2, 0.4), (-3e-3, 1e-3), 1.6e-3) + pressed((0.3, 0.0, 1.0), (2.6e-3, -1e-3), 2e-3)
     heavy, light = find(traction)
     np.testing.assert_allclose(heavy.force_newton, [0.3, 0.0, 1.0], atol=1e-3)
     np.testing.assert_allclose(light.force_newton, [0.0, 0.2, 0.4], atol=1e-3)
     assert not set(heavy.places) & set(light.places)
-
-
-def test_places_between_two_patches_count_once() -> None:
-    pair = pressed((0.0, 0.0, 1.0), (-1.8e-3, 0.0), 1.5e-3) + pressed((0.0, 0.0, 1.0), (1.8e-3, 0.0), 1.5e-3)
-    traction = pair + 50.0  # a carpet that every place carries
-    left, right = find(traction)
-    wide = FINDER.find(np.where(pair > 0.0, traction, 50.0), STD.reshape(traction.shape))
-    assert left.force_newton[2] == pytest.approx(right.force_newton[2], rel=1e-6)
-    assert len(wide) == 2
-    assert left.force_newton[2] - 1.0 < 50.0 * np.pi * (1.5e-3 + 1.6e-3) ** 2
 
 
 def test_small_bumps_and_noise_are_no_contacts() -> None:

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions, scene
+from sheared_contact import DEPTH_M, YOUNGS_PASCAL, grid_positions
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.open_plane.decoder import OpenPlaneDecoder
-from resonator_daemon.decoding.open_plane.prior_fit import PriorFit, fit_prior, has_load
+from resonator_daemon.decoding.open_plane.prior_fit import fit_prior, has_load
 from resonator_daemon.decoding.prior import Prior
-from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
 
 SKIN = HalfSpace(YOUNGS_PASCAL, 0.5)
@@ -77,30 +76,6 @@ def test_recovers_the_prior_that_loads_are_drawn_from(sites_m: Floats, length_m:
     assert best > max(evidence(1.3 * length_m, ratio), evidence(length_m / 1.3, ratio))
 
 
-def contacts(sheared: bool) -> PriorFit:
-    rng = np.random.default_rng(2)
-    scenes = [
-        scene(
-            (rng.uniform(-1e-3, 1e-3), rng.uniform(-1e-3, 1e-3)),
-            positions_m=SITES_M,
-            radius_m=1.2e-3,
-            direction=rng.uniform(0.0, 2.0 * np.pi),
-            stick_ratio=0.3 if sheared else 1.0,
-        )
-        for _ in range(6)
-    ]
-    frames, std = noisy(np.array([one.signals for one in scenes]), 30.0, rng)
-    return fit_prior(SKIN, SITES_M, DEPTH_M, frames, std)
-
-
-def test_contacts_that_are_sheared_show_in_the_ratio() -> None:
-    sheared, pressed = contacts(sheared=True), contacts(sheared=False)
-    assert 0.05 < sheared.tangential_ratio < 1.0
-    assert 0.5e-3 < sheared.correlation_length_m < 4e-3
-    assert pressed.tangential_ratio < 0.3 / 8.0
-    assert pressed.log_evidence_gain > 10.0
-
-
 def test_what_frames_do_not_bound_has_an_infinite_error() -> None:
     """An even load over all sites is longer than any prior tried, and without shear."""
     frame = np.zeros((2, 3, 25))
@@ -119,12 +94,6 @@ def test_load_is_energy_beyond_noise() -> None:
     noise[:, :, 40:] = np.nan
     noise[:, 0, 0] = np.inf
     assert np.count_nonzero(has_load(noise, 1.0)) <= 1
-
-
-def test_starts_from_the_prior_that_decoders_take_by_default() -> None:
-    skin = Skin(SKIN, SITES_M, DEPTH_M)
-    decoder = OpenPlaneDecoder(SKIN, SITES_M[:30], DEPTH_M, 1e-5)
-    assert skin.prior == decoder.prior == Prior(1e-3, 0.3)
 
 
 def test_refuses() -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.special import jv, k1
+from scipy.special import jv
 
 from resonator_daemon.decoding.open_plane.prior_tables import StationaryPrior
 from resonator_daemon.decoding.prior import Prior
@@ -61,29 +61,6 @@ def test_closed_radial_forms(nu: float, angle: float, distance_m: float):
     assert found == pytest.approx(np.array(surface), abs=1e-5 * STD**2)
 
 
-def test_covariances_by_fourier_transform_on_a_large_square():
-    """Every field and sensor row by a plain two-dimensional sum, at a compressible skin and unequal depths."""
-    nu, side, count = 0.3, 0.1024, 512
-    space = HalfSpace(2e5, nu)
-    omega = 2 * np.pi * np.fft.fftfreq(count, side / count)
-    wx, wy = np.meshgrid(omega, omega)
-    power = 4 * np.pi * L**2 * STD**2 / (1 + (wx**2 + wy**2) * L**2) ** 2 / side**2
-    offsets = np.array([[0.0, 0.0], [1.1e-3, -0.4e-3], [-3e-3, 2e-3], [0.0, 5e-3]])
-    right = space.transfer_matrix("sensor", "traction", wx, wy, 1.5e-3)
-    shares = np.array([RATIO, RATIO, 1.0])
-    for field, depth_m in (("sensor", 0.7e-3), ("traction", 0.0)):
-        left = np.eye(3) if field == "traction" else space.transfer_matrix("sensor", "traction", wx, wy, depth_m)
-        density = (left * shares) @ right.conj().swapaxes(-1, -2) * power[..., None, None]
-        if field == "sensor":  # the mean over all directions; the product of the means is not it
-            density[0, 0] = np.diag([RATIO + 1, RATIO, RATIO]) * power[0, 0] / (4 * space.shear_modulus_pascal**2)
-        found = prior(nu).kernel(field, depth_m, "sensor", 1.5e-3, 0.02)(offsets)
-        limit = 5e-4 * np.abs(found).max()  # the period's images
-        for offset, matrix in zip(offsets, found, strict=True):
-            phase = np.exp(1j * (wx * offset[0] + wy * offset[1]))
-            expected = (density * phase[..., None, None]).sum(axis=(0, 1)).real
-            assert np.abs(matrix - expected).max() < limit
-
-
 def test_displacement_of_an_incompressible_skin():
     """At nu = 1/2 f_z alone moves the surface along z: omega u_z = f_z / (2 mu)."""
     mu = 2e5 / 3
@@ -91,16 +68,6 @@ def test_displacement_of_an_incompressible_skin():
     found = prior().kernel("displacement", 0.0, "sensor", Z, 0.02)(offset)[2, 0]
     expected = -hankel(0, lambda t: Z / t, 1.7e-3, 1) / (2 * mu)
     assert found * 2 * mu == pytest.approx(expected, rel=1e-5)
-
-
-def test_variance_of_the_traction():
-    """The sensor at great shallowness sees the traction itself: rows -f_z, -f_x, -f_y over 2 mu."""
-    mu = 2e5 / 3
-    assert prior().traction_variance == pytest.approx(STD**2 * np.array([RATIO, RATIO, 1.0]))
-    shallow = prior().kernel("traction", 0.0, "sensor", 1e-4, 2e-3)
-    at_once, apart = shallow(np.array([[0.0, 0.0], [1.3e-3, 0.0]])) * -2 * mu
-    assert at_once[2, 0] == pytest.approx(STD**2, rel=0.12)
-    assert apart[2, 0] == pytest.approx(STD**2 * 1.3e-3 / L * k1(1.3e-3 / L), rel=0.12)
 
 
 def test_depth_too_shallow_for_a_table():

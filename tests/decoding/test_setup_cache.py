@@ -2,15 +2,11 @@
 
 import logging
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from resonator_daemon import decoding, elastic
-from resonator_daemon.decoding import setup_cache
 from resonator_daemon.decoding.setup_cache import cached
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
 from resonator_daemon.elastic import HalfSpace
@@ -59,56 +55,29 @@ def test_anything_else_is_built(directory: Path, changed: dict[str, float]) -> N
     assert cached(depends_on(), build) == 101
 
 
-def test_other_code_and_other_libraries_build_anew(
-    directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert set(setup_cache._CODE) == {Path(room.__path__[0]) for room in (decoding, elastic)}
-    source = tmp_path / "code" / "decoder.py"
-    source.parent.mkdir()
-    source.write_text("a = 1\n")
-    monkeypatch.setattr(setup_cache, "_CODE", (source.parent,))
+def test_other_libraries_build_anew(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     build = Builder()
     cached("key", build)
-    source.write_text("a = 2\n")
-    assert cached("key", build) == 102
     monkeypatch.setattr(np, "__version__", "0.1")
-    assert cached("key", build) == 103
-    monkeypatch.undo()
-
-
-def test_another_process_finds_it(directory: Path) -> None:
-    """Strings and sets hash anew in each process; the name of the file must not."""
-    assert cached(depends_on(), Builder()) == 101
-    code = "from test_setup_cache import *; print(cached(depends_on(), lambda: 0))"
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(Path(__file__).parent)])}
-    environment["PYTHONHASHSEED"] = "7"
-    said = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    ).stdout
-    assert said == "101\n"
-
-
-@pytest.mark.parametrize("damage", [b"", b"abc", b"not a pickle", b"\x80\x05cnowhere\nNothing\n."])
-def test_a_damaged_file_is_replaced_and_said(directory: Path, damage: bytes, caplog: pytest.LogCaptureFixture) -> None:
-    build = Builder()
-    cached("key", build)
-    (file,) = directory.iterdir()
-    file.write_bytes(damage)
     assert cached("key", build) == 102
-    (warning,) = [record for record in caplog.records if record.levelno == logging.WARNING]
-    assert str(file) in warning.getMessage()
-    assert cached("key", build) == 102  # mended
 
 
-@pytest.mark.parametrize("place", [0.3, 0.6, 0.9])
-def test_a_number_that_is_damaged_is_found(directory: Path, place: float) -> None:
+@pytest.mark.parametrize("damage", [0, 3, 0.3, 0.9], ids=["empty", "cut", "a bit early", "a bit late"])
+def test_a_damaged_file_is_replaced_and_logged(
+    directory: Path, damage: float, caplog: pytest.LogCaptureFixture
+) -> None:
     """A flipped bit in an array leaves a pickle that can be read."""
     cached("key", lambda: np.arange(1000.0))
     (file,) = directory.iterdir()
     content = bytearray(file.read_bytes())
-    content[int(place * len(content))] ^= 1
+    if isinstance(damage, int):
+        del content[damage:]
+    else:
+        content[int(damage * len(content))] ^= 1
     file.write_bytes(content)
-    assert cached("key", lambda: np.arange(1000.0)) == pytest.approx(np.arange(1000.0), abs=0)
+    for _ in range(2):
+        np.testing.assert_array_equal(cached("key", lambda: np.arange(1000.0)), np.arange(1000.0))
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]
 
 
 def test_where_nothing_can_be_kept_it_is_built_each_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,17 +85,6 @@ def test_where_nothing_can_be_kept_it_is_built_each_time(tmp_path: Path, monkeyp
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "file"))
     build = Builder()
     assert [cached("key", build) for _ in range(2)] == [101, 102]
-
-
-def test_a_directory_that_may_only_be_read_still_serves(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    build = Builder()
-    cached("key", build)
-
-    def refused(_: Path) -> None:
-        raise PermissionError(30, "read-only file system")
-
-    monkeypatch.setattr(Path, "touch", refused)
-    assert cached("key", build) == 101
 
 
 def test_the_four_that_were_used_last_are_kept(directory: Path) -> None:
@@ -144,35 +102,25 @@ def test_the_four_that_were_used_last_are_kept(directory: Path) -> None:
     assert kept > {files[0], files[2], files[3]}
 
 
-def test_an_interrupted_write_leaves_nothing(directory: Path) -> None:
-    cached("key", Builder())
-    with pytest.raises(TypeError):
-        cached("other", lambda: (n for n in range(3)))  # cannot be pickled: the programmer's mistake
-    assert len(list(directory.iterdir())) == 1
-
-
 @pytest.mark.parametrize(
-    ("systemd", "xdg", "home", "expected"),
+    ("systemd", "xdg", "expected"),
     [
-        ("/a:/b", "/x", "/h", "/a"),
-        (None, "/x", "/h", "/x/resonatord"),
-        ("", "", "/h", "/h/.cache/resonatord"),
-        (None, "relative", "/h", "/h/.cache/resonatord"),
-        (None, None, "/h", "/h/.cache/resonatord"),
+        ("a:b", "x", "a"),
+        (None, "x", "x/resonatord"),
+        ("", "", ".cache/resonatord"),
+        (None, None, ".cache/resonatord"),
     ],
 )
 def test_the_directory_is_systemds_else_that_of_xdg(
-    systemd: str | None, xdg: str | None, home: str, expected: str, monkeypatch: pytest.MonkeyPatch
+    systemd: str | None, xdg: str | None, expected: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name, value in (("CACHE_DIRECTORY", systemd), ("XDG_CACHE_HOME", xdg), ("HOME", home)):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name, value in (("CACHE_DIRECTORY", systemd), ("XDG_CACHE_HOME", xdg)):
         monkeypatch.delenv(name, raising=False)
         if value is not None:
-            monkeypatch.setenv(name, value)
-    assert setup_cache._directory() == Path(expected)
-
-
-def test_no_test_writes_into_the_real_home() -> None:
-    assert Path.home() not in setup_cache._directory().parents
+            monkeypatch.setenv(name, f"{tmp_path}/{value}" if value else "")
+    cached("key", Builder())
+    assert len(list((tmp_path / expected).glob("*.pickle"))) == 1
 
 
 def test_what_a_killed_program_left_is_removed_and_what_is_being_written_stays(directory: Path) -> None:

@@ -108,8 +108,3 @@ def test_two_contacts_are_another_shape(fitter: ShapeFitter) -> None:
     assert found.kind == "other"
     assert np.isnan([found.radius_m, *found.centre_m, *found.force_newton]).all()
     assert set(found.log_evidence) == {"paraboloid", "flat", "edge"}
-
-
-def test_lost_frame_is_no_shape(fitter: ShapeFitter) -> None:
-    found = fitter.fit(np.full((3, len(SITES_M)), np.nan), 1e-4, START)
-    assert (found.kind, found.log_evidence) == ("other", {})

@@ -64,51 +64,21 @@ def test_each_is_called_by_what_decodes_and_tells_what_it_sets_up(linear: SkinDe
     assert said[2:4] == ["open-plane decoder of 144 sites", "contact physics"]
 
 
-@pytest.mark.parametrize("stretch", [(1.0, 1.5), None], ids=["oblong", "scattered"])
-def test_the_fourier_decoder_needs_a_square_grid(stretch: tuple[float, float] | None) -> None:
-    sites_m = SCATTERED.site_positions_m if stretch is None else SKIN.site_positions_m * stretch
-    with pytest.raises(ValueError, match='"fourier" needs a square grid, 144 sites form none'):
-        build(replace(SKIN, site_positions_m=sites_m), FOURIER)
-
-
-TOLD = replace(SKIN, gain_std=0.05, prior=Prior(0.7e-3, 0.8))
-
-
-def test_what_is_known_of_the_skin_reaches_the_open_plane_decoder() -> None:
-    for skin, wanted, expected in (
-        (
-            TOLD,
-            LINEAR,
-            OpenPlaneDecoder(
-                HALF_SPACE,
-                TOLD.site_positions_m,
-                DEPTH_M,
-                NOISE,
-                gain_std=0.05,
-                prior=Prior(0.7e-3, 0.8),
-            ),
-        ),
-        (
-            TOLD,
-            FOURIER,
-            FourierDecoder(
-                HALF_SPACE,
-                SHAPE,
-                PITCH_M,
-                DEPTH_M,
-                NOISE.reshape(3, *SHAPE),
-                prior=Prior(0.7e-3, 0.8),
-            ),
-        ),
-    ):
-        decoded = build(skin, wanted).decode(frame(), NOISE).decoded
-        direct = expected.decode(frame().reshape(3, *SHAPE), displacement=True)
-        assert decoded.traction_pascal.shape == (3, *SHAPE)
-        assert decoded.displacement_m is not None
-        assert direct.displacement_m is not None
-        np.testing.assert_allclose(decoded.traction_pascal, direct.traction_pascal, rtol=1e-5, atol=1e-2)
-        np.testing.assert_allclose(decoded.traction_std_pascal, direct.traction_std_pascal, rtol=1e-5)
-        np.testing.assert_allclose(decoded.displacement_m, direct.displacement_m, rtol=1e-5, atol=1e-12)
+@pytest.mark.parametrize("options", [LINEAR, FOURIER], ids=["open-plane", "fourier"])
+def test_gain_errors_and_prior_of_the_skin_reach_the_decoder(options: DecodingOptions) -> None:
+    skin = replace(SKIN, gain_std=0.05, prior=Prior(0.7e-3, 0.8))
+    expected: OpenPlaneDecoder | FourierDecoder
+    if options is LINEAR:
+        expected = OpenPlaneDecoder(
+            HALF_SPACE, skin.site_positions_m, DEPTH_M, NOISE, gain_std=skin.gain_std, prior=skin.prior
+        )
+    else:
+        expected = FourierDecoder(HALF_SPACE, SHAPE, PITCH_M, DEPTH_M, NOISE.reshape(3, *SHAPE), prior=skin.prior)
+    decoded = build(skin, options).decode(frame(), NOISE).decoded
+    direct = expected.decode(frame().reshape(3, *SHAPE), displacement=True)
+    for name in ("traction_pascal", "traction_std_pascal", "displacement_m"):
+        found, known = getattr(decoded, name), getattr(direct, name)
+        np.testing.assert_allclose(found, known, rtol=1e-5, atol=1e-6 * np.abs(known).max())
 
 
 @pytest.mark.parametrize("noise", [3.1, np.nan, np.inf], ids=["3.1 times the usual", "unknown", "infinite"])
@@ -148,26 +118,16 @@ def test_it_fits_until_a_channels_noise_has_changed(
     assert linear.fits(noise_std) == fits
 
 
-def test_noise_to_build_for_is_the_median_on_a_grid() -> None:
+def test_noise_to_build_for_is_the_median_on_a_grid_and_each_signals_own_elsewhere() -> None:
     small = replace(SKIN, site_positions_m=grid((2, 2)))
     # Medians of what is known in each channel, by hand: 2 of 1 2 5, 4 of 4 4 8, and 8 between 4 and 12.
     noise_std = np.array([[1.0, 5.0, 2.0, np.nan], [4.0, 4.0, np.inf, 8.0], [0.0, 4.0, 12.0, -1.0]])
     np.testing.assert_allclose(rounded_noise(small, noise_std), np.tile([[2.0], [4.0], [8.0]], 4), rtol=1e-12)
-
-
-def test_noise_to_build_for_is_each_signals_own_elsewhere_and_the_median_where_unknown() -> None:
-    scattered = replace(SKIN, site_positions_m=np.array([[0.0, 0.0], [1.0, 0.1], [0.2, 1.0], [1.3, 1.2]]) * 1e-3)
-    noise_std = np.array([[1.0, 4.0, 2.0, np.nan], [4.0, 4.0, np.inf, 8.0], [1.0, 2.0, 4.0, 8.0]])
-    expected = [[1.0, 4.0, 2.0, 2.0], [4.0, 4.0, 4.0, 8.0], [1.0, 2.0, 4.0, 8.0]]
-    np.testing.assert_allclose(rounded_noise(scattered, noise_std), expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("unknown", [np.nan, np.inf, 0.0])
-@pytest.mark.parametrize("skin", [SKIN, SCATTERED], ids=["grid", "scattered"])
-def test_there_is_none_while_a_channel_is_not_heard(skin: Skin, unknown: float) -> None:
-    noise_std = NOISE.copy()
-    noise_std[1] = unknown
-    assert rounded_noise(skin, noise_std) is None
+    scattered = replace(small, site_positions_m=np.array([[0.0, 0.0], [1.0, 0.1], [0.2, 1.0], [1.3, 1.2]]) * 1e-3)
+    expected = [[1.0, 5.0, 2.0, 2.0], [4.0, 4.0, 4.0, 8.0], [8.0, 4.0, 12.0, 8.0]]  # each its own, else the median
+    np.testing.assert_allclose(rounded_noise(scattered, noise_std), expected, rtol=0.011)
+    noise_std[1] = np.inf
+    assert rounded_noise(small, noise_std) is None
 
 
 def test_noise_is_rounded_finely_and_the_same_for_what_hardly_differs() -> None:
@@ -194,11 +154,6 @@ def test_contact_physics_waits_for_the_other_thread_then_solves(physics: SkinDec
     np.testing.assert_allclose(solved.traction_pascal.reshape(3, -1), synchronous.traction_pascal, atol=0.02 * scale)
     physics.reset()
     assert physics.decode(frame(), NOISE).decoded.chi2 == first.chi2  # it waits again
-
-
-def test_without_contact_physics_there_is_nothing_to_rebuild(linear: SkinDecoder) -> None:
-    linear.decode(frame(), NOISE)
-    assert not linear.rebuild()
 
 
 def test_friction_that_was_told_bounds_shear() -> None:
@@ -242,16 +197,6 @@ def test_a_successor_goes_on_counting_and_tells_how_contacts_end(linear: SkinDec
     assert [contact.id for contact in contacts] == [last.id + 1]
 
 
-def test_it_survives_being_kept_in_a_file(physics: SkinDecoder) -> None:
-    kept = pickle.loads(pickle.dumps(physics, protocol=5))
-    for decoder in (physics, kept):
-        decoder.decode(frame(), NOISE)
-        decoder.rebuild()
-    ours, theirs = (decoder.decode(frame(1), NOISE) for decoder in (physics, kept))
-    np.testing.assert_array_equal(ours.decoded.traction_pascal, theirs.decoded.traction_pascal)
-    assert len(ours.contacts) == len(theirs.contacts) == 1
-
-
 def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
     sites_m = 2.5 * grid((4, 4)) + np.random.default_rng(1).uniform(-2e-4, 2e-4, (16, 2))
     noise = np.full((3, 16), 2.0**-12)
@@ -270,11 +215,6 @@ def test_too_few_sites_for_a_map_are_fitted_by_one_contact() -> None:
     np.testing.assert_allclose(contact.patch.centroid_m, [5e-4, -3e-4], atol=5e-5)
     assert contact.patch.force_newton[2] == pytest.approx(0.8, rel=0.05)
     assert not decoder.rebuild()
-
-
-def test_two_sites_cannot_be_decoded() -> None:
-    with pytest.raises(ValueError, match="2 sites make 6 signals, must be more than 6"):
-        SkinDecoder(replace(SKIN, site_positions_m=SITES_M[:2]), PHYSICS, np.full((3, 2), 1e-3), [].append)
 
 
 def presses(*loads: tuple[float, tuple[float, float]], sites_m: Floats) -> Floats:
@@ -318,7 +258,7 @@ def irregular() -> SkinDecoder:
     return SkinDecoder(replace(SKIN, site_positions_m=IRREGULAR_M), PHYSICS, QUIET[:, :SITES], [].append)
 
 
-@pytest.mark.parametrize("centre_m", [(0.0, 0.0), (1.1e-3, -0.7e-3), (-1.3e-3, 1.0e-3)])
+@pytest.mark.parametrize("centre_m", [(0.0, 0.0), (-1.3e-3, 1.0e-3)])
 def test_a_touch_on_irregular_sites_is_one_contact(irregular: SkinDecoder, centre_m: tuple[float, float]) -> None:
     irregular.reset()
     random, noise = np.random.default_rng(1), QUIET[:, :SITES]

@@ -65,26 +65,6 @@ def test_ramp_to_gross_slip(discs: DiscModel, spot: PressedSpot, friction: Frict
     assert known.all() == (friction is not None)
 
 
-def test_what_was_learned_serves_where_slip_no_longer_shows(discs: DiscModel, spot: PressedSpot) -> None:
-    share = np.concatenate([np.linspace(0.3, 0.8, 12), np.full(6, 0.02)])
-    _, margins, std = follow(SlipWatch(discs), spot, share, 10)
-    np.testing.assert_allclose(margins[-6:], 0.98, atol=0.03)
-    assert (std[-6:] < 0.03).all()
-
-
-def test_a_wrong_coefficient_is_unlearned(discs: DiscModel, spot: PressedSpot) -> None:
-    events, margins, _ = follow(SlipWatch(discs, Friction(0.8 * MU, 0.1)), spot, np.full(12, 0.6), 11)
-    assert events == []
-    np.testing.assert_allclose(margins[-4:], 0.4, atol=0.06)
-
-
-def test_safe_load_stays_silent(discs: DiscModel, spot: PressedSpot) -> None:
-    share = np.concatenate([np.linspace(0.0, 0.5, 40), 0.5 - 0.1 * np.sin(np.linspace(0.0, 6.0, 20)) ** 2])
-    events, margins, _ = follow(SlipWatch(discs), spot, share, 3)
-    assert events == []
-    assert np.isfinite(margins[-10:]).all()
-
-
 def test_announces_again_after_recovery(discs: DiscModel, spot: PressedSpot) -> None:
     down, up = np.full(6, 0.85), np.full(6, 0.4)
     events, *_ = follow(SlipWatch(discs, Friction(MU, 0.03)), spot, np.concatenate([up, down, down, up, down]), 4)

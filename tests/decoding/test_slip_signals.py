@@ -1,6 +1,5 @@
 """Signals of a contact in partial slip against closed forms in space, their slopes against differences of those."""
 
-import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -66,9 +65,3 @@ def test_mixed_depths_and_compressible() -> None:
         alone = DiscModel(HalfSpace(E, 0.3), SITES_M, depth, 3e-3).slip.signals(contact)[1]
         for found, other in zip(slopes.reshape(7, 3, -1)[..., at], alone.reshape(7, 3, -1)[..., at], strict=True):
             assert np.linalg.norm(found - other) < 0.02 * np.linalg.norm(other)
-
-
-def test_a_model_from_a_pickle_gives_the_same(discs: DiscModel) -> None:
-    contact = parameters(SCENE)
-    copy = pickle.loads(pickle.dumps(discs))
-    np.testing.assert_array_equal(copy.slip.signals(contact)[0], discs.slip.signals(contact)[0])

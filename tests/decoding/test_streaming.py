@@ -2,21 +2,18 @@
 
 import logging
 from collections.abc import Callable
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from skin_scenes import DEPTH_M, FRICTION, PITCH_M, RADIUS_M
-from streaming_bench import LINEAR, NAN, NOISE, NOTHING, SHAPE, SITES, SKIN, Floats, SubstituteDecoder, marked, pressed
+from skin_scenes import DEPTH_M
+from streaming_bench import LINEAR, NAN, NOISE, SHAPE, SKIN, Floats, SubstituteDecoder, marked, pressed
 
 from resonator_daemon.decoding import Decoded
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.skin_contacts import SkinEvent
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
 from resonator_daemon.decoding.streaming import StreamingDecoder, UndecodableError
-from simulators.contact import pixel_tractions
 
 
 def streaming(wanted: DecodingOptions = LINEAR, skin: Skin = SKIN, **options: Any) -> StreamingDecoder:
@@ -43,36 +40,6 @@ def test_results_are_those_of_the_decoder() -> None:
         np.testing.assert_allclose(reading.decoded.displacement_m, expected.decoded.displacement_m, atol=1e-9)
         assert [contact.id for contact in reading.contacts] == [contact.id for contact in expected.contacts]
         assert events_of(reading) == ([("onset", 1)] if seed == 1 else [])
-
-
-def test_two_runs_are_the_same_with_contact_physics_too() -> None:
-    frames = [NOTHING, pressed(0), pressed(1), pressed(2), NOTHING, NOTHING]
-    one, other = streaming(DecodingOptions(background=False)), streaming(DecodingOptions(background=False))
-    for frame in frames:
-        first, again = read(one, frame), read(other, frame)
-        np.testing.assert_allclose(again.decoded.traction_pascal, first.decoded.traction_pascal, atol=1.0)
-        assert first.decoder == "open-plane+contact"
-
-
-def test_a_frame_of_nan_gives_nan_with_its_reason_and_spoils_no_other() -> None:
-    decoder = streaming()
-    before, unknown, deaf, after = (
-        read(decoder, signals, noise_std).decoded
-        for signals, noise_std in (
-            (pressed(), NOISE),
-            (np.full((3, SITES), NAN), NOISE),
-            (pressed(), np.full((3, SITES), NAN)),
-            (pressed(), NOISE),
-        )
-    )
-    for decoded in (unknown, deaf):
-        assert decoded.status == "no_signal"
-        assert decoded.reason
-        assert decoded.displacement_m is not None
-        for array in (decoded.traction_pascal, decoded.traction_std_pascal, decoded.displacement_m):
-            assert array.shape == (3, *SHAPE)
-            assert np.isnan(array).all()
-    np.testing.assert_array_equal(after.traction_pascal, before.traction_pascal)
 
 
 @pytest.mark.parametrize("unknown", [NAN, np.inf])
@@ -109,25 +76,6 @@ def test_an_interruption_ends_contacts_for_its_reason_and_only_once() -> None:
     assert np.isnan(ended.decoded.traction_pascal).all()
     assert decoder.end_contacts("unplugged again") is None
     assert [events_of(read(decoder, pressed(seed))) for seed in range(2)] == [[], [("onset", 2)]]
-
-
-def test_releases_of_a_decoder_that_was_replaced_come_with_an_interruption_too(
-    substitute: Callable[[Any], None],
-) -> None:
-    class Ending(SubstituteDecoder):
-        def succeed(self, other: SubstituteDecoder) -> tuple[SkinEvent, ...]:
-            return (SkinEvent("release", None, "replaced"),)  # type: ignore[arg-type]
-
-        def reset(self) -> tuple[SkinEvent, ...]:
-            return (SkinEvent("release", None),)  # type: ignore[arg-type]
-
-    substitute(Ending)
-    decoder = streaming()
-    read(decoder, marked(1.0))
-    assert decoder.prepare(2 * NOISE)  # its frame is skipped
-    ended = decoder.end_contacts("unplugged")
-    assert ended is not None
-    assert [event.reason for event in ended.events] == ["replaced", "unplugged"]
 
 
 def test_numbers_of_contacts_go_on_from_those_of_an_earlier_decoder() -> None:
@@ -187,23 +135,6 @@ def test_a_frame_that_fails_is_flagged_ends_the_contacts_and_the_next_one_is_dec
     assert "Traceback" in caplog.text
 
 
-def test_contact_physics_follows_when_the_caller_rebuilds() -> None:
-    """The surface is then nearer to that of the closed forms than the map cut to the contact, and than the map."""
-    truth = pixel_tractions((0.3, 0.0, 1.0), (0.0, 0.0), RADIUS_M, FRICTION, SHAPE, PITCH_M)
-
-    def error(reading: SurfaceReading) -> float:
-        return float(np.linalg.norm(reading.decoded.traction_pascal - truth) / np.linalg.norm(truth))
-
-    decoder = streaming(DecodingOptions(friction_coefficient=FRICTION))
-    linear, first = read(streaming(), pressed()), read(decoder, pressed())
-    assert decoder.rebuild()
-    solved = read(decoder, pressed())
-    errors = [error(reading) for reading in (linear, first, solved)]
-    assert all(worse > better for worse, better in pairwise(errors))
-    assert errors[2] < 0.7 * errors[0]
-    assert solved.decoded.status == "ok"
-
-
 def test_a_rebuild_that_fails_is_logged_and_costs_nothing_else(
     substitute: Callable[[Any], None], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -247,10 +178,3 @@ def test_a_set_up_that_fails_makes_the_skin_undecodable(
         streaming().prepare(NOISE)
     assert str(raised.value) == reason
     assert {record.levelno for record in caplog.records} <= {logging.ERROR}
-
-
-def test_a_programmers_mistake_is_not_hidden() -> None:
-    decoder = streaming()
-    read(decoder, NOTHING)
-    with pytest.raises(ValueError, match="shape"):
-        decoder.prepare(np.ones((3, SITES + 1)))

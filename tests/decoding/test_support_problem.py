@@ -201,6 +201,18 @@ def test_net_load_scatters_as_its_standard_error_says(scene):
     np.testing.assert_allclose(rms, 1.0 / np.array([1.2, 1.2, 1.0, 1.0, 1.0, 1.2]), rtol=0.2)
 
 
+def test_without_noise_the_error_of_a_load_is_that_of_its_pixels(scene):
+    problem = problem_of(scene, SignalRows(fields(scene, (36,))))
+    sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
+    right_side = problem.right_side(np.random.default_rng(8).standard_normal(108).astype(np.float32))
+    (load,) = sums.loads([problem.pixels], right_side, 0.0, (2e-4, -1e-4))
+    force = np.linalg.norm(load.force_newton)
+    lever_m = np.sqrt(np.mean(np.sum((scene[0][problem.pixels] - [2e-4, -1e-4]) ** 2, axis=1)))
+    np.testing.assert_allclose(load.force_std_newton, np.array([3e-4, 3e-4, 2e-4]) * force)
+    np.testing.assert_allclose(load.moment_std_newton_m, np.array([2e-4, 2e-4, 3e-4]) * lever_m * force)
+    np.testing.assert_allclose(load.centroid_std_m, 2e-4 * np.sqrt(1.6e-7 * problem.pixels.size / np.pi))
+
+
 def test_contacts_that_share_a_blob_divide_its_load(scene):
     problem = problem_of(scene, SignalRows(fields(scene, (36,))))
     sums = LoadSums(problem, scene[2].ravel().astype(np.int32), scene[0], 1.6e-7)
