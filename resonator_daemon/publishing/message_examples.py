@@ -1,252 +1,150 @@
 """One whole message of each JSON topic, as docs/mqtt.md shows them and the AsyncAPI document carries them."""
 
-from typing import Any, Final
+import json
+from types import NoneType
+from typing import Any, Final, get_args, get_origin
 
+from pydantic import BaseModel
+
+from resonator_daemon.publishing.payloads import WITH_ARRAYS
+from resonator_daemon.publishing.topics import DECODER_HEALTH, DECODER_STATE, SCHEMA_VERSION, TOPICS
 from resonator_daemon.publishing.units import UNITS
 
-_HEADER: Final = {
+# Value of each key in all messages, or in one model. A key without one has the value of what has not happened.
+_VALUES: Final[dict[str, Any]] = {
     "seq": 1234,
     "daemon_boot_id": "9f3c52d07b1e4a60",
     "board_boot_id": "51aa03c4",
-    "t_ns": "1789000000000000000",
+    "t_ns": 1789000000000000000,
     "t_unc_ns": 42000,
-    "lost": {
-        "link_gap": 0,
-        "damaged": 0,
-        "board_overflow": 0,
-        "host_overrun": 0,
-        "ring_overflow": 0,
-        "publish_dropped": 0,
-        "skipped_late": 0,
-    },
-}
-_MEASURED: Final = {**_HEADER, "board_ticks": "123456789"}
-_CONTACT: Final = {
-    "id": 12,
+    "since_t_ns": 1788999999000000000,
+    "board_ticks": 123456789,
+    "status": "ok",
+    "window_s": 0.01,
+    "step_s": 0.005,
     "site": 7,
-    "position_m": [0.0012, -0.0034],
-    "position_std_m": [0.0002, 0.0002],
-    "position_correlation": 0.1,
     "force_newton": 1.234,
     "noise_newton": 0.0006,
     "systematic_newton": 0.038,
-    "hidden_newton": 0.0,
     "peak_newton": 1.31,
-    "since_t_ns": "1788999999000000000",
-    "duration_s": 1.0,
-    "status": "ok",
-    "reason": "",
-    "at_least_newton": None,
-}
-_MESSAGES: Final = {
+    "Compensation.baseline": "held",
+    "common_mode": [-1.5e-06, -1.5e-06, -1.5e-06, -1.5e-06],
+    "common_mode_std": 2e-07,
+    "plate_kelvin": None,
+    "plate_kelvin_std": None,
+    "Compensation.response": "off",
+    "SiteForce.hidden_newton": 5.9,
+    "Contact.id": 12,
+    "EventContact.id": 12,
+    "SiteInfo.site": 1,
+    "SiteInfo.position_m": [-0.0061, 0.0042],
+    "position_m": [0.0012, -0.0034],
+    "position_std_m": [0.0002, 0.0002],
+    "position_correlation": 0.1,
+    "duration_s": 1.4,
+    "ContactEvent.event": "release",
+    "ContactEvent.reason": "below 0.01 N",
+    "EventContact.force_newton": 0.008,
+    "EventContact.slip_margin": None,
+    "EventContact.slip_margin_std": None,
+    "EventContact.friction_coefficient": None,
+    "DecodedSummary.decoder": "open-plane+contact",
+    "chi2": 1.02,
+    "Patch.id": 3,
+    "centroid_m": [0.0012, -0.0034],
+    "centroid_std_m": [1e-05, 1e-05],
+    "area_m2": 1.9e-05,
+    "Patch.force_newton": [0.41, 0.0, 1.02],
+    "force_std_newton": [0.002, 0.002, 0.003],
+    "moment_newton_m": [-0.0035, -0.0012, 0.0014],
+    "moment_std_newton_m": [1e-05, 1e-05, 1e-05],
+    "radius_of_curvature_m": 0.0056,
+    "stick_ratio": 0.58,
+    "slip_margin": 0.2,
+    "slip_margin_std": 0.01,
+    "friction_coefficient": 0.5,
+    "friction_coefficient_std": 0.015,
+    "State.state": "waiting",
+    "State.reason": "/dev/ttyACM0: no such port",
+    "schema_version": SCHEMA_VERSION,
+    "daemon_version": "0.1.0",
+    "plate": "quartz16",
+    "link": "serial:/dev/ttyACM0?baud=4000000",
+    "product": "resonator board",
+    "serial_number": "0042",
+    "firmware": "1.2.0",
+    "counter": "single-tone",
+    "frame_rate_hz": 1000.0,
+    "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0},
+    "units": UNITS,
+    "Info.commands": ["ping", "health", "snapshot", "tare"],
+    "force_max_newton": 10.0,
+    "outline_m": [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]],
+    "transducers_m": [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]],
+    "CalibrationInfo.id": "a09f9fdde0d1570b",
+    "date": "2026-11-21",
+    "unit": "0042",
+    "expiry": "2027-11-21",
+    "model_error": 0.012,
+    "sensitivity_std": 0.001,
+    "CalibrationInfo.response": "on",
+    "uptime_s": 60.2,
+    "frames": 60000,
+    "packets_ignored": dict.fromkeys(("stale", "malformed", "unknown", "log"), 0),
+    "bytes_in": 12240312,
+    "bytes_by_fate": {"accepted": 12240210, "other_version": 0, "own_direction": 0, "discarded": 0, "waiting": 102},
+    "Health.connections": 1,
+    "BootInfo.connections": 1,
+    "BootInfo.lost": dict.fromkeys(("link_gap", "damaged", "board_overflow", "host_overrun", "ring_overflow"), 0),
+    "clock_drift_ppm": 3.1,
+    "cpu_percent": 21.0,
+    "rss_mb": 92.0,
+    "tasks": 9,
+    "threads": 4,
+    "file_descriptors": 23,
+    "Health.latency": {"forces": {"bounds_ms": [1.0, 2.0, 10.0], "counts": [2100, 9300, 640, 0]}},
+    "RecordingInfo.since_t_ns": None,
+    "RecordingInfo.files": 2,
+    "RecordingInfo.messages": 412,
+    "Health.commands": {"done": 3, "not_permitted": 1},
     "made": 24016,
-    "restored": 0,
-    "resent": 0,
-    "recovered": 0,
     "acknowledged": 22,
     "handed_to_socket": 23986,
     "dropped": {"no_connection": 5, "superseded": 1},
-    "unknown_at_disconnect": 0,
-    "waiting": 2,
-    "spooled": 0,
+    "MessageAccount.waiting": 2,
+    "DecoderState.state": "online",
+    "DecoderState.decoder_id": "bench-4711",
+    "DecoderHealth.decoder_id": "bench-4711",
+    "topic_filter": "$share/touch/resonator/+/signals",
+    "DecoderHealth.cpu_percent": 97.0,
+    "DecoderHealth.plates": {
+        "left-index": {"received": 3010, "decoded": 2998, "skipped": 10, "unusable": 0, "waiting": 2, "missed": 2990}
+    },
+    "DecoderHealth.latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
 }
 
+
+def _example(kind: type[BaseModel]) -> BaseModel:
+    """Return a message with a value for each key of a model."""
+    return kind.model_validate({key: _value(kind, key) for key in kind.model_fields})
+
+
+def _value(kind: type[BaseModel], key: str) -> Any:
+    for name in (f"{kind.__name__}.{key}", key):
+        if name in _VALUES:
+            return _VALUES[name]
+    annotation = kind.model_fields[key].annotation
+    parts = get_args(annotation)
+    if NoneType in parts:
+        return None
+    if parts and get_origin(annotation) is tuple and issubclass(parts[0], BaseModel):
+        return (_example(parts[0]),)
+    empty = get_origin(annotation) or annotation
+    return _example(empty) if issubclass(empty, BaseModel) else empty()
+
+
 EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    "Forces": {
-        **_MEASURED,
-        "window_s": 0.01,
-        "status": "ok",
-        "reason": "",
-        "sites": [
-            {
-                "site": 7,
-                "force_newton": 1.234,
-                "noise_newton": 0.0006,
-                "systematic_newton": 0.038,
-                "hidden_newton": 5.9,
-                "status": "ok",
-                "at_least_newton": None,
-            }
-        ],
-        "beats": [],
-        "compensation": {
-            "baseline": "held",
-            "common_mode": [-1.5e-06, -1.5e-06, -1.5e-06, -1.5e-06],
-            "common_mode_std": 2e-07,
-            "plate_kelvin": None,
-            "plate_kelvin_std": None,
-            "response": "off",
-        },
-    },
-    "Contacts": {**_MEASURED, "status": "ok", "reason": "", "contacts": [_CONTACT], "decoder_id": None},
-    "ContactEvent": {
-        **_MEASURED,
-        "seq": 31,
-        "event": "release",
-        "reason": "below 0.01 N",
-        "contact": {
-            **_CONTACT,
-            "force_newton": 0.008,
-            "systematic_newton": 0.032,
-            "duration_s": 1.4,
-            "slip_margin": None,
-            "slip_margin_std": None,
-            "friction_coefficient": None,
-        },
-        "decoder_id": None,
-        "replayed": False,
-    },
-    "DecodedSummary": {
-        **_MEASURED,
-        "decoder": "open-plane+contact",
-        "chi2": 1.02,
-        "border_contact": False,
-        "status": "ok",
-        "reason": "",
-        "patches": [
-            {
-                "id": 3,
-                "centroid_m": [0.0012, -0.0034],
-                "centroid_std_m": [1e-05, 1e-05],
-                "area_m2": 1.9e-05,
-                "force_newton": [0.41, 0.0, 1.02],
-                "force_std_newton": [0.002, 0.002, 0.003],
-                "moment_newton_m": [-0.0035, -0.0012, 0.0014],
-                "moment_std_newton_m": [1e-05, 1e-05, 1e-05],
-                "at_border": False,
-                "radius_of_curvature_m": 0.0056,
-                "stick_ratio": 0.58,
-                "slip_margin": 0.2,
-                "slip_margin_std": 0.01,
-                "friction_coefficient": 0.5,
-                "friction_coefficient_std": 0.015,
-                "slip_reason": "",
-            }
-        ],
-        "decoder_id": None,
-    },
-    "State": {
-        **_HEADER,
-        "seq": 3,
-        "board_boot_id": None,
-        "state": "waiting",
-        "reason": "/dev/ttyACM0: no such port",
-        "since_t_ns": "1788999990000000000",
-        "last_outage": None,
-        "boots": 0,
-        "connections": None,
-        "connected_t_ns": None,
-    },
-    "Info": {
-        **_HEADER,
-        "seq": 1,
-        "schema_version": "1.0",
-        "daemon_version": "0.1.0",
-        "plate": "quartz16",
-        "link": "serial:/dev/ttyACM0?baud=4000000",
-        "product": "resonator board",
-        "serial_number": "0042",
-        "firmware": "1.2.0",
-        "counter": "single-tone",
-        "frame_rate_hz": 1000.0,
-        "window_s": 0.01,
-        "step_s": 0.005,
-        "rates_hz": {"forces": 200.0, "forces/20hz": 20.0, "contacts": 200.0, "contacts/20hz": 20.0},
-        "units": UNITS,
-        "commands": ["ping", "health", "snapshot", "tare"],
-        "force_max_newton": 10.0,
-        "outline_m": [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]],
-        "transducers_m": [[-0.01, -0.01], [0.01, -0.01], [0.01, 0.01], [-0.01, 0.01]],
-        "sites": [{"site": 1, "position_m": [-0.0061, 0.0042]}],
-        "grid": None,
-        "skin": None,
-        "calibration": {
-            "id": "a09f9fdde0d1570b",
-            "date": "2026-11-21",
-            "unit": "0042",
-            "expiry": "2027-11-21",
-            "model_error": 0.012,
-            "sensitivity_std": 0.001,
-            "response": "on",
-        },
-    },
-    "Health": {
-        **_HEADER,
-        "seq": 60,
-        "uptime_s": 60.2,
-        "frames": 60000,
-        "frame_rate_hz": 1000.0,
-        "parts_lost": 0,
-        "frames_not_decoded": 0,
-        "records_unusable": {},
-        "packets_ignored": {"stale": 0, "malformed": 0, "unknown": 0, "log": 0},
-        "bytes_in": 12240312,
-        "bytes_by_fate": {
-            "accepted": 12240210,
-            "other_version": 0,
-            "own_direction": 0,
-            "discarded": 0,
-            "waiting": 102,
-        },
-        "connections": 1,
-        "host_overruns": 0,
-        "boots": [
-            {
-                "board_boot_id": "51aa03c4",
-                "connections": 1,
-                "frames": 60000,
-                "lost": {"link_gap": 0, "damaged": 0, "board_overflow": 0, "host_overrun": 0, "ring_overflow": 0},
-            }
-        ],
-        "clock_drift_ppm": 3.1,
-        "clock_outliers": 0,
-        "clock_restarts": 0,
-        "cpu_percent": 21.0,
-        "rss_mb": 92.0,
-        "tasks": 9,
-        "threads": 4,
-        "file_descriptors": 23,
-        "latency": {"forces": {"bounds_ms": [1.0, 2.0, 10.0], "counts": [2100, 9300, 640, 0]}},
-        "decoder": None,
-        "recording": {
-            "file": None,
-            "since_t_ns": None,
-            "failure": None,
-            "file_bytes": 0,
-            "files": 2,
-            "files_removed": 0,
-            "events_missing": 0,
-            "messages": 412,
-            "messages_missing": 0,
-        },
-        "commands": {"done": 3, "not_permitted": 1},
-        "messages": _MESSAGES,
-    },
-    "DecoderState": {
-        "decoder_id": "bench-4711",
-        "state": "online",
-        "reason": "",
-        "t_ns": "1789000000000000000",
-        "since_t_ns": "1788999990000000000",
-        "topic_filter": "$share/touch/resonator/+/signals",
-    },
-    "DecoderHealth": {
-        "decoder_id": "bench-4711",
-        "t_ns": "1789000000000000000",
-        "uptime_s": 60.2,
-        "plates": {
-            "left-index": {
-                "received": 3010,
-                "decoded": 2998,
-                "skipped": 10,
-                "unusable": 0,
-                "waiting": 2,
-                "missed": 2990,
-            }
-        },
-        "cpu_percent": 97.0,
-        "rss_mb": 130.0,
-        "latency": {"decoded": {"bounds_ms": [2.0, 5.0, 10.0], "counts": [0, 2710, 260, 28]}},
-        "messages": {**_MESSAGES, "made": 6060, "acknowledged": 1, "handed_to_socket": 6057, "dropped": {}},
-    },
+    topic.payload.__name__: json.loads(_example(topic.payload).model_dump_json())
+    for topic in (*TOPICS.values(), DECODER_STATE, DECODER_HEALTH)
+    if topic.payload not in WITH_ARRAYS
 }
