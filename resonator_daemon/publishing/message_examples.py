@@ -133,7 +133,7 @@ def _value(kind: type[BaseModel], key: str) -> Any:
     for name in (f"{kind.__name__}.{key}", key):
         if name in _VALUES:
             return _VALUES[name]
-    annotation = kind.model_fields[key].annotation
+    annotation: Any = kind.model_fields[key].annotation
     parts = get_args(annotation)
     if NoneType in parts:
         return None
@@ -143,8 +143,7 @@ def _value(kind: type[BaseModel], key: str) -> Any:
     return _example(empty) if issubclass(empty, BaseModel) else empty()
 
 
+_KINDS: Final = [topic.payload for topic in TOPICS.values()] + [DECODER_STATE.payload, DECODER_HEALTH.payload]
 EXAMPLES: Final[dict[str, dict[str, Any]]] = {
-    topic.payload.__name__: json.loads(_example(topic.payload).model_dump_json())
-    for topic in (*TOPICS.values(), DECODER_STATE, DECODER_HEALTH)
-    if topic.payload not in WITH_ARRAYS
+    kind.__name__: json.loads(_example(kind).model_dump_json()) for kind in _KINDS if kind not in WITH_ARRAYS
 }

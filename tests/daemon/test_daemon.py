@@ -189,21 +189,6 @@ async def test_a_stalled_event_loop_loses_no_frame(bench: Bench, mosquitto: Mosq
     assert max(steps) <= 5_000_000 * 260  # dropped streams are counted; measured frames are not among them
 
 
-async def test_beyond_the_range_there_is_no_number(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with (
-        bench.emulated(scenario="too-hard"),
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service()),
-    ):
-        await heard.until(lambda: any(m["status"] == "overload" for m in heard.payloads("resonator/hand/forces")))
-        await heard.until(lambda: any(event["event"] == "release" for event in events(heard)))
-    sites = [site for message in heard.payloads("resonator/hand/forces") for site in message["sites"]]
-    overloaded = [site for site in sites if site["status"] == "overload"]
-    assert overloaded
-    assert all(site["force_newton"] is None and site["at_least_newton"] == 10 for site in overloaded)
-    assert all(site["force_newton"] <= 10.5 for site in sites if site["force_newton"] is not None)
-
-
 async def test_a_serial_number_that_is_no_topic_needs_a_name(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("simulators.emulator.SERIAL_NUMBER", "EMU+1")
     async with bench.emulated(scenario="still"):

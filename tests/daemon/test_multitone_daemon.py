@@ -11,7 +11,6 @@ from brokers import Mosquitto
 from observer import Observer, observe
 from service_bench import Bench, events
 
-import resonator_daemon.plates
 from resonator_daemon.commands import main
 from resonator_daemon.errors import ExitCode
 from resonator_daemon.plate import load_plate
@@ -111,22 +110,3 @@ async def test_tare_is_refused_while_touched_and_done_while_untouched(
         assert len(answer["common_mode"]) == 4
         after = len(forces(heard))
         await heard.until(lambda: len(forces(heard)) >= after + 20 and forces(heard)[-1]["sites"] == [])
-
-
-async def test_an_expired_calibration_is_the_sensors_state(bench: Bench, mosquitto: Mosquitto) -> None:
-    plate = bench.folder / "expired.toml"
-    plate.write_text(
-        (Path(resonator_daemon.plates.__path__[0]) / "comb16.toml").read_text()
-        + '\n[calibration]\nid = "c-7"\nexpiry = 2020-01-31\n'
-    )
-    async with (
-        bench.emulated(str(plate), scenario="still") as emulator,
-        observe(mosquitto.url) as heard,
-        bench.running(bench.service(str(plate), emulator.link.address)),
-    ):
-        sensor = await heard.until_last("resonator/hand/state/sensor", state="uncalibrated")
-        await heard.until(lambda: len(forces(heard)) >= 200)
-        info = heard.payloads("resonator/hand/info")[-1]
-        assert heard.payloads("resonator/hand/state/sensor")[-1]["state"] == "uncalibrated"
-    assert sensor["reason"] == "calibration c-7 expired on 2020-01-31: calibrate anew"
-    assert (info["calibration"]["id"], info["calibration"]["expiry"]) == ("c-7", "2020-01-31")

@@ -87,20 +87,19 @@ def test_a_line_has_its_fields(handler: JournalHandler, journal_socket: socket.s
     }
 
 
-@pytest.mark.parametrize(
-    ("level", "priority"),
-    [(logging.DEBUG, 7), (logging.INFO, 6), (logging.WARNING, 4), (logging.ERROR, 3), (logging.CRITICAL, 2), (35, 4)],
-)
-def test_levels_are_syslogs(level: int, priority: int, handler: JournalHandler, journal_socket: socket.socket) -> None:
-    handler.handle(line("", level))
-    assert fields(journal_socket.recv(1 << 20))["PRIORITY"] == str(priority)
-
-
 def test_several_lines_stay_one_message(handler: JournalHandler, journal_socket: socket.socket) -> None:
     handler.handle(line("first\nPRIORITY=0\nlast"))
     handler.handle(line("next"))
     first, following = (fields(journal_socket.recv(1 << 20)) for _ in range(2))
     assert (first["MESSAGE"], first["PRIORITY"], following["MESSAGE"]) == ("first\nPRIORITY=0\nlast", "6", "next")
+
+
+@pytest.mark.parametrize(
+    ("level", "priority"), [(logging.DEBUG, 7), (logging.ERROR, 3), (logging.CRITICAL, 2), (35, 4)]
+)
+def test_levels_are_syslogs(level: int, priority: int, handler: JournalHandler, journal_socket: socket.socket) -> None:
+    handler.handle(line("", level))
+    assert fields(journal_socket.recv(1 << 20))["PRIORITY"] == str(priority)
 
 
 def test_a_traceback_comes_along(handler: JournalHandler, journal_socket: socket.socket) -> None:
@@ -183,7 +182,3 @@ def test_with_stderr_on_the_journal_lines_go_there_with_their_fields(journal_soc
 @pytest.mark.parametrize("stream", ["", "1:2", "nonsense"])
 def test_a_stderr_elsewhere_gets_plain_lines(stream: str, journal_socket: socket.socket) -> None:
     assert started(Path(journal_socket.getsockname()), stream) == "WARNING link lost\nend\n"
-
-
-def test_without_the_journals_socket_its_stream_gets_plain_lines(tmp_path: Path) -> None:
-    assert started(tmp_path / "none", "{present}") == "WARNING link lost\n<3>end\n"

@@ -68,12 +68,6 @@ def test_only_this_user_may_enter_what_is_made(tmp_path: Path) -> None:
     make_private(tmp_path / "resonatord" / "hand")  # as at the next start
 
 
-def test_what_systemd_has_made_for_all_to_enter_is_taken(tmp_path: Path) -> None:
-    (tmp_path / "hand").mkdir(mode=0o755)
-    make_private(tmp_path / "hand")
-    assert mode(tmp_path / "hand") == 0o755
-
-
 @pytest.mark.parametrize(("place", "bits"), [("outer", 0o777), ("outer/hand", 0o777), ("outer/hand", 0o1777)])
 def test_a_place_where_others_can_write_is_refused(tmp_path: Path, place: str, bits: int) -> None:
     (tmp_path / "outer" / "hand").mkdir(parents=True)

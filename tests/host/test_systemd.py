@@ -43,6 +43,7 @@ def test_each_message_as_the_manager_reads_it(manager_socket: socket.socket) -> 
     manager.ready("left: measuring")
     manager.alive()
     manager.status("left: waiting")
+    manager.status("left: waiting")
     manager.stopping()
     assert heard(manager_socket) == [
         "READY=1\nSTATUS=left: measuring",
@@ -50,16 +51,6 @@ def test_each_message_as_the_manager_reads_it(manager_socket: socket.socket) -> 
         "STATUS=left: waiting",
         "STOPPING=1",
     ]
-
-
-def test_the_same_status_is_said_once(manager_socket: socket.socket) -> None:
-    manager = ServiceManager(environment(manager_socket))
-    manager.ready("online")
-    manager.status("online")
-    manager.status("lost")
-    manager.status("lost")
-    manager.status("online")
-    assert heard(manager_socket) == ["READY=1\nSTATUS=online", "STATUS=lost", "STATUS=online"]
 
 
 def test_a_reload_tells_when_it_began(manager_socket: socket.socket) -> None:
@@ -137,11 +128,13 @@ def test_half_the_watchdogs_time(manager_socket: socket.socket) -> None:
 
 @pytest.mark.parametrize(
     "given",
-    [{}, {"WATCHDOG_USEC": "0"}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "3000000", "WATCHDOG_PID": "1"}],
+    [
+        {},
+        {"NOTIFY_SOCKET": "", "WATCHDOG_USEC": "3000000"},
+        {"WATCHDOG_USEC": "0"},
+        {"WATCHDOG_USEC": "soon"},
+        {"WATCHDOG_USEC": "3000000", "WATCHDOG_PID": "1"},
+    ],
 )
 def test_nobody_watches(given: dict[str, str], manager_socket: socket.socket) -> None:
     assert ServiceManager(environment(manager_socket, **given)).watchdog_s is None
-
-
-def test_a_watchdog_without_a_socket_is_none() -> None:
-    assert ServiceManager({"WATCHDOG_USEC": "3000000"}).watchdog_s is None

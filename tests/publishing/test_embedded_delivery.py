@@ -100,18 +100,6 @@ async def test_a_message_goes_once_to_each_whose_filter_it_matches(url: str) -> 
         assert [await one.payload(), await one.payload()] == [b"a/3", b"c"]
 
 
-async def test_nobody_publishes_before_being_connected(url: str) -> None:
-    async with client(url, "subscriber") as subscriber, client(url, "sender") as sender:
-        await subscriber.subscribe("a")
-        reader, writer = await asyncio.open_connection("127.0.0.1", Mqtt(url=url).port)
-        Client(reader, writer).publish("a", b"stranger")
-        await writer.drain()
-        assert await sender.ask(PINGREQ) == b""
-        sender.publish("a", b"known")
-        assert await subscriber.payload() == b"known"
-        writer.close()
-
-
 async def test_a_slow_subscriber_misses_streams_and_no_event(url: str) -> None:
     async with client(url, "slow", limit=1024) as slow, client(url, "sender") as sender:
         await slow.subscribe("stream")

@@ -109,35 +109,6 @@ async def test_events_on_their_way_when_the_connection_ends_are_sent_again(tmp_p
         assert told == [(n, False) for n in range(8)] + [(n, True) for n in range(3, 9)]
 
 
-async def test_a_backlog_that_connections_break_into_keeps_its_order(tmp_path: Path) -> None:
-    async with scripted_broker() as (url, script):
-        chance = random.Random(1)
-        async with publishing("mqtt://127.0.0.1:9", spool_directory=tmp_path) as left:
-            await happen(left, range(500))
-        async with publishing(url, spool_directory=tmp_path) as left:
-            made = 500
-            while left.account.acknowledged < 2000 or left.account.waiting:
-                if made < 2000:
-                    await happen(left, range(made, made + 10))
-                    made += 10
-                if chance.random() < 0.03:
-                    script.hang_up()
-                await asyncio.sleep(0.002)
-                assert_exact(left)
-        account = left.account
-        assert account.acknowledged == 2000 + 1
-        assert account.unknown_at_disconnect == account.resent > 0
-        assert account.dropped == {}
-    events = [json.loads(message.payload) for message in script.received if message.topic == EVENTS]
-    seen: list[int] = []
-    for event in events:
-        if event["seq"] not in seen:
-            seen.append(event["seq"])
-        else:
-            assert event["replayed"]
-    assert seen == list(range(2000))
-
-
 async def test_a_frozen_broker_stalls_nobody_and_every_message_is_accounted_for(tmp_path: Path) -> None:
     mosquitto = Mosquitto(tmp_path, "allow_anonymous true", "max_queued_messages 0")
     await mosquitto.start()

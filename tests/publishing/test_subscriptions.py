@@ -36,16 +36,6 @@ async def test_what_is_subscribed_to_is_heard_on_every_connection(broker) -> Non
     assert connections == [1, 2]
 
 
-async def test_a_shared_subscription_is_heard(mosquitto) -> None:
-    heard: list[Incoming] = []
-    shared = Subscription("$share/all/resonator/+/signals", 1, heard.append)
-    async with publishing(mosquitto.url, subscriptions=(shared,)) as left:
-        await until(lambda: left.connected)
-        left.publish(LEFT, topics.SIGNALS, Messages.signals(1))
-        await until(lambda: len(heard) == 1)
-    assert heard[0].topic == "resonator/left/signals"
-
-
 async def test_whatever_a_message_does_its_publisher_goes_on(broker, caplog: pytest.LogCaptureFixture) -> None:
     errors = [ZeroDivisionError("by zero"), ZeroDivisionError("again"), RecursionError("too deep")]
     failing, heard = iter(errors), list[bytes]()
