@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.monitoring.latency import LatencyHistogram
@@ -25,63 +26,58 @@ from resonator_daemon.publishing.payloads import (
 )
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import CONTACT_EVENT, DECODED, INFO, SIGNALS, Topic, full_topic
-from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
-from resonator_daemon.remote_decoding.plate import RemotePlate, SkinPlate, header_of
+from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, SkinPlate, header_of
 from resonator_daemon.sensors.surface_stream import SurfaceFrame, SurfaceSettings
 
 _LOOK_S = 0.1
 
 
 class FollowedPlate:
-    """Decodes the newest signals of a plate as the daemon would; skips what it has no time for.
+    """Decoder of one plate: the newest signals, as the daemon would; skips what it has no time for.
 
     Parameters
     ----------
-    prefix
-        Of the topics.
-    name
-        Of the plate.
+    config
+        With the name of the plate.
     options
     decoder_id
     publish
-    uncertainty
-        Whether `decoded` has the traction's standard deviation.
+
+    Attributes
+    ----------
+    topic_filter
+        Of the signals.
+    latency
+        Of `decoded`.
     """
 
-    def __init__(
-        self,
-        prefix: str,
-        name: str,
-        options: DecodingOptions,
-        decoder_id: str,
-        publish: Publish,
-        *,
-        uncertainty: bool = True,
-    ) -> None:
-        self._plate = RemotePlate(name)
-        self._prefix = prefix
+    def __init__(self, config: DecoderConfig, options: DecodingOptions, decoder_id: str, publish: Publish) -> None:
+        if config.name is None:
+            raise ValueError("the configuration names neither a plate nor a group; see DecoderConfig")
+        self._plate = RemotePlate(config.name)
+        self._config = config
         self._options = options
         self._decoder_id = decoder_id
         self._publish = publish
-        self._uncertainty = uncertainty
         self._decoder: DecoderSupervisor[Signals] | None = None
         self._changed = asyncio.Event()
         self._note = ""
         self._decoder_has_ended = False  # what it announced last is why
         self._is_set_up = False  # the decoder
-        self._decoded = self._skipped = self._events = 0
+        self._events = 0
         self.latency = LatencyHistogram()
-        self.topic_filter = full_topic(prefix, name, SIGNALS.path)
+        self.topic_filter = full_topic(config.mqtt.prefix, config.name, SIGNALS.path)
 
     @property
     def subscriptions(self) -> Sequence[Subscription]:
-        info = full_topic(self._prefix, self._plate.name, INFO.path)
+        info = full_topic(self._config.mqtt.prefix, self._plate.name, INFO.path)
         return (
             Subscription(info, INFO.qos, self._receive_info),
             Subscription(self.topic_filter, 0, self._receive_signals),
         )
 
     def condition(self) -> tuple[Condition, str]:
+        """Return the present state and its reason."""
         name = self._plate.name
         if self._plate.problem:
             return Condition.WAITING, f"{name}: {self._plate.problem}"
@@ -93,17 +89,13 @@ class FollowedPlate:
         return Condition.ONLINE, f"signals of {name} are decoded"
 
     def health(self) -> dict[str, DecoderPlateHealth]:
+        """Return the counters of the plate's signals."""
         plate, decoder = self._plate, self._decoder
-        deaf = decoder.skipped["no_noise"] if decoder else 0
-        account = DecoderPlateHealth(
-            received=plate.received,
-            decoded=self._decoded,
-            skipped=self._skipped + (decoder.frames_skipped - deaf if decoder else 0),
-            unusable=plate.unusable + deaf,
-            waiting=decoder.waiting if decoder else 0,
-            missed=plate.missed,
-        )
-        return {plate.name: account}
+        if decoder is None:
+            return {plate.name: plate.health(waiting=0)}
+        without_noise = decoder.skipped["no_noise"]
+        skipped = decoder.frames_skipped - without_noise
+        return {plate.name: plate.health(waiting=decoder.waiting, skipped=skipped, unusable=without_noise)}
 
     def process_info(self) -> DecoderProcessInfo | None:
         """Return the counters of the decoder process; None while there is none."""
@@ -131,7 +123,7 @@ class FollowedPlate:
             skin.site_ids,
             skin.grid.pitch_m if skin.grid else None,
             decoder_id=self._decoder_id,
-            uncertainty=self._uncertainty,
+            uncertainty=self._config.decoding.uncertainty,
             last_contact_id=last_contact_id,
         )
         decoder = self._decoder = DecoderSupervisor[Signals](self._plate.name, settings, self)
@@ -148,23 +140,23 @@ class FollowedPlate:
             changed.cancel()
             running.cancel()
             await asyncio.wait((running, changed))
-            deaf = decoder.skipped["no_noise"]
-            self._skipped += decoder.frames_skipped - deaf + decoder.waiting
-            self._plate.unusable += deaf
+            without_noise = decoder.skipped["no_noise"]
+            self._plate.skipped += decoder.frames_skipped - without_noise + decoder.waiting
+            self._plate.unusable += without_noise
             self._decoder = None
         decoder.release_contacts("the plate has changed")
         return decoder.last_contact_id
 
     def _receive_info(self, message: Incoming) -> None:
-        if self._plate.take_info(message.payload):
+        if self._plate.read_info(message.payload):
             self._changed.set()
 
     def _receive_signals(self, message: Incoming) -> None:
-        signals = self._plate.take_signals(message.payload, time.monotonic())
+        signals = self._plate.read_signals(message.payload, time.monotonic())
         if signals is None:
             return
         if self._decoder is None or self._changed.is_set():
-            self._skipped += 1
+            self._plate.skipped += 1
             return
         header = header_of(signals)
         self._decoder.offer(
@@ -190,7 +182,7 @@ class FollowedPlate:
     def deliver(self, origin: Signals, topic: Topic[Any], message: Message | Encoded) -> None:
         """Publish a message about decoded signals."""
         if topic is DECODED:
-            self._decoded += 1
+            self._plate.decoded += 1
             self.latency.add(self._plate.age_s(origin))
         self._publish(self._plate.name, topic, message)
 

@@ -1,11 +1,11 @@
-"""What a decoder process knows of a plate, from its messages alone, and where the plate's signals went."""
+"""A plate on the network as its messages describe it, and the counters of its signals."""
 
 import json
 import math
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +13,27 @@ from numpy.typing import NDArray
 from resonator_daemon.decoding.prior import Prior
 from resonator_daemon.decoding.skin import Skin
 from resonator_daemon.elastic import HalfSpace
-from resonator_daemon.publishing.codec import decode
+from resonator_daemon.publishing.codec import Encoded, decode
 from resonator_daemon.publishing.headers import MeasuredFields
-from resonator_daemon.publishing.payloads import GridInfo, Info, Signals, Status
-from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION
+from resonator_daemon.publishing.payloads import DecoderPlateHealth, GridInfo, Info, Signals, Status
+from resonator_daemon.publishing.topics import DECODED, SCHEMA_VERSION, MessageT, Topic
 
 NO_INFO = "no info yet"
 DECODED_BY_DAEMON = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
 SITES_MAX: Final = 10_000
 INFO_BYTES_MAX: Final = 2_000_000
+WAITS_AFTER_S: Final = 2.0  # without signals, a decoder is waiting
 
-_TOLD_MAX = 200  # characters of an error that become part of a state
+_REASON_MAX = 200  # characters of an error that become part of a state
 
 _INT64 = range(2**63)  # what subscribers hold numbers in
 _NS = 1_000_000_000
+
+
+class Publish(Protocol):
+    """Publishes a message below the topics of a plate; never waits."""
+
+    def __call__(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None: ...
 
 
 @dataclass(frozen=True)
@@ -62,13 +69,15 @@ class RemotePlate:
     skin
         As the last `info` has it; None where that is missing, unreadable, or of a plate that cannot be decoded.
     problem
-        Why there is none; "" where there is one.
+        Why there is none; None where there is one.
     received
         Messages on `signals`.
     unusable
         Of those: not a message, not of this skin, or not good enough to be decoded.
     missed
         Gaps in `seq` while the daemon stayed the same.
+    decoded, skipped
+        Of the usable ones: published; given up for a newer one, or not decoded for another reason.
     last_s
         When signals came last that could be used, by the caller's clock.
     gate_s
@@ -78,13 +87,13 @@ class RemotePlate:
     def __init__(self, name: str) -> None:
         self.name = name
         self.skin: SkinPlate | None = None
-        self.problem = NO_INFO
-        self.received = self.unusable = self.missed = 0
+        self.problem: str | None = NO_INFO
+        self.received = self.unusable = self.missed = self.decoded = self.skipped = 0
         self.last_s = -math.inf
         self.gate_s = 0.0
         self._last: tuple[str, int] | None = None  # boot of the daemon, seq
 
-    def take_info(self, payload: bytes) -> bool:
+    def read_info(self, payload: bytes) -> bool:
         """Read an `info`, or b"" where it was taken back; returns whether the skin is another one now."""
         before = self.skin
         try:
@@ -92,7 +101,7 @@ class RemotePlate:
         except _UnusableInfoError as error:
             self.skin, self.problem = None, str(error)
             return before is not None
-        self.problem = ""
+        self.problem = None
         if self.skin.is_same(before):
             self.skin = before
             return False
@@ -100,9 +109,9 @@ class RemotePlate:
 
     def refuse(self, problem: str) -> None:
         """Decode nothing until the next `info`."""
-        self.skin, self.problem = None, problem[:_TOLD_MAX]
+        self.skin, self.problem = None, problem[:_REASON_MAX]
 
-    def take_signals(self, payload: bytes, now_s: float) -> Signals | None:
+    def read_signals(self, payload: bytes, now_s: float) -> Signals | None:
         """Read a `signals`; None where it cannot be decoded, which is counted."""
         self.received += 1
         try:
@@ -121,6 +130,17 @@ class RemotePlate:
             return None
         self.last_s = now_s
         return message
+
+    def health(self, *, waiting: int, skipped: int = 0, unusable: int = 0) -> DecoderPlateHealth:
+        """Return the counters of its signals, with what its present decoder adds."""
+        return DecoderPlateHealth(
+            received=self.received,
+            decoded=self.decoded,
+            skipped=self.skipped + skipped,
+            unusable=self.unusable + unusable,
+            waiting=waiting,
+            missed=self.missed,
+        )
 
     def age_s(self, message: Signals) -> float:
         """Return the time from the end of a frame's gate until now, as far as this computer's clock and its agree."""
@@ -147,8 +167,8 @@ def header_of(message: Signals) -> MeasuredFields:
     )
 
 
-def told(error: BaseException) -> str:
-    """Return what an error says; some, as of memory, say nothing."""
+def error_text(error: BaseException) -> str:
+    """Return the text of an error; some, as of memory, have none."""
     return str(error) or repr(error)
 
 
@@ -166,7 +186,7 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
     except _UnusableInfoError:
         raise
     except (ValueError, RecursionError, MemoryError, OverflowError) as error:
-        first = told(error).splitlines()[0][:_TOLD_MAX]
+        first = error_text(error).splitlines()[0][:_REASON_MAX]
         raise _UnusableInfoError(f"info cannot be read: {first}") from error
     if (version := info.schema_version).partition(".")[0] != SCHEMA_VERSION.partition(".")[0]:
         reads = f"this decoder reads {SCHEMA_VERSION}"
@@ -180,7 +200,7 @@ def _read_info(payload: bytes) -> tuple[SkinPlate, float]:
         half_space = HalfSpace(info.skin.youngs_modulus_pascal, info.skin.poisson_ratio)
         prior = Prior(info.skin.correlation_length_m, info.skin.tangential_ratio)
     except ValueError as error:
-        raise _UnusableInfoError(f"skin in info: {told(error)}") from error
+        raise _UnusableInfoError(f"skin in info: {error_text(error)}") from error
     skin = Skin(half_space, positions_m, info.skin.depth_m, info.skin.gain_std, prior)
     if problem := _problem(info, skin):
         raise _UnusableInfoError(f"info: {problem}")
@@ -200,8 +220,8 @@ def _check_size(payload: bytes) -> None:
             raise _UnusableInfoError(f"info has {what}, a decoder takes {SITES_MAX} sites at most")
 
 
-def _problem(info: Info, skin: Skin) -> str:
-    """Return why no decoder can be built; errors of building itself come later."""
+def _problem(info: Info, skin: Skin) -> str | None:
+    """Return why no decoder can be built, None if one can; errors of building itself come later."""
     if not len(skin.site_positions_m):
         return "no sites"
     if not np.isfinite(skin.site_positions_m).all():
@@ -212,4 +232,4 @@ def _problem(info: Info, skin: Skin) -> str:
         return f"frame_rate_hz is {info.frame_rate_hz}, must be above 0"
     if not 0.0 < skin.depth_m < np.inf or not 0.0 <= skin.gain_std < 1.0:
         return f"depth {skin.depth_m} m must be above 0, gain_std {skin.gain_std} in 0 .. 1"
-    return ""
+    return None

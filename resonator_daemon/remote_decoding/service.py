@@ -1,4 +1,4 @@
-"""A decoder process: signals from the broker, surfaces to it; the only place where both meet."""
+"""The decoder process as it runs: signals from the broker, surfaces to it."""
 
 import asyncio
 import gc
@@ -15,6 +15,7 @@ from urllib.parse import quote
 
 from resonator_daemon.config import DECODER
 from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.errors import ExitCode, UserError
 from resonator_daemon.host.places import state_directory
 from resonator_daemon.host.systemd import ServiceManager
@@ -22,7 +23,7 @@ from resonator_daemon.monitoring.health import ProcessUsage
 from resonator_daemon.monitoring.liveness import LivenessMonitor
 from resonator_daemon.publishing.codec import Encoded, encode
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState, MessageAccount
+from resonator_daemon.publishing.payloads import Condition, DecoderHealth, DecoderState
 from resonator_daemon.publishing.publisher import FRESH_S, Publisher
 from resonator_daemon.publishing.topics import (
     DECODED,
@@ -34,7 +35,6 @@ from resonator_daemon.publishing.topics import (
     full_topic,
 )
 from resonator_daemon.remote_decoding.followed_plate import FollowedPlate
-from resonator_daemon.remote_decoding.mode import Mode, decoding_options
 from resonator_daemon.remote_decoding.shared_plates import SharedPlates
 
 log = logging.getLogger(__name__)
@@ -129,7 +129,7 @@ class DecoderProcess:
             for helper in helpers:
                 helper.cancel()
             await asyncio.wait(helpers, timeout=_LAST_FRAME_S)
-            self._publish_health()  # the last word on what was counted
+            self._publish_health()  # the last counters
             self._publish_state(Condition.OFFLINE, str(self._fatal or "stopped"))
             await self._publisher.close()
         if self._fatal is not None:
@@ -139,13 +139,8 @@ class DecoderProcess:
         """End `run`; from the event loop."""
         self._ending.set()
 
-    @property
-    def message_account(self) -> MessageAccount:
-        """Where the messages went."""
-        return self._publisher.account
-
     def health(self) -> DecoderHealth:
-        """How this process fares."""
+        """Return the counters and loads of this process."""
         held, child = self._process.held(), self._mode.process_info()
         return DecoderHealth(
             decoder_id=self.decoder_id,
@@ -165,20 +160,17 @@ class DecoderProcess:
             return None
         return state_directory() / "spool" / quote(self._config.mqtt.prefix, safe="") / DECODER / name
 
-    def _make_mode(self) -> Mode:
-        prefix, decoding = self._config.mqtt.prefix, self._config.decoding
-        if decoding.plates and decoding.group is not None:
-            options = decoding_options(self._config, background=False)
-            names, group = decoding.plates, decoding.group
-            return SharedPlates(
-                prefix, names, group, options, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
-            )
-        if self._config.name is None:
-            raise ValueError("the configuration names neither a plate nor a group; see DecoderConfig")
-        options = decoding_options(self._config, background=True)
-        return FollowedPlate(
-            prefix, self._config.name, options, self.decoder_id, self._publish, uncertainty=decoding.uncertainty
+    def _make_mode(self) -> FollowedPlate | SharedPlates:
+        decoding = self._config.decoding
+        mode = SharedPlates if decoding.plates else FollowedPlate
+        options = DecodingOptions(
+            self._config.method,
+            decoding.contact_physics,
+            decoding.friction_coefficient,
+            decoding.displacement,
+            background=not decoding.plates,
         )
+        return mode(self._config, options, self.decoder_id, self._publish)
 
     def _publish(self, plate: str, topic: Topic[MessageT], message: MessageT | Encoded) -> None:
         self._publisher.publish(f"{self._config.mqtt.prefix}/{plate}", topic, message)

@@ -2,13 +2,13 @@
 
 import logging
 import time
-from collections import Counter
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from resonator_daemon.config import plate_name
+from resonator_daemon.config.decoder import DecoderConfig
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.monitoring.latency import LatencyHistogram
@@ -16,8 +16,7 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition, DecoderPlateHealth, DecoderProcessInfo, Signals
 from resonator_daemon.publishing.publisher import Subscription
 from resonator_daemon.publishing.topics import DECODED, DECODED_SUMMARY, INFO, SIGNALS, full_topic, split_topic
-from resonator_daemon.remote_decoding.mode import WAITS_AFTER_S, Publish
-from resonator_daemon.remote_decoding.plate import RemotePlate, header_of
+from resonator_daemon.remote_decoding.plate import WAITS_AFTER_S, Publish, RemotePlate, header_of
 from resonator_daemon.remote_decoding.shared_stage import SharedStage
 from resonator_daemon.sensors.surface_messages import SurfaceMessages
 
@@ -26,7 +25,7 @@ PROBLEMS_MAX: Final = 100  # of plates that are not in the table
 NAME_LENGTH_MAX: Final = 100
 GIVES_WAY_AFTER_S: Final = 60.0
 
-_SAID = 3  # plates whose problem is said
+_PROBLEMS_NAMED = 3  # in the reason of a state
 
 log = logging.getLogger(__name__)
 
@@ -41,43 +40,27 @@ class SharedPlates:
 
     Parameters
     ----------
-    prefix
-        Of the topics.
-    plates
-        Names, or "+" alone for all below the prefix.
-    group
-        Whose decoders share the frames.
-    options, decoder_id, publish, uncertainty
+    config
+        With the names of the plates, or "+" alone for all below the prefix, and the group whose decoders share frames.
+    options, decoder_id, publish
         As of `FollowedPlate`.
     """
 
-    def __init__(
-        self,
-        prefix: str,
-        plates: Sequence[str],
-        group: str,
-        options: DecodingOptions,
-        decoder_id: str,
-        publish: Publish,
-        *,
-        uncertainty: bool = True,
-    ) -> None:
-        self._prefix = prefix
-        self._names = plates
-        self._group = group
+    def __init__(self, config: DecoderConfig, options: DecodingOptions, decoder_id: str, publish: Publish) -> None:
+        self._prefix = config.mqtt.prefix
+        self._decoding = config.decoding
+        self._names = config.decoding.plates or ()
         self._decoder_id = decoder_id
         self._publish = publish
-        self._uncertainty = uncertainty
         self._plates: dict[str, RemotePlate] = {}
         self._reporters: dict[str, SurfaceMessages] = {}
-        self._decoded: Counter[str] = Counter()
         self._stage = SharedStage[_Origin](options, self._deliver, self._announce, self._refuse)
         self._note = ""
         self._entered_s: dict[str, float] = {}
         self._problems: dict[str, str] = {}  # of plates that are not entered, the oldest first
         self._is_full = False
         self.latency = LatencyHistogram()
-        self.topic_filter = " ".join(self._filter(name, SIGNALS.path) for name in plates)
+        self.topic_filter = " ".join(self._filter(name, SIGNALS.path) for name in self._names)
 
     @property
     def subscriptions(self) -> Sequence[Subscription]:
@@ -100,21 +83,18 @@ class SharedPlates:
         ]
         problems = [f"{plate.name}: {plate.problem}" for plate in self._plates.values() if plate.problem]
         problems += [f"{name}: {problem}" for name, problem in self._problems.items()]
-        if len(problems) > _SAID:
-            problems[_SAID:] = [f"and {len(problems) - _SAID} more"]
+        if len(problems) > _PROBLEMS_NAMED:
+            problems[_PROBLEMS_NAMED:] = [f"and {len(problems) - _PROBLEMS_NAMED} more"]
         what = f"signals of {len(heard)} plates are decoded" if heard else "no signals that could be decoded"
         full = [f"{PLATES_MAX} plates are known, no more are taken"] if len(self._plates) >= PLATES_MAX else []
         return (Condition.ONLINE if heard else Condition.WAITING), "; ".join((what, *full, *problems))
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         return {
-            name: DecoderPlateHealth(
-                received=plate.received,
-                decoded=self._decoded[name],
-                skipped=self._stage.skipped[name],
-                unusable=plate.unusable + self._stage.unusable[name],
+            name: plate.health(
                 waiting=self._stage.waiting(name),
-                missed=plate.missed,
+                skipped=self._stage.skipped[name],
+                unusable=self._stage.unusable[name],
             )
             for name, plate in self._plates.items()
         }
@@ -127,7 +107,7 @@ class SharedPlates:
         await self._stage.run()
 
     def _filter(self, name: str, path: str) -> str:
-        return f"$share/{self._group}/{full_topic(self._prefix, name, path)}"
+        return f"$share/{self._decoding.group}/{full_topic(self._prefix, name, path)}"
 
     def _name(self, message: Incoming) -> str | None:
         """Return whose message it is; None where no plate can be called so."""
@@ -148,13 +128,13 @@ class SharedPlates:
             self._forget(name)
             return
         if name in self._plates:
-            if self._plates[name].take_info(message.payload):
+            if self._plates[name].read_info(message.payload):
                 self._reporters.pop(name, None)
             return
         plate = RemotePlate(name)
-        plate.take_info(message.payload)
+        plate.read_info(message.payload)
         if not plate.skin:
-            self._remember(name, plate.problem)
+            self._remember(name, plate.problem or "")
         elif self._has_room(name):
             self._plates[name], self._entered_s[name] = plate, time.monotonic()
         else:
@@ -184,7 +164,7 @@ class SharedPlates:
     def _forget(self, name: str) -> None:
         if self._plates.pop(name, None) is None:
             return
-        del self._entered_s[name], self._decoded[name]
+        del self._entered_s[name]
         self._reporters.pop(name, None)
         self._stage.forget(name)
 
@@ -193,7 +173,7 @@ class SharedPlates:
         plate = None if name is None else self._plates.get(name)
         if plate is None:
             return
-        signals = plate.take_signals(message.payload, time.monotonic())
+        signals = plate.read_signals(message.payload, time.monotonic())
         if signals is None or not plate.skin:
             return
         skin = plate.skin
@@ -203,7 +183,7 @@ class SharedPlates:
                 skin.skin.site_positions_m,
                 skin.grid.pitch_m if skin.grid else None,
                 self._decoder_id,
-                uncertainty=self._uncertainty,
+                uncertainty=self._decoding.uncertainty,
             )
         origin = _Origin(signals, self._reporters[plate.name])
         self._stage.offer(
@@ -217,7 +197,7 @@ class SharedPlates:
         self._plates[name].refuse(reason)
 
     def _deliver(self, name: str, origin: _Origin, surface: SurfaceReading) -> None:
-        self._decoded[name] += 1
+        self._plates[name].decoded += 1
         self.latency.add(self._plates[name].age_s(origin.signals))
         header = header_of(origin.signals)
         self._publish(name, DECODED, origin.reporter.decoded(header, surface.decoded))

@@ -15,7 +15,7 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading, rounded_noise
 from resonator_daemon.decoding.streaming import CANNOT_DECODE, failed, set_up
-from resonator_daemon.remote_decoding.plate import SkinPlate, told
+from resonator_daemon.remote_decoding.plate import SkinPlate, error_text
 
 DECODERS_MAX: Final = 4  # of some 80 MB; equal skins share one
 
@@ -33,12 +33,12 @@ class _Frame(Generic[Origin]):
 
 
 class SharedStage(Generic[Origin]):
-    """Decodes in a thread of its own; signals that come while it is busy replace those of their plate that wait.
+    """Decoder in a thread of its own; signals that come while it is busy replace those of their plate that wait.
 
     Parameters
     ----------
     options
-        Without background: nobody sees enough frames of a plate to follow it.
+        Without background: no decoder gets enough frames of a plate to follow it.
     deliver
         Called on the event loop with the plate, what `offer` was given as origin, and the reading.
     announce
@@ -49,7 +49,7 @@ class SharedStage(Generic[Origin]):
     Attributes
     ----------
     skipped, unusable
-        Frames by plate: a newer one came first; nothing told the noise, or the plate was refused.
+        Frames by plate: a newer one came first; the noise was not known, or the plate was refused.
     served
         By plate: the skin of the last frame that a decoder was there for.
     """
@@ -145,10 +145,10 @@ class SharedStage(Generic[Origin]):
         try:
             decoder = await loop.run_in_executor(pool, set_up, frame.skin.skin, self._options, noise_std, progress)
         except CANNOT_DECODE as error:
-            log.error("%s: nothing is decoded: %s", plate, told(error))
+            log.error("%s: nothing is decoded: %s", plate, error_text(error))
             self._announce("")
             if self._busy_with is not None:
-                self._refuse(plate, f"nothing is decoded: {told(error)}")
+                self._refuse(plate, f"nothing is decoded: {error_text(error)}")
             return None
         self._announce("")
         log.info("decoder %s for skins as of %s ready after %.1f s", decoder.name, plate, time.monotonic() - started)

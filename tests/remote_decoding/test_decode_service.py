@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
-import aiomqtt
 import cbor2
 import pytest
 from brokers import Amqtt, Mosquitto
@@ -226,9 +225,9 @@ async def test_an_event_of_an_outage_arrives_after_it(
                 await send_until_decoded(hand, heard, seq)
             (onset,) = [json.loads(payload) for payload in await heard.until_count(events, 1)]
         await mosquitto.kill()
-        await until(lambda: decoder.message_account.dropped.get("no_connection", 0) > 0)
+        await until(lambda: decoder.health().messages.dropped.get("no_connection", 0) > 0)
         monkeypatch.setattr(followed_plate, "CONTACTS_END_S", 0.0)
-        await until(lambda: decoder.message_account.spooled == 1)
+        await until(lambda: decoder.health().messages.spooled == 1)
         if not restarted:
             await mosquitto.start()
             with hearing(mosquitto.url, events) as again:
@@ -300,22 +299,6 @@ async def test_a_state_lasts_while_its_reason_changes_and_is_said_again_before_i
     assert [len(times) for times in since.values()] == [1, 1]
     assert int(*since["waiting"]) < int(*since["online"])
     assert len({state["t_ns"] for state in told}) == len(told)
-
-
-async def test_its_last_will_expires(tmp_path: Path, mosquitto: Mosquitto) -> None:
-    async with observe(mosquitto.url) as heard:
-        task = asyncio.create_task(process(tmp_path, mosquitto.url, decoding=LINEAR).run())
-        await heard.until_last(STATE, state="waiting")
-        task.cancel()
-        await asyncio.wait([task])
-        await heard.until_last(STATE, state="offline", reason="connection lost", since_t_ns=None)
-    port = urlsplit(mosquitto.url).port or 1883
-    async with aiomqtt.Client("127.0.0.1", port, protocol=aiomqtt.ProtocolVersion.V5) as late:
-        await late.subscribe(STATE)
-        will = await anext(aiter(late.messages))
-    assert json.loads(bytes(will.payload))["state"] == "offline"
-    assert will.properties is not None
-    assert 3500 < will.properties.MessageExpiryInterval <= 3600  # type: ignore[attr-defined]
 
 
 async def test_a_broker_that_refuses_shared_subscriptions_ends_it_and_one_that_forbids_a_topic_does_not(

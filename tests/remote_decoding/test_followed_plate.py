@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from decoder_bench import NOISE, NU, SITES_M, E, Floats, incoming, info, pressed, signals, until
+from decoder_bench import NOISE, NU, SITES_M, E, incoming, info, pressed, signals, until
 
+from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoder_process import supervisor
 from resonator_daemon.decoder_process.supervisor import DecoderSupervisor
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
@@ -34,9 +36,10 @@ NOTHING = np.zeros((3, len(SITES_M)))
 class Followed:
     """A followed plate, and what it has published."""
 
-    def __init__(self, wanted: DecodingOptions = LINEAR, **options: Any) -> None:
+    def __init__(self, wanted: DecodingOptions = LINEAR, *, uncertainty: bool = True) -> None:
         self.published: list[tuple[str, str, Message]] = []
-        self.plate = FollowedPlate("resonator", "hand", wanted, "host-1", self._publish, **options)
+        config = DecoderConfig(name="hand", decoding=Decoding(uncertainty=uncertainty))
+        self.plate = FollowedPlate(config, wanted, "host-1", self._publish)
         self._info, self._signals = self.plate.subscriptions
 
     def _publish(self, plate: str, topic: Topic[Any], message: Message | Encoded) -> None:
@@ -135,24 +138,6 @@ async def test_results_are_those_of_the_daemons_own_stage(wanted: DecodingOption
     assert {plate for plate, _, _ in followed.published} == {"hand"}
 
 
-async def test_messages_carry_the_numbers_of_their_signals() -> None:
-    async with Followed().running() as followed:
-        await followed.prepare(info())
-        for seq in (3, 4, 9):
-            await followed.read(signals(seq))
-    for path in ("decoded", "decoded/summary", "contacts"):
-        assert [message.seq for message in followed.on(path)] == [3, 4, 9]
-    assert [message.seq for message in followed.on("contacts/event")] == [0]
-    sent, found = signals(4), followed.on("decoded")[1]
-    for name in ("daemon_boot_id", "board_boot_id", "t_ns", "t_unc_ns", "lost", "board_ticks"):
-        assert getattr(found, name) == getattr(sent, name)
-    of_decoder = (followed.on(path)[0] for path in ("decoded", "decoded/summary", "contacts", "contacts/event"))
-    assert [message.decoder_id for message in of_decoder] == ["host-1"] * 4
-    assert found.grid is not None
-    assert (found.grid.origin_m, found.grid.pitch_m) == (info().grid.origin_m, info().grid.pitch_m)  # type: ignore[union-attr]
-    assert followed.account.missed == 6
-
-
 @pytest.mark.parametrize(("uncertainty", "displacement"), [(True, False), (False, True)])
 async def test_only_what_is_asked_for_is_published(uncertainty: bool, displacement: bool) -> None:
     wanted = DecodingOptions(contact_physics=False, displacement=displacement)
@@ -228,23 +213,6 @@ async def test_another_skin_takes_effect_ends_the_contacts_and_counts_on() -> No
     assert events[1].contact.duration_s == pytest.approx(0.01)
 
 
-async def test_signals_of_another_shape_may_follow_their_info_at_once() -> None:
-    """They must not reach the decoder of the skin before."""
-    fewer = SITES_M[:72]
-    noise = NOISE[:, :72].astype(np.float32)
-    async with Followed().running() as followed:
-        await followed.prepare(info())
-        await followed.read(signals(0))
-        skipped = followed.account.skipped
-        changed = info(sites=info().sites[:72], grid=None)
-        followed._info.handle(incoming(followed._info.topic_filter, encode(changed)))
-        followed.send(signals(1, np.zeros((3, len(fewer))), noise_std=noise))
-        assert followed.account.skipped == skipped + 1
-        await followed.prepare(changed)
-        await followed.read(signals(2, np.zeros((3, len(fewer))), noise_std=noise))
-    assert [message.seq for message in followed.on("decoded")] == [0, 2]
-
-
 async def test_each_decoded_frame_is_counted_by_its_age(monkeypatch: pytest.MonkeyPatch) -> None:
     middle_ns = signals(0).t_ns
     monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: middle_ns + 5_000_000 + 3_000_000))
@@ -298,36 +266,6 @@ async def test_frames_whose_noise_nobody_knows_are_unusable() -> None:
         await followed.prepare(info())
         await followed.read(signals(1))
     assert len(followed.on("decoded")) == 1
-
-
-def unknown(values: Floats) -> Floats:
-    return np.full_like(values, np.nan)
-
-
-async def test_odd_numbers_give_a_status_and_spoil_no_other_frame() -> None:
-    odd = (unknown(NOTHING), NOTHING + 1e30, NOTHING + np.inf)
-    async with Followed().running() as followed:
-        await followed.prepare(info())
-        await followed.read(signals(0))
-        for seq, values in enumerate(odd):
-            await followed.read(signals(2 * seq + 1, values))
-            await followed.read(signals(2 * seq + 2))
-    statuses = [message.status for message in followed.on("decoded/summary")]
-    assert statuses[::2] == ["ok"] * 4
-    assert set(statuses[1::2]) <= {"no_signal", "rejected"}
-    assert all(np.isnan(message.traction_pascal).all() for message in followed.on("decoded")[1::2])
-
-
-async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not() -> None:
-    async with Followed().running() as followed:
-        await followed.tell(info(rates_hz={"signals": 100.0, "decoded": 100.0}))
-        followed.send(signals(0))
-        problem = "the daemon decodes this plate itself; set apart = true in [decoding] of its configuration"
-        assert followed.plate.condition() == ("waiting", f"hand: {problem}")
-        assert followed.account.unusable == 1
-        await followed.prepare(info())
-        await followed.read(signals(1))
-        assert [message.seq for message in followed.on("decoded")] == [1]
 
 
 async def test_it_is_online_once_the_decoder_is_set_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

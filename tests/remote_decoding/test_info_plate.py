@@ -24,16 +24,16 @@ assert SKIN is not None
 @pytest.fixture
 def plate() -> RemotePlate:
     known = RemotePlate("hand")
-    assert known.take_info(encode(info()))
+    assert known.read_info(encode(info()))
     return known
 
 
 def take(plate: RemotePlate, payload: bytes) -> bool:
-    return plate.take_signals(payload, 1.0) is not None
+    return plate.read_signals(payload, 1.0) is not None
 
 
 def test_sites_and_skin_come_from_info(plate: RemotePlate) -> None:
-    assert plate.problem == ""
+    assert plate.problem is None
     assert plate.skin is not None
     np.testing.assert_array_equal(plate.skin.skin.site_positions_m, SITES_M)
     assert plate.skin.site_ids.tolist() == list(range(100, 100 + SITES))
@@ -44,7 +44,7 @@ def test_sites_and_skin_come_from_info(plate: RemotePlate) -> None:
 
 
 def test_what_is_decoded_has_the_header_of_its_signals(plate: RemotePlate) -> None:
-    message = plate.take_signals(encode(signals(7)), 1.0)
+    message = plate.read_signals(encode(signals(7)), 1.0)
     assert message is not None
     sent = signals(7)
     assert header_of(message) == {
@@ -70,9 +70,9 @@ def test_what_is_decoded_has_the_header_of_its_signals(plate: RemotePlate) -> No
     ],
 )
 def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, change: dict[str, Any]) -> None:
-    assert not plate.take_info(encode(info(daemon_version="0.2.0")))
-    assert plate.take_info(encode(info(**change)))
-    assert not plate.take_info(encode(info(**change)))
+    assert not plate.read_info(encode(info(daemon_version="0.2.0")))
+    assert plate.read_info(encode(info(**change)))
+    assert not plate.read_info(encode(info(**change)))
 
 
 @pytest.mark.parametrize(
@@ -104,12 +104,12 @@ def test_another_skin_is_noticed_and_the_same_one_is_not(plate: RemotePlate, cha
     ],
 )
 def test_an_info_that_is_no_use_says_why(plate: RemotePlate, payload: bytes, problem: str) -> None:
-    assert plate.take_info(payload)
+    assert plate.read_info(payload)
     assert plate.skin is None
     assert problem in plate.problem
     assert not take(plate, encode(signals(0)))
     assert (plate.received, plate.unusable) == (1, 1)
-    assert plate.take_info(encode(info()))
+    assert plate.read_info(encode(info()))
     assert take(plate, encode(signals(1)))
 
 
@@ -126,17 +126,17 @@ def test_an_info_that_is_too_long_is_refused_before_it_is_checked_entry_by_entry
     plate: RemotePlate, payload: bytes, problem: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plate_module, "decode", pytest.fail)
-    assert plate.take_info(payload)
+    assert plate.read_info(payload)
     assert problem in plate.problem
     assert plate.skin is None
 
 
 def test_an_info_of_10_000_sites_and_one_of_2_mb_are_read(plate: RemotePlate) -> None:
     sites = tuple(SiteInfo(site=number, position_m=(1e-3 * number / 3, 2e-3 / 7)) for number in range(10_000))
-    assert plate.take_info(encode(info(sites=sites, grid=None)))
-    assert plate.problem == ""
-    assert plate.take_info(encode(info()).ljust(2_000_000))
-    assert plate.problem == ""
+    assert plate.read_info(encode(info(sites=sites, grid=None)))
+    assert plate.problem is None
+    assert plate.read_info(encode(info()).ljust(2_000_000))
+    assert plate.problem is None
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RecursionError(), ValueError()])
@@ -147,12 +147,12 @@ def test_an_error_that_says_nothing_is_told_by_its_name(
         raise error
 
     monkeypatch.setattr(plate_module, "decode", fail)
-    assert plate.take_info(encode(info()))
+    assert plate.read_info(encode(info()))
     assert plate.problem == f"info cannot be read: {type(error).__name__}()"
 
 
 def test_a_minor_version_more_is_read(plate: RemotePlate) -> None:
-    assert not plate.take_info(encode(info(schema_version="1.7")))
+    assert not plate.read_info(encode(info(schema_version="1.7")))
     assert plate.skin is not None
 
 
@@ -173,8 +173,8 @@ def test_no_absurdity_anywhere_in_info_raises(plate: RemotePlate) -> None:
     for container, key in list(places(whole)):
         kept, container[key] = container[key], "absurd"
         for text in ABSURD_JSON:
-            plate.take_info(json.dumps(whole).replace('"absurd"', text).encode())
-            assert (plate.skin is None) == (plate.problem != "")
+            plate.read_info(json.dumps(whole).replace('"absurd"', text).encode())
+            assert (plate.skin is None) == (plate.problem is not None)
             tried += 1
         container[key] = kept
     assert tried > 600
@@ -216,7 +216,7 @@ def test_the_age_of_a_frame_counts_from_the_end_of_its_gate(
     message = signals(0)
     monkeypatch.setattr(plate_module, "time", SimpleNamespace(time_ns=lambda: message.t_ns + 12_000_000))
     assert plate.age_s(message) == pytest.approx(0.007)
-    assert not plate.take_info(encode(info(frame_rate_hz=200.0)))  # the skin is the same
+    assert not plate.read_info(encode(info(frame_rate_hz=200.0)))  # the skin is the same
     assert plate.age_s(message) == pytest.approx(0.0095)
 
 

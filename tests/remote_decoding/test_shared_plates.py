@@ -11,12 +11,15 @@ from typing import Any
 import pytest
 from decoder_bench import incoming, info, signals, until
 
+from resonator_daemon.config.decoder import DecoderConfig
+from resonator_daemon.config.tables import Decoding
 from resonator_daemon.decoding.skin import DecodingOptions
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import GridInfo, Info, Message, Signals
 from resonator_daemon.remote_decoding import shared_plates, shared_stage
 from resonator_daemon.remote_decoding.shared_plates import PROBLEMS_MAX, SharedPlates
 
+CONFIG = DecoderConfig(decoding=Decoding(plates=("+",), group="touch"))
 LINEAR = DecodingOptions(contact_physics=False, background=False)
 
 
@@ -25,7 +28,7 @@ class Shared:
 
     def __init__(self) -> None:
         self.published: list[tuple[str, str, Any]] = []
-        self.plates = SharedPlates("resonator", ["+"], "touch", LINEAR, "host-1", self._publish)
+        self.plates = SharedPlates(CONFIG, LINEAR, "host-1", self._publish)
         self._info, self._signals = self.plates.subscriptions
 
     def _publish(self, plate: str, topic: Any, message: Message) -> None:
@@ -108,39 +111,6 @@ async def test_a_plate_that_its_daemon_decodes_is_left_alone_until_it_does_not()
         assert problem in shared.plates.condition()[1]
 
 
-async def test_it_is_online_once_a_decoder_is_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    may_begin, may_end = threading.Event(), threading.Event()
-    real = shared_stage.set_up
-
-    def slow(skin: Any, wanted: Any, noise_std: Any, progress: Any) -> Any:
-        assert may_begin.wait(20)
-        progress("matrices")
-        assert may_end.wait(20)
-        return real(skin, wanted, noise_std, lambda _: None)
-
-    monkeypatch.setattr(shared_stage, "set_up", slow)
-    async with Shared().running() as shared:
-        states = [shared.plates.condition()[0]]
-
-        def look() -> str:
-            state = shared.plates.condition()[0]
-            if state != states[-1]:
-                states.append(state)
-            return state
-
-        loop, announce = asyncio.get_running_loop(), shared.plates._stage._announce
-        monkeypatch.setattr(shared.plates._stage, "_announce", lambda note: (announce(note), loop.call_soon(look)))
-        shared.tell("left", info())
-        shared.send("left", signals(0))
-        await until(lambda: shared.plates.health()["left"].waiting == 1)
-        look()
-        may_begin.set()
-        await until(lambda: look() == "starting")
-        may_end.set()
-        await until(lambda: look() == "online")
-    assert states == ["waiting", "starting", "online"]
-
-
 @pytest.mark.parametrize("name", ["decoder", "", "..", ".", "a b", " ", "$left", "a\x00b", "x" * 101])
 def test_what_no_plate_is_called_is_passed_over(name: str) -> None:
     shared = Shared()
@@ -203,28 +173,6 @@ async def test_a_plate_forgotten_while_its_frame_is_decoded_begins_anew(monkeypa
         assert (account.received, account.skipped, account.unusable, account.waiting) == (1, 0, 0, 0)
 
 
-async def test_what_is_wrong_with_a_forgotten_skin_is_not_said_of_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
-    began, may_end = threading.Event(), threading.Event()
-
-    def fail(*_: Any) -> None:
-        began.set()
-        assert may_end.wait(20)
-        raise ValueError("too steep")
-
-    real = shared_stage.set_up
-    monkeypatch.setattr(shared_stage, "set_up", fail)
-    async with Shared().running() as shared:
-        shared.tell("left", info())
-        shared.send("left", signals(0))
-        await until(began.is_set)
-        shared.withdraw("left")
-        shared.tell("left", info())
-        monkeypatch.setattr(shared_stage, "set_up", real)
-        may_end.set()
-        await shared.read("left", signals(1))
-        assert shared.plates.condition() == ("online", "signals of 1 plates are decoded")
-
-
 async def test_beyond_its_places_only_silent_plates_give_way(
     caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -263,11 +211,3 @@ def test_what_is_said_of_plates_without_a_skin_is_bounded() -> None:
     reason = shared.plates.condition()[1]
     assert reason.endswith(f"and {PROBLEMS_MAX - 3} more")
     assert len(reason) < 1000
-
-
-async def test_the_age_of_all_plates_frames_goes_into_one_histogram() -> None:
-    async with Shared().running() as shared:
-        for plate in ("left", "right"):
-            shared.tell(plate, info())
-            await shared.read(plate, signals(0))
-    assert sum(shared.plates.latency.info().counts) == 2

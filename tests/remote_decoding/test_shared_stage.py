@@ -11,14 +11,12 @@ from decoder_bench import NOISE, NU, SITES_M, E, Floats, info, pressed, until
 
 from resonator_daemon.decoding.decoded import Decoded
 from resonator_daemon.decoding.skin import DecodingOptions, Skin
-from resonator_daemon.decoding.skin_decoder import SkinDecoder, SurfaceReading
-from resonator_daemon.decoding.streaming import set_up
+from resonator_daemon.decoding.skin_decoder import SurfaceReading
 from resonator_daemon.elastic import HalfSpace
 from resonator_daemon.remote_decoding import shared_stage
 from resonator_daemon.remote_decoding.plate import SkinPlate
 from resonator_daemon.remote_decoding.shared_stage import DECODERS_MAX, SharedStage
 
-COLD = DecodingOptions(background=False)
 LINEAR = DecodingOptions(contact_physics=False, background=False)
 
 
@@ -101,49 +99,6 @@ def marked(value: float) -> Floats:
     return np.full((3, 144), value)
 
 
-def check_alike(found: SurfaceReading, alone: SurfaceReading) -> None:
-    """To within what single precision leaves: where memory is aligned otherwise, iterations may end a step apart."""
-    assert found.decoded.status == alone.decoded.status
-    for name in ("traction_pascal", "displacement_m"):
-        wanted = getattr(alone.decoded, name)
-        assert getattr(found.decoded, name) == pytest.approx(wanted, rel=0, abs=1e-3 * np.abs(wanted).max())
-    assert len(found.contacts) == len(alone.contacts)
-    for contact, wanted in zip(found.contacts, alone.contacts, strict=True):
-        force_newton = wanted.patch.force_newton
-        assert contact.patch.force_newton == pytest.approx(force_newton, rel=0, abs=1e-3 * np.abs(force_newton).max())
-        assert contact.peak_newton == pytest.approx(wanted.peak_newton, rel=1e-3)
-        assert (contact.slip and contact.slip.radius_m) == pytest.approx(wanted.slip and wanted.slip.radius_m, rel=1e-3)
-
-
-async def test_a_frame_is_decoded_alike_whatever_came_before_it() -> None:
-    """So it does not matter which decoder gets it."""
-    set_up(skin().skin, COLD, NOISE, [].append)
-    alone = [set_up(skin().skin, COLD, NOISE, [].append).decode_alone(pressed(i), NOISE) for i in range(0, 40, 8)]
-    async with Stage(COLD).running() as stage:
-        for order in (range(5), (4, 2, 0, 3, 1)):
-            for i in order:
-                found = await stage.read(f"plate {i % 2}", pressed(8 * i))
-                check_alike(found, alone[i])
-                assert found.events == ()
-    assert all(reading.contacts for reading in alone)
-
-
-def test_decoded_alone_a_frame_is_as_a_first_one_with_contacts_at_once() -> None:
-    following, alone = (SkinDecoder(skin().skin, COLD, NOISE, [].append) for _ in range(2))
-    first = following.decode(pressed(3), NOISE)
-    found = alone.decode_alone(pressed(3), NOISE)
-    np.testing.assert_allclose(found.decoded.traction_pascal, first.decoded.traction_pascal, atol=1e-3)
-    second = following.decode(pressed(3), NOISE)
-    (contact,), (followed,) = found.contacts, second.contacts
-    np.testing.assert_allclose(contact.patch.force_newton, followed.patch.force_newton, rtol=0.02, atol=0.005)
-    assert contact.slip is not None
-    assert contact.radius_of_curvature_m == pytest.approx(followed.radius_of_curvature_m, rel=0.05)
-    for number in range(3):  # neither contacts nor friction are kept
-        assert alone.decode_alone(pressed(number), NOISE).events == ()
-    assert alone.contacts.friction_estimate is None
-    assert alone.decode(pressed(3), NOISE).contacts == ()
-
-
 async def test_plates_take_turns_and_of_each_the_newest_is_decoded(substitute: type[Substitute]) -> None:
     async with Stage().running() as stage:
         stage.offer("a", 0, marked(0.0))
@@ -218,14 +173,3 @@ async def test_what_waits_when_it_ends_is_counted_as_skipped(substitute: type[Su
     counted = len(stage.delivered) + stage.stage.skipped.total()
     assert counted == 2
     assert stage.stage.waiting("a") == stage.stage.waiting("b") == 0
-
-
-async def test_an_error_that_says_nothing_is_told_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr(shared_stage, "set_up", fail)
-    async with Stage().running() as stage:
-        stage.offer("a", 0, marked(0.0))
-        await until(lambda: len(stage.refused) == 1)
-    assert stage.refused == [("a", "nothing is decoded: MemoryError()")]
