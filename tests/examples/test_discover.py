@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from example_messages import HEADER, publish
 from example_programs import DEADLINE_S, EXAMPLES
+from published import HEADER, publish
 from report_makers import Messages, configured
 
 from firmware_protocol.messages import Configuration, Description, Identity
@@ -67,8 +67,7 @@ async def test_every_plate_is_drawn_from_its_info(broker, tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("name", ["left", "..", '"><script>'])
 async def test_a_plate_says_how_it_is_and_what_it_is(mosquitto, tmp_path: Path, name: str) -> None:
-    told = {key: value for key, value in HEADER.items() if key != "board_ticks"}
-    online = State(**told, seq=1, state="online", reason="", since_t_ns=1)
+    online = State(**HEADER, state="online", reason="", since_t_ns=1)
     await publish(mosquitto.url, "info", info(tmp_path, "quartz16"), plate=name)
     await publish(mosquitto.url, "state/daemon", online, plate=name)
     folder = tmp_path / "pictures"
@@ -85,7 +84,6 @@ async def test_a_plate_says_how_it_is_and_what_it_is(mosquitto, tmp_path: Path, 
 
 
 async def test_a_daemon_that_never_met_its_board_is_listed(mosquitto, tmp_path: Path) -> None:
-    told = {key: value for key, value in HEADER.items() if key != "board_ticks"}
-    state = State(**told, seq=1, state="online", reason="", since_t_ns=1)
+    state = State(**HEADER, state="online", reason="", since_t_ns=1)
     await publish(mosquitto.url, "state/daemon", state, plate="right")
     assert await discover(mosquitto.url, tmp_path) == "right: online, and has not said what it is\n"

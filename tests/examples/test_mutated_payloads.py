@@ -8,8 +8,8 @@ import cbor2
 import numpy as np
 import pytest
 from cbor2 import CBORTag
-from example_messages import decoded, force, forces
 from example_programs import EXAMPLES, run
+from published import decoded, force, forces
 
 from resonator_daemon.publishing.codec import encode
 from resonator_daemon.publishing.payloads import Grid

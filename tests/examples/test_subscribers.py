@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
-from example_messages import decoded, force, forces, publish
 from example_programs import LANGUAGES, next_line, running
+from published import decoded, force, forces, publish
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.publishing.payloads import Grid

@@ -4,18 +4,18 @@ import asyncio
 from collections.abc import AsyncIterator, Collection, Mapping
 from contextlib import asynccontextmanager
 
+from example_messages import header
+
 from resonator_daemon.config import Mqtt
 from resonator_daemon.publishing.commands import Commands, Handler
 from resonator_daemon.publishing.mqtt_messages import Outgoing
-from resonator_daemon.publishing.payloads import Lost, State
+from resonator_daemon.publishing.payloads import State
 from resonator_daemon.publishing.publisher import Publisher, Subscription
 from resonator_daemon.publishing.topics import STATE_DAEMON
 
-HEADER = {"seq": 0, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": 1, "t_unc_ns": 1, "lost": Lost()}
-
 
 def state(condition: str, reason: str) -> State:
-    return State.model_validate({**HEADER, "state": condition, "reason": reason, "since_t_ns": None})
+    return State(**header(), state=condition, reason=reason, since_t_ns=None)
 
 
 class Commanded:

@@ -8,6 +8,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import aiomqtt
+import example_messages
 import numpy as np
 
 from resonator_daemon.arrays import Floats
@@ -29,14 +30,9 @@ T_NS = 1_789_000_000_000_000_000
 
 
 def header(seq: int, boot: str = BOOT) -> dict[str, Any]:
-    return {
-        "seq": seq,
-        "daemon_boot_id": boot,
-        "board_boot_id": "51aa03c4",
-        "t_ns": T_NS + seq * 10_000_000,
-        "t_unc_ns": 42_000,
-        "lost": Lost(link_gap=3),
-    }
+    return example_messages.header(
+        seq=seq, daemon_boot_id=boot, board_boot_id="51aa03c4", t_ns=T_NS + seq * 10_000_000, lost=Lost(link_gap=3)
+    )
 
 
 def info(**change: Any) -> Info:

@@ -3,15 +3,23 @@
 from typing import Any, TypeVar
 
 from resonator_daemon.publishing.message_examples import EXAMPLES
-from resonator_daemon.publishing.payloads import Contact, Message, Patch, SiteForce
+from resonator_daemon.publishing.payloads import Contact, Lost, Message, Patch, SiteForce
 
 M = TypeVar("M", bound=Message)
+
+NOW_NS = 1_789_000_000_000_000_000
 
 PARTS = {
     SiteForce: EXAMPLES["Forces"]["sites"][0],
     Contact: EXAMPLES["Contacts"]["contacts"][0],
     Patch: EXAMPLES["DecodedSummary"]["patches"][0],
 }
+
+
+def header(**changes: Any) -> dict[str, Any]:
+    """Return the fields that every message begins with."""
+    fields = {"seq": 1, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": NOW_NS, "t_unc_ns": 42_000}
+    return {**fields, "lost": Lost(), **changes}
 
 
 def example(kind: type[M], **changes: Any) -> M:

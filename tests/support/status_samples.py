@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from example_messages import NOW_NS, header
+
 from resonator_daemon.monitoring.status import BrokerStatus, ConfigStatus, Status
 from resonator_daemon.publishing.payloads import (
     BootInfo,
@@ -15,14 +17,7 @@ from resonator_daemon.publishing.payloads import (
     State,
 )
 
-NOW_NS = 1_789_000_000_000_000_000
-HEADER: dict[str, Any] = {
-    "seq": 3,
-    "daemon_boot_id": "9f3c",
-    "board_boot_id": "51aa03c4",
-    "t_ns": NOW_NS,
-    "t_unc_ns": 0,
-}
+HEADER = header(seq=3, board_boot_id="51aa03c4", t_unc_ns=0)
 LOST = Lost(link_gap=1, damaged=2, board_overflow=3, host_overrun=4, ring_overflow=5, publish_dropped=6, skipped_late=7)
 RECORDING = RecordingInfo(
     file="/rec/hand.mcap",
@@ -53,7 +48,7 @@ def ago_ns(seconds: float) -> int:
 
 
 def state(word: Condition, reason: str = "", *, for_s: float = 60.0, **more: Any) -> State:
-    return State(**HEADER, lost=LOST, state=word, reason=reason, since_t_ns=ago_ns(for_s), **more)
+    return State(**HEADER | {"lost": LOST}, state=word, reason=reason, since_t_ns=ago_ns(for_s), **more)
 
 
 def health(**changed: Any) -> Health:
@@ -109,7 +104,7 @@ def health(**changed: Any) -> Health:
             spooled=36,
         ),
     }
-    return Health(**HEADER, lost=LOST, **fields | changed)
+    return Health(**HEADER | {"lost": LOST}, **fields | changed)
 
 
 def status(**changed: Any) -> Status:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import status_samples
-from example_messages import example
+from example_messages import NOW_NS, example, header
 from numpy.typing import NDArray
 
 from resonator_daemon.publishing.payloads import (
@@ -17,20 +17,13 @@ from resonator_daemon.publishing.payloads import (
     Grid,
     Health,
     Info,
-    Lost,
     Patch,
     SiteForce,
     SiteInfo,
     State,
 )
 
-NOW_NS = 1_789_000_000_000_000_000
 S = 1_000_000_000
-
-
-def header(**changes: Any) -> dict[str, Any]:
-    fields = {"seq": 1, "daemon_boot_id": "9f3c", "board_boot_id": "51aa", "t_ns": NOW_NS, "t_unc_ns": 42_000}
-    return {**fields, "lost": Lost(), **changes}
 
 
 def state(word: str, reason: str = "", since_s_ago: float = 10.0, **changes: Any) -> State:
