@@ -106,9 +106,11 @@ class Counter(Table):
     """What the board counts, and against which clock."""
 
     kind: Literal["single-tone", "channelised"]
-    reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _usual(seen, 1e9, 250e6))]
-    frame_rate_hz: Annotated[Number, Field(gt=0, le=100_000, default_factory=lambda seen: _usual(seen, 1000.0, 100.0))]
-    pilot_hz: Hertz | None = None  # heard by a single-tone counter while nothing is touched; see Plate.pilot_hz
+    reference_hz: Annotated[Hertz, Field(default_factory=lambda seen: _default(seen, 1e9, 250e6))]
+    frame_rate_hz: Annotated[
+        Number, Field(gt=0, le=100_000, default_factory=lambda seen: _default(seen, 1000.0, 100.0))
+    ]
+    pilot_hz: Hertz | None = None  # captured by a single-tone counter while nothing is touched; see Plate.pilot_hz
     codes_may_overlap: StrictBool = False  # take a plate whose sites can be mistaken for each other all the same
 
     @property
@@ -124,7 +126,7 @@ class Counter(Table):
         return pilot_hz
 
 
-def _usual(seen: dict[str, Any], single_tone: float, channelised: float) -> float:
+def _default(seen: dict[str, Any], single_tone: float, channelised: float) -> float:
     return channelised if seen.get("kind") == "channelised" else single_tone
 
 
@@ -259,10 +261,10 @@ class Calibration(Table):
     def expired(self, today: Day) -> bool:
         return self.expiry is not None and today > self.expiry
 
-    def expiry_note(self, today: Day) -> str:
-        """Say that the calibration has expired; empty where it has not."""
+    def expiry_note(self, today: Day) -> str | None:
+        """Return a sentence if the calibration has expired, else None."""
         name = self.id or "of the plate file"
-        return f"calibration {name} expired on {self.expiry}: calibrate anew" if self.expired(today) else ""
+        return f"calibration {name} expired on {self.expiry}: calibrate anew" if self.expired(today) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -376,7 +378,7 @@ class Plate(Table):
 
     @cached_property
     def pilot_hz(self) -> float:
-        """Tone that a single-tone counter hears while nothing is touched; by default 0.1 % above all others."""
+        """Tone that a single-tone counter captures while nothing is touched; by default 0.1 % above all others."""
         return self.counter.pilot_hz or 1.001 * float(self.tones.f0_hz.max())
 
     @cached_property
@@ -438,7 +440,7 @@ def _grid_tones(grid: Grid) -> ToneTable:
 
 
 def _findings(raw: dict[str, Any]) -> Iterator[InitErrorDetails]:
-    """Check what no single key can tell, on those parts of the file that are sound by themselves."""
+    """Check what depends on several keys, on those parts of the file that are sound by themselves."""
     outline = _sound(Outline, raw.get("outline_mm")) or ()
     if outline and _area(outline) == 0:
         yield finding(("outline_mm",), outline, "encloses no area; give the corners in their order")
@@ -545,7 +547,7 @@ def _area(outline: tuple[Point, ...]) -> float:
 
 
 def _inside(point: Sequence[float], outline: tuple[Point, ...]) -> bool:
-    """Tell whether a point lies within a polygon or on its border, by the parity of the borders to its right."""
+    """Return whether a point lies within a polygon or on its border, by the parity of the borders to its right."""
     x, y = point
     odd = False
     for (ax, ay), (bx, by) in zip(outline, outline[1:] + outline[:1], strict=True):

@@ -65,8 +65,8 @@ def check_plate(capture: Capture, plate: Plate) -> Iterator[Finding]:
     yield _temperature(capture.temperatures_kelvin)
 
 
-def check_calibration(plate: Plate, expiry_note: str) -> Finding:
-    """Return the finding on the plate's record; `expiry_note` is a sentence once it has expired, else empty."""
+def check_calibration(plate: Plate, expiry_note: str | None) -> Finding:
+    """Return the finding on the plate's record; `expiry_note` is a sentence once it has expired, else None."""
     calibration = plate.calibration
     if calibration.id is None:
         return CALIBRATION.not_checked("the plate file has none")

@@ -151,7 +151,7 @@ class Recorder:
         taken_bytes = size_bytes(event)
         with self._lock:
             if self._missing_events:
-                taken_bytes += EVENT_BYTES  # the word of them comes first
+                taken_bytes += EVENT_BYTES  # `Skipped` comes first
             fits = self._waiting_bytes + taken_bytes <= self._queue_bytes
             if fits and (self._failure is None or self._resumes):
                 self._record_missing(event.now)
@@ -267,7 +267,7 @@ class Recorder:
                     file.publish(item)
                 case _:
                     file.write(item)
-        except Exception as error:  # noqa: BLE001 - whoever records must hear of it, or would take the file for whole
+        except Exception as error:  # noqa: BLE001 - it is reported, or the file would be taken for whole
             self._break_off(error)
             return False
         return True

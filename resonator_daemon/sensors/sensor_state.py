@@ -29,7 +29,7 @@ class SensorState:
     def __init__(self, announce: Callable[[Condition, str, int], None], well: str) -> None:
         self._announce = announce
         self._good = self._well = well
-        self._expiry = ""
+        self._expiry: str | None = None
         self._drift = DriftWatch()
         self._current: tuple[Condition, str] | None = None
         self._candidate: tuple[Condition, str] | None = None
@@ -42,8 +42,8 @@ class SensorState:
         if self._current == before:
             self._become(self._best, self._since_utc_ns)
 
-    def calibration(self, expiry: str, utc_ns: int) -> None:
-        """Say why the calibration no longer holds; "" while it does. To be repeated: it comes with time."""
+    def calibration(self, expiry: str | None, utc_ns: int) -> None:
+        """Set why the calibration no longer holds, None while it does. To be repeated: it comes with time."""
         if expiry != self._expiry:
             before, self._expiry = self._best, expiry
             if self._current == before:

@@ -193,7 +193,7 @@ class BoardReader:
     def clock_rate_ppm(self) -> float:
         """How much slower than nominal the board's ticks run; NaN while no board is there."""
         connection = self._machine.connection
-        clock = connection.clock if connection else None  # the reader's thread may forget it meanwhile
+        clock = connection.clock if connection else None  # the reader's thread may close it meanwhile
         return clock.rate_ppm if clock else float("nan")
 
     def _wake_soon(self) -> None:

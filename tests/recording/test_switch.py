@@ -68,18 +68,18 @@ def wait_for_frames(it: Listener, more: int) -> None:
     it.wait_for_frames(len(frames(it.arrivals)) + more)
 
 
-def last_standing(folder: Path) -> SnapshotTaken:
+def running_snapshot(folder: Path) -> SnapshotTaken:
     """How the link to a board stood while it was open."""
-    standings: list[SnapshotTaken] = []
+    snapshots: list[SnapshotTaken] = []
     options, link = pseudo_terminal(folder / "board")
 
     def collect(event: object) -> None:
         if isinstance(event, SnapshotTaken) and event.snapshot.running is not None:
-            standings.append(event)
+            snapshots.append(event)
 
     with emulated(options), Listener(link, PLATE, on_event=collect) as it:
         it.wait_for_frames(100)
-    return standings[-1]
+    return snapshots[-1]
 
 
 def board_of(path: Path) -> str | None:
@@ -150,8 +150,8 @@ def test_a_channelised_frame_under_way_is_not_recorded_in_half(tmp_path: Path) -
     assert all(frame.known.all() for frame in again[:-1] if isinstance(frame, ChannelisedFrame))
 
 
-def have_happen(emulator: Emulator, fault: str) -> None:
-    """Have something happen to the board now, whatever time it is on a busy computer."""
+def inject(emulator: Emulator, fault: str) -> None:
+    """Inject a fault now, whatever time it is on a busy computer."""
     now_s = emulator._elapsed_s(emulator._now_ticks())
     emulator._script = Script(parse_faults(f"{fault}_at_s={now_s:.3f}"), seed=1)
 
@@ -164,7 +164,7 @@ def test_a_recording_goes_on_through_a_hang_up(tmp_path: Path, fault: str) -> No
         it.wait_for_frames(500)
         switch.start(path, Origin(PLATE, str(link)))
         began_with = frames(it.arrivals)[-1].index
-        have_happen(emulator, fault)
+        inject(emulator, fault)
         it.wait_for(lambda arrivals: any(gap.first_index > began_with for gap in gaps(arrivals)))
         wait_for_frames(it, 300)
         switch.stop()
@@ -267,7 +267,7 @@ def test_a_tap_does_not_wait_for_a_file_that_is_slow_to_be_made(
 
 def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
-    snapshot = last_standing(tmp_path)
+    snapshot = running_snapshot(tmp_path)
     switch = RecordingSwitch(kept_bytes=15_500)
     for number in range(12):
         switch.put(Received(at(number), bytes(1_000)))
@@ -283,7 +283,7 @@ def test_what_is_kept_is_bounded_and_a_recording_begins_with_the_next_standing(t
 
 
 def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None:
-    snapshot = last_standing(tmp_path)
+    snapshot = running_snapshot(tmp_path)
     switch = RecordingSwitch(kept_bytes=15_500)
     received = [Received(at(number), bytes(1_000)) for number in range(3)]
     for _ in range(4):
@@ -299,7 +299,7 @@ def test_what_is_kept_is_counted_anew_with_each_standing(tmp_path: Path) -> None
 
 
 def test_a_file_names_the_board_that_sends_and_no_other(tmp_path: Path) -> None:
-    snapshot = last_standing(tmp_path)
+    snapshot = running_snapshot(tmp_path)
     away = snapshot._replace(snapshot=snapshot.snapshot._replace(running=None))
     switch = RecordingSwitch()
     board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
@@ -320,7 +320,7 @@ def test_each_file_names_the_board_that_sends_and_has_the_last_states(
 ) -> None:
     monkeypatch.setattr(recording, "read_host_time", lambda: at(-1000))
     board = BoardOnline(IDENTITY, DESCRIPTION, 0xABC, Configuration(10**6), continues=False)
-    there = last_standing(tmp_path)
+    there = running_snapshot(tmp_path)
     switch = RecordingSwitch()
     switch.publish(Published("state/link", 5, b'{"count":1}', SCHEMA, retained=True))
     switch.publish(Published("state/link", 6, b'{"count":2}', SCHEMA, retained=True))

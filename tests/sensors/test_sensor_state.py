@@ -56,7 +56,7 @@ def test_a_calibration_that_expires_is_said_once_and_hides_nothing_worse() -> No
     assert sensor.said[-1][0] is Condition.STALLED
     sensor.read(400, "ok")
     assert sensor.read(700, "ok") == [Condition.UNCALIBRATED]
-    sensor.state.calibration("", T0_NS)
+    sensor.state.calibration(None, T0_NS)
     assert sensor.said[-1][:2] == (Condition.ONLINE, "sites are read")
 
 

@@ -28,7 +28,7 @@ def bench() -> Bench:
 
 
 def answers_of(it: Listener, count: int) -> list[str | None]:
-    """Have the board asked so often from another thread, and return what is answered in this one."""
+    """Return the answers in this thread to so many requests from others."""
     answers: list[str | None] = []
     threads: list[int] = []
 

@@ -60,7 +60,7 @@ class SimulatedBoard:
         return round((now_ns - self._boot_ns) * (1 + self.fast_ppm * 1e-6)) + self.jump_ticks
 
     def step(self, data: bytes, now_ns: int) -> bytes:
-        """Take what the host sent and let half a millisecond pass; return what goes out."""
+        """Process what the host sent; return what goes out by then."""
         if self.frozen:
             return b""
         out = self._frames(now_ns)

@@ -30,7 +30,7 @@ class Listener:
         self.reader.stop()
 
     def wait_for(self, enough: Callable[[list[Arrival]], bool]) -> list[Arrival]:
-        """Take arrivals until there are enough."""
+        """Wait until there are enough arrivals; return them."""
         deadline = time.monotonic() + DEADLINE_S
         while not enough(self.arrivals):
             assert time.monotonic() < deadline, self.states

@@ -1,4 +1,4 @@
-"""Opening a serial port, and saying clearly why it cannot be opened."""
+"""Serial ports: opened for this process alone, or with the reason why that cannot be."""
 
 import array
 import errno
@@ -167,7 +167,7 @@ def open_serial(target: SerialTarget) -> SerialPortLink:
 
 
 def _discard_output(descriptor: int) -> None:
-    """Give the last bytes a moment; what a board has not taken by then is dropped, or closing would wait for it."""
+    """Wait a moment until the last bytes are sent, then discard the rest, or closing would wait for it."""
     queued = array.array("i", [0])
     deadline = time.monotonic() + _LAST_BYTES_S
     while True:
@@ -180,10 +180,10 @@ def _discard_output(descriptor: int) -> None:
         time.sleep(0.001)
 
 
-def _shared_with(path: str) -> str:
+def _shared_with(path: str) -> str | None:
     # Root may open a port in spite of TIOCEXCL, and who opened it before us without a lock has it still.
     if is_pseudo_terminal(path):
-        return ""  # its other side holds it rightly
+        return None  # its other side holds it rightly
     return " and ".join(str(holder) for holder in port_holders(path).processes if holder.pid != os.getpid())
 
 
@@ -219,8 +219,8 @@ def _way_in(path: str) -> str:
     try:
         group = Path(path).group()
     except (KeyError, OSError):  # a group without a name, as in a container; a port that has just gone
-        group = ""
-    if group in ("", "root"):
+        group = None
+    if group in (None, "root"):
         return "give it to a group of this user with a udev rule (docs/links.md)"
     return f"join its group: sudo usermod -aG {group} $USER, then log in anew"
 
