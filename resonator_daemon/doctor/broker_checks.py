@@ -157,19 +157,15 @@ async def _measure(broker: Mqtt, times: ConnectionTimes | None) -> tuple[_Probe,
 
 
 def _findings(probe: _Probe, last_text: str, busy: str) -> Iterator[Finding]:
-    if not probe.accepted.is_set() and connection_errors.SILENT in last_text:
-        yield ACCEPTS.fault(
-            last_text.removesuffix("; trying again"),
-            "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it",
-        )
-        yield ROUND_TRIP.not_checked("the broker does not answer")
-        return
     if not probe.accepted.is_set():
-        yield ACCEPTS.fault(
-            last_text.removesuffix("; trying again"),
-            "correct the keys of [mqtt], or the broker's accounts; docs/security.md",
-        )
-        yield ROUND_TRIP.not_checked("the broker does not take this user")
+        silent = connection_errors.SILENT in last_text
+        remedy = "correct the keys of [mqtt], or the broker's accounts; docs/security.md"
+        if silent:
+            remedy = (
+                "see that mqtt.url names the broker's host and port, and that the broker is not stopped; restart it"
+            )
+        yield ACCEPTS.fault(last_text.removesuffix("; trying again"), remedy)
+        yield ROUND_TRIP.not_checked("the broker does not answer" if silent else "the broker does not take this user")
         return
     yield ACCEPTS.ok(probe.version)
     if probe.denied:

@@ -1,7 +1,6 @@
 """Tone readings of a board against the tones that its plate should send."""
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
@@ -77,18 +76,15 @@ def _pair_noise(gate_hz: Floats, std_hz: Floats) -> Floats:
 
     Differences of following gates take out what moves slowly, and the oscillator that both channels count.
     """
-    tones = range(min(gate_hz.shape[2], _TONES_PAIRED))
-    noise = np.array([list(_pairs(gate_hz[:, :, tone], std_hz[:, :, tone])) for tone in tones])
-    known = np.isfinite(noise)
-    with np.errstate(invalid="ignore"):  # a pair without usable gates stays NaN
-        mean: Floats = np.where(known, noise, 0.0).sum(axis=0) / known.sum(axis=0)
+    first, second = np.transpose(PAIRS)
+    gate_hz, std_hz = gate_hz[:, :, :_TONES_PAIRED], std_hz[1:, :, :_TONES_PAIRED]
+    steps = np.diff(gate_hz[:, first] - gate_hz[:, second], axis=0)  # (k - 1, 6, t)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = steps**2 / (2.0 * (std_hz[:, first] ** 2 + std_hz[:, second] ** 2))
+    return known_mean(known_mean(ratio, axis=0), axis=1)
+
+
+def known_mean(values: Floats, axis: int) -> Floats:
+    """Return the mean of the finite values along an axis, NaN where there is none."""
+    mean: Floats = np.ma.masked_invalid(values).mean(axis=axis).filled(math.nan)
     return mean
-
-
-def _pairs(value: Floats, std: Floats) -> Iterator[float]:
-    for first, second in PAIRS:
-        steps = np.diff(value[:, first] - value[:, second])
-        expected = 2.0 * (std[:, first] ** 2 + std[:, second] ** 2)[1:]
-        ratio = steps**2 / expected
-        usable = np.isfinite(ratio)
-        yield float(ratio[usable].mean()) if usable.any() else math.nan

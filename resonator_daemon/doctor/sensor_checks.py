@@ -10,7 +10,7 @@ from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.arrays import Floats
 from resonator_daemon.doctor.capture import Capture
 from resonator_daemon.doctor.finding import Amount, Area, Check, Finding, Outcome, graded, not_checked
-from resonator_daemon.doctor.plate_readings import PAIRS
+from resonator_daemon.doctor.plate_readings import PAIRS, known_mean
 from resonator_daemon.plate import SKIN_SIGNALS, Plate
 from resonator_daemon.sensors.expected_tones import ExpectedTones
 
@@ -137,7 +137,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     alive = np.isfinite(shift).mean(axis=(0, 1)) >= _COUNTED_SHARE  # dead channels have a finding of their own
     counted = np.isfinite(shift).mean(axis=0)[:, alive]  # (t, channels that are alive)
     uncounted = np.flatnonzero((counted < _COUNTED_SHARE).any(axis=1))
-    off = np.nanmax(np.abs(_middle(shift)), axis=1, initial=0.0)  # (t,)
+    off = np.nanmax(np.abs(known_mean(shift, axis=0)), axis=1, initial=0.0)  # (t,)
     outside = np.flatnonzero(off > expected.band)
     if np.isfinite(strange_hz).any():
         frequency_hz = float(np.nanmean(strange_hz))
@@ -173,13 +173,6 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     )
 
 
-def _middle(shift: Floats) -> Floats:
-    """Mean over the readings, (t, 4), NaN where a tone is never counted."""
-    counted = np.isfinite(shift)
-    total = np.where(counted, shift, 0.0).sum(axis=0)
-    return np.where(counted.any(axis=0), total / np.maximum(counted.sum(axis=0), 1), math.nan)
-
-
 def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) -> Finding:
     """Compare how readings bend with what counter and oscillator give, tone by tone; drift hardly bends them."""
     steps = np.diff(shift, 2, axis=0)
@@ -213,7 +206,7 @@ def _scatter(scatter_radian: Floats) -> Finding:
     """Compare the noise of single edges, which readings average out, with what a usable signal leaves; (r, 4)."""
     if not np.isfinite(scatter_radian).any():
         return NOISE.not_checked("no edges are counted")
-    by_channel = _middle(scatter_radian[..., None])[:, 0]
+    by_channel = known_mean(scatter_radian, axis=0)
     channel = int(np.nanargmax(by_channel))
     worst = float(by_channel[channel])
     return NOISE.judged(
@@ -231,12 +224,10 @@ def _worse(one: Finding, other: Finding) -> Finding:
 
 def _cross_talk(pair_noise: Floats) -> Finding:
     """Two channels that count by themselves differ by their noise; one that receives the other's tone does not."""
-    counted = np.isfinite(pair_noise)
-    if not counted.any():
+    if not np.isfinite(pair_noise).any():
         return CROSS_TALK.not_checked("no two channels hear the same tone")
-    counts = np.maximum(counted.sum(axis=0), 1)
-    mean = np.where(counted.any(axis=0), np.where(counted, pair_noise, 0.0).sum(axis=0) / counts, math.inf)
-    pair = int(mean.argmin())
+    mean = known_mean(pair_noise, axis=0)
+    pair = int(np.nanargmin(mean))
     alike = 1.0 / max(float(mean[pair]), 1e-6)
     first, second = PAIRS[pair]
     evidence = (
@@ -253,10 +244,7 @@ def _cross_talk(pair_noise: Floats) -> Finding:
 
 def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
     """Fit a line to each tone's mean over the channels, and judge the fastest that is no noise."""
-    with np.errstate(invalid="ignore"):
-        counted = np.isfinite(shift)
-        counts = counted.sum(axis=2)
-        values = np.where(counts, np.where(counted, shift, 0.0).sum(axis=2) / np.maximum(counts, 1), math.nan)  # (r, t)
+    values = known_mean(shift, axis=2)  # (r, t)
     complete = np.isfinite(values).all(axis=0)
     if not complete.any():
         return DRIFT.not_checked("no tone is heard all the time")
