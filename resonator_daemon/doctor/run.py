@@ -200,27 +200,25 @@ class _Diagnosis:
         plate = self._plate(probed)
         answered = list(link_checks.check_probe(probed, plate, busy))
         yield from answered
-        if plate is None:
-            yield from not_checked((*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), "name a --config FILE")
-            return
-        if any(f.outcome is Outcome.FAULT and f.id == link_checks.FITS.id for f in answered):
-            yield from not_checked(
-                (*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), "the board does not serve this plate"
-            )
+        faults = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
+        if plate is None or link_checks.FITS.id in faults:
+            reason = "name a --config FILE" if plate is None else "the board does not serve this plate"
+            yield from not_checked((*link_checks.OF_A_CAPTURE, *sensor_checks.OF_THE_PLATE), reason)
             return
         capture = capture_board(link, plate, self._options.seconds, self._show, self._host)
-        found = {finding.id for finding in answered if finding.outcome is Outcome.FAULT}
-        of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in found]
+        of_link = [finding for finding in link_checks.check_capture(capture) if finding.id not in faults]
         yield from of_link
         yield sensor_checks.check_calibration(plate, plate.calibration.expiry_note(datetime.now(UTC).date()))
         if any(finding.outcome is Outcome.FAULT and finding.area is Area.WIRING for finding in of_link):
-            yield from not_checked(sensor_checks.OF_THE_PLATE, "too little arrives undamaged to judge by")
+            reason = "too little arrives undamaged to judge by"
         elif not capture.counted:
-            yield from not_checked(sensor_checks.OF_THE_PLATE, "no frames came")
-        elif link_checks.REFERENCE.id in found:
-            yield from not_checked(sensor_checks.OF_THE_PLATE, "frequencies mean nothing by such a reference")
+            reason = "no frames came"
+        elif link_checks.REFERENCE.id in faults:
+            reason = "frequencies mean nothing by such a reference"
         else:
             yield from sensor_checks.check_plate(capture, plate)
+            return
+        yield from not_checked(sensor_checks.OF_THE_PLATE, reason)
 
     def _plate(self, probed: ProbeResult) -> Plate | None:
         if self._config is not None:

@@ -49,15 +49,14 @@ def check_usb_link(link: UsbId, host: Host, load_bit_per_s: float | None) -> Ite
     wanted = f"{link.vendor_id:04x}:{link.product_id:04x}" + (
         f", serial {link.serial_number}" if link.serial_number else ""
     )
-    if not found:
-        yield DEVICE.fault(
-            f"no USB device {wanted} is present", "plug the board in, check cable and power, or correct `link`"
-        )
-        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "the device is not there")
-        return
-    if len(found) > 1:
-        yield DEVICE.fault(f"{len(found)} USB devices are {wanted}", "name one by `?serial=` in `link`")
-        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), "which of them is meant is not known")
+    if len(found) != 1:
+        if found:
+            yield DEVICE.fault(f"{len(found)} USB devices are {wanted}", "name one by `?serial=` in `link`")
+        else:
+            remedy = "plug the board in, check cable and power, or correct `link`"
+            yield DEVICE.fault(f"no USB device {wanted} is present", remedy)
+        reason = "which of them is meant is not known" if found else "the device is not there"
+        yield from not_checked((AUTOSUSPEND, SPEED, HUBS), reason)
         return
     node = _node(found[0], host)
     if host.may_use(host.at(node)):
