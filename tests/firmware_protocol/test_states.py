@@ -133,24 +133,3 @@ def test_another_answer_under_the_right_number_moves_nothing(answer: MessageType
     host, _, _ = host_in(HostState.IDENTIFYING)
     host.receive(answer_packet(answer, 1))
     assert (host.state, host.messages.stale) == (HostState.IDENTIFYING, 1)
-
-
-def test_every_request_has_its_own_number() -> None:
-    host, device = HostSession(), new_device()
-    seen = []
-
-    def carry() -> None:
-        while data := host.data_to_send():
-            seen.extend(packet.sequence for packet in requests(data))
-            host.receive(device.receive(data, 0))
-
-    carry()
-    host.ping(bytes(8))
-    carry()
-    host.configure(GATE)
-    carry()
-    host.locate()
-    carry()
-    host.stop()
-    carry()
-    assert seen == list(range(1, 8))

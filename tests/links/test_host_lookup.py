@@ -66,15 +66,3 @@ def test_an_error_is_told_once_and_the_name_asked_anew(resolver: Resolver, error
     assert raised.value is error
     resolver.error = None
     resolve_host("none.local", 5000, AMPLE_S)
-
-
-def test_a_name_that_no_thread_could_look_up_is_asked_anew(resolver: Resolver, monkeypatch: pytest.MonkeyPatch) -> None:
-    def no_more(_: threading.Thread) -> None:
-        raise RuntimeError("can't start new thread")
-
-    resolver.go_on.set()
-    with monkeypatch.context() as full:
-        full.setattr(threading.Thread, "start", no_more)
-        with pytest.raises(RuntimeError, match="can't start new thread"):
-            resolve_host("board.local", 5000, AMPLE_S)
-    assert resolve_host("board.local", 5000, AMPLE_S)[0][1][0] == "fe80::1"

@@ -70,16 +70,6 @@ def test_the_same_kind_of_port_with_another_number_ends_it_and_other_files_do_no
     assert not came(tmp_path / "3", (tmp_path / "4").touch)
 
 
-def test_a_directory_that_does_not_exist_yet_is_waited_for(tmp_path: Path) -> None:
-    port = tmp_path / "serial" / "by-id" / "usb-RD_board_0042-if00"
-
-    def plug_in() -> None:
-        port.parent.mkdir(parents=True)
-        port.symlink_to(os.devnull)
-
-    assert came(port, plug_in)
-
-
 def test_directories_that_come_one_by_one_are_followed_and_followed_again_when_they_went(tmp_path: Path) -> None:
     port = tmp_path / "serial" / "by-id" / "board"
     with watching(port) as watch:
@@ -95,17 +85,6 @@ def test_directories_that_come_one_by_one_are_followed_and_followed_again_when_t
             assert not watch.wait(0.0)
 
 
-def test_a_directory_that_was_replaced_meanwhile_is_followed(tmp_path: Path) -> None:
-    port = tmp_path / "by-id" / "board"
-    port.parent.mkdir()
-    with watching(port) as watch:
-        port.parent.rmdir()
-        port.parent.mkdir()
-        assert not watch.wait(0.0)
-        port.touch()
-        assert watch.wait(0.0)
-
-
 def test_a_directory_that_appears_while_its_parent_is_aimed_at_is_not_missed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,21 +97,6 @@ def test_a_directory_that_appears_while_its_parent_is_aimed_at_is_not_missed(
 
     monkeypatch.setattr(DirectoryEvents, "watch", late)
     assert came(port, port.touch)
-
-
-def test_a_directory_that_matters_no_more_is_watched_no_more(tmp_path: Path) -> None:
-    for name in ("before", "after"):
-        (tmp_path / name).mkdir()
-    events = DirectoryEvents()
-    watches = Path(f"/proc/self/fdinfo/{events.fileno()}")
-    events.watch({str(tmp_path / "before")})
-    events.watch({str(tmp_path / "after")})
-    assert watches.read_text().count("inotify wd:") == 1
-    for name in ("before", "after"):
-        (tmp_path / name / "port").touch()
-    happened = [event for event in events.read() if event.name]
-    events.close()
-    assert {event.directory for event in happened} == {str(tmp_path / "after")}
 
 
 def test_a_link_that_is_moved_into_its_place_ends_it(tmp_path: Path, pseudo_terminal: str) -> None:

@@ -124,16 +124,6 @@ def lose(link: Link) -> None:
 
 
 @every_link
-def test_a_board_identifies_and_describes_itself(host: Host) -> None:
-    link = host.open()
-    described = Talk(link).describe()
-    link.close()
-    assert described.identity.serial_number
-    assert described.description.channels == 4
-    assert described.boot_id
-
-
-@every_link
 def test_every_byte_value_passes_both_ways(host: Host) -> None:
     link = host.open()
     talk = Talk(link)
@@ -173,23 +163,6 @@ def test_frames_come_in_order_and_without_a_gap(emulated: Bench) -> None:
     assert [frame.sequence for frame in talk.frames] == list(range(2000))
     assert {frame.payload for frame in talk.frames} == {RECORDS}
     assert talk.session.bytes.discarded == 0
-
-
-@every_emulated_link
-def test_frames_that_are_cut_anywhere_are_whole(emulated: Bench) -> None:
-    link = emulated.host.open()
-    talk = Talk(link)
-    talk.start()
-    frames = [emulated.board.session.frame(number, 0, RECORDS) for number in range(203)]
-    for number, frame in enumerate(frames):
-        cut = number + 1
-        emulated.board.send(frame[:cut])
-        assert talk.session.receive(read_exactly(link, cut)) == []
-        emulated.board.send(frame[cut:])
-        (event,) = talk.session.receive(read_exactly(link, len(frame) - cut))
-        assert isinstance(event, Frame)
-        assert event.sequence == number
-    link.close()
 
 
 @every_emulated_link

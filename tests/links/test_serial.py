@@ -154,14 +154,6 @@ def test_a_busy_port_is_said_to_be_held_and_opens_once_it_is_free(port: Terminal
     open_serial(SerialTarget(port.path, BAUD)).close()
 
 
-def test_of_several_holders_the_one_that_locked_the_port_is_named(port: Terminal) -> None:
-    # This process has the terminal open as well, and no lock on it.
-    with locked_elsewhere(port.path) as holder:
-        name = Path(f"/proc/{holder.pid}/comm").read_text().strip()
-        assert refusal(port.path) == f"{port.path} is held by {name} (pid {holder.pid}); close it there"
-    open_serial(SerialTarget(port.path, BAUD)).close()
-
-
 @pytest.mark.parametrize(
     ("all_seen", "ending"),
     [(True, "another program; close it there"), (False, "this user may not look at; as root: fuser -v {path}")],
@@ -220,13 +212,6 @@ def test_a_port_that_was_emptied_in_pieces_is_not_taken_for_one_that_is_gone(por
     assert read_exactly(link, 3000) == bytes(3000)
     assert link.read(0.0) == b""
     link.close()
-
-
-def test_the_last_bytes_are_still_sent_when_the_port_is_closed(port: Terminal) -> None:
-    link = open_serial(SerialTarget(port.path, BAUD))
-    link.write(b"stop")
-    link.close()
-    assert os.read(port.master, 100) == b"stop"
 
 
 @pytest.mark.parametrize(("queued", "dropped"), [([28, 5, 0], []), ([28] * 3, [termios.TCOFLUSH])])
@@ -326,12 +311,6 @@ def test_a_machine_without_ports_is_said_to_have_none(tmp_path: Path, monkeypatc
     assert refusal(tmp_path / "ttyACM9").endswith("no serial port is present")
 
 
-def test_a_link_that_points_nowhere_is_a_missing_port(tmp_path: Path) -> None:
-    link = tmp_path / "board"
-    link.symlink_to(tmp_path / "pts-that-is-gone")
-    assert refusal(link).startswith(f"no port {link}; ")
-
-
 @pytest.mark.parametrize("make", [Path.touch, os.mkfifo, Path.mkdir])
 def test_a_file_that_is_no_terminal_is_said_to_be_no_serial_port(tmp_path: Path, make: Callable[[Path], None]) -> None:
     path = tmp_path / "notes.txt"
@@ -379,14 +358,6 @@ def test_a_rate_that_the_driver_refuses_is_said(port: Terminal, monkeypatch: pyt
         said = refusal(port.path, 2_345_678)
     assert said.startswith(f"{port.path} cannot be set to 2345678 baud")
     open_serial(SerialTarget(port.path, BAUD)).close()  # the failure left no lock behind
-
-
-def test_a_port_that_goes_away_while_it_is_set_up_is_no_crash(port: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    def gone(_descriptor: int, _queue: int) -> None:
-        raise termios.error(errno.EIO, os.strerror(errno.EIO))
-
-    monkeypatch.setattr(termios, "tcflush", gone)
-    assert os.strerror(errno.EIO) in refusal(port.path)
 
 
 def test_a_port_that_goes_away_at_the_last_moment_is_given_back(

@@ -116,13 +116,6 @@ def test_the_next_address_of_a_host_is_tried(listener: socket.socket, monkeypatc
         open_tcp(TcpTarget("board.local", port))
 
 
-def test_nobody_there_is_said_with_the_address(listener: socket.socket) -> None:
-    where = target(listener)
-    listener.close()
-    with pytest.raises(LinkUnavailableError, match=rf"tcp://127\.0\.0\.1:{where.port} .*refused"):
-        open_tcp(where)
-
-
 @pytest.mark.parametrize("host", ["left..finger", "x" * 70])
 def test_a_name_that_no_host_can_have_is_no_crash(host: str) -> None:
     with pytest.raises(LinkUnavailableError, match=f"tcp://{host}:5000 does not answer"):

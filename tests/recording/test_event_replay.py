@@ -1,11 +1,11 @@
 """Replays of what happened on emulated boards' links: the same arrivals, times and accounts, to the bit."""
 
 import threading
-import time
 from pathlib import Path
 
 import pytest
 from emulation import emulated
+from listener import Listener, frames, outages
 from recording_bench import PLATE, at, record, replayed, same
 
 from firmware_protocol.host import HostSession
@@ -13,13 +13,11 @@ from resonator_daemon.conditions import Condition
 from resonator_daemon.config.text import load_plate_text
 from resonator_daemon.links.carriers.recording import RecordingTarget
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.target import LinkTarget
-from resonator_daemon.plate import Plate, load_plate
+from resonator_daemon.plate import load_plate
 from resonator_daemon.recording.event_replay import Pace, replay_of
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder
 from resonator_daemon.session.board_reader import BoardReader
-from resonator_daemon.session.counters import LinkCounters
 from resonator_daemon.session.frames import (
     Arrival,
     BoardRefused,
@@ -50,63 +48,30 @@ CORPUS = Path(__file__).parents[1] / "corpus"
 DEADLINE_S = 30.0  # far beyond what any of this takes: it ends a test that hangs
 
 
-class Sitting:
-    """A reader that is recorded, and all that it handed on."""
-
-    def __init__(self, link: LinkTarget, plate: Plate, path: Path) -> None:
-        self._woken = threading.Event()
-        self.recorder = Recorder(path, Origin(plate, str(link)))
-        self.reader = BoardReader(link, plate, self._woken.set, on_event=self.recorder.put)
-        self.arrivals: list[Arrival] = []
-        self.counters = LinkCounters()
-
-    def __enter__(self) -> "Sitting":
-        self.reader.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.reader.stop()
-        self.recorder.close()
-        self.arrivals += self.reader.pop_arrivals()
-        self.counters = self.reader.counters()
-
-    def wait_for(self, kind: type[Arrival], count: int) -> None:
-        deadline = time.monotonic() + DEADLINE_S
-        while sum(isinstance(arrival, kind) for arrival in self.arrivals) < count:
-            assert time.monotonic() < deadline, self.arrivals[-5:]
-            self._woken.wait(1.0)
-            self._woken.clear()
-            self.arrivals += self.reader.pop_arrivals()
-
-
-def check_same(sitting: Sitting, path: Path, plate: Plate) -> list[Arrival]:
-    arrivals, counters, differences = replayed(path, plate)
-    assert differences == 0
-    end = arrivals[-1]
-    assert isinstance(end, LinkChange)
-    assert (end.state, end.reason) == ("lost", f"the recording {path.name} is over")
-    assert len(arrivals) == len(sitting.arrivals) + 1
-    for live, again in zip(sitting.arrivals, arrivals, strict=False):
-        assert same(live, again), (live, again)
-    assert counters == sitting.counters
-    return arrivals
-
-
 @pytest.mark.undisturbed
 def test_a_board_with_faults_is_replayed_to_the_bit(tmp_path: Path) -> None:
     port, path = tmp_path / "board", tmp_path / "run.mcap"
+    link = SerialTarget(str(port), 4000000)
     faults = parse_faults("bit_error_rate=1e-4,unplug_at_s=0.8,unplug_for_s=0.2,reboot_at_s=1.6")
-    with (
-        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Sitting(SerialTarget(str(port), 4000000), PLATE, path) as sitting,
-    ):
-        sitting.wait_for(Outage, 2)
-        sitting.wait_for(SingleToneFrame, sum(isinstance(a, SingleToneFrame) for a in sitting.arrivals) + 200)
-    arrivals = check_same(sitting, path, PLATE)
+    with Recorder(path, Origin(PLATE, str(link))) as recorder:
+        with (
+            emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
+            Listener(link, PLATE, on_event=recorder.put) as it,
+        ):
+            it.wait_for(lambda arrivals: len(outages(arrivals)) == 2)
+            it.wait_for_frames(len(frames(it.arrivals)) + 200)
+        it.take_the_rest()
+    arrivals, counters, differences = replayed(path, PLATE)
+    assert differences == 0
+    assert last_reason(arrivals) == f"the recording {path.name} is over"
+    assert len(arrivals) == len(it.arrivals) + 1
+    for live, again in zip(it.arrivals, arrivals, strict=False):
+        assert same(live, again), (live, again)
+    assert counters == it.reader.counters()
     assert {SingleToneFrame, Gap, LinkChange, Outage} <= {type(arrival) for arrival in arrivals}
-    assert sitting.counters.connections > 1
-    assert len(sitting.counters.boots) == 2
-    assert sitting.counters.bytes_discarded > 0
+    assert counters.connections > 1
+    assert len(counters.boots) == 2
+    assert counters.bytes_discarded > 0
 
 
 def replaying(path: str, woken: threading.Event) -> BoardReader:

@@ -122,14 +122,3 @@ def test_room_must_be_left_on_the_disk(tmp_path: Path, monkeypatch: pytest.Monke
     room.check(again=False)
     with pytest.raises(NoRoomError, match=r"has 480 MB left, and 450 MB are kept free \(keep_free_mb in \[recording\]"):
         room.check(again=True)
-
-
-def test_the_file_that_is_written_counts_once(tmp_path: Path) -> None:
-    old = made(tmp_path, 0)
-    room = DiskSpace(Series(tmp_path, "left", budget_bytes=80_000), lambda *_: None)
-    own = Series(tmp_path, "left").make(LEFT, 1_800_000_000 * 10**9)
-    own.write(Received(at(0), Random(1).randbytes(50_000)))
-    own.flush()
-    room.keep_budget(own)
-    assert old.exists()
-    own.abandon()

@@ -240,27 +240,6 @@ def test_what_is_whole_counts_as_written_though_the_end_of_the_file_fails(
     assert recorder.all_bytes == path.stat().st_size
 
 
-def test_what_waits_when_a_recording_fails_is_counted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stuck, go_on = threading.Event(), threading.Event()
-
-    def fail(event: WireEvent) -> bytes:
-        stuck.set()
-        go_on.wait(DEADLINE_S)
-        raise OSError("no number, no text")
-
-    monkeypatch.setattr(recording_writer, "encode", fail)
-    path = tmp_path / "run.mcap"
-    with Recorder(path, Origin(PLATE, "tcp://board:1"), queue_bytes=2_000) as recorder:
-        recorder.put(Opened(at(0)))
-        assert stuck.wait(DEADLINE_S)
-        recorder.put(Received(at(1), bytes(10_000)))
-        recorder.put(Closed(at(2)))
-        go_on.set()
-    assert recorder.failure is not None
-    assert "no number, no text" in recorder.failure
-    assert recorder.counts.events_missing == 3  # the one that failed, the large one, and the one that waited behind it
-
-
 def test_wherever_a_file_is_cut_what_is_whole_before_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     random = Random(2)

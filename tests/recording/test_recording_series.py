@@ -1,6 +1,5 @@
 """A recording that goes from file to file: where each begins, what is removed for room, and a disk without any."""
 
-import fcntl
 import logging
 import os
 import shutil
@@ -17,7 +16,6 @@ from recording_bench import FLUSHING, NO_PAUSE, ONE_BATCH, PLATE, at, made, read
 from resonator_daemon.errors import UserError
 from resonator_daemon.recording import file_series as recording_budget
 from resonator_daemon.recording import recorder as recording
-from resonator_daemon.recording import writer as recording_writer
 from resonator_daemon.recording.file_series import NoRoomError, Series
 from resonator_daemon.recording.reader import Origin, open_recording
 from resonator_daemon.recording.recorder import Recorder, RecorderTimes
@@ -92,13 +90,6 @@ def test_a_file_ends_once_it_is_large(tmp_path: Path) -> None:
     assert recorder.counts.file_bytes == sizes[-1]
 
 
-def test_a_file_does_not_end_between_standings(tmp_path: Path) -> None:
-    with Recorder(Series(tmp_path, "left", file_max_ns=1), LEFT) as recorder:
-        for ms in range(100):
-            recorder.put(Received(at(ms), b"x"))
-    assert len(contents(tmp_path)) == 1
-
-
 def test_each_file_says_the_same_of_its_origin(tmp_path: Path) -> None:
     origin = Origin(PLATE, "tcp://board:1", "left", "b00t", "5ha", "name = 'quartz16'\n", "[measurement]\n")
     with Recorder(Series(tmp_path, "left", "press", file_max_ns=1), origin) as recorder:
@@ -153,16 +144,6 @@ def test_names_sort_by_time_and_are_never_used_twice(tmp_path: Path) -> None:
     names = [file.path.name for file in files]
     assert names == [f"left-20260910T002640.{ms}Z.mcap" for ms in (123, 124, 125)]
     assert [path.name for path in series.files()] == names
-
-
-def test_a_recording_that_is_written_is_locked(tmp_path: Path) -> None:
-    own = Series(tmp_path, "left").make(LEFT, 0)
-    with own.path.open("rb") as file, pytest.raises(BlockingIOError):
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    own.finish()
-    own.sync()
-    with own.path.open("rb") as file:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
 
 def test_a_recorder_keeps_the_budget_while_it_writes(tmp_path: Path) -> None:
@@ -270,18 +251,6 @@ def test_each_file_is_synchronised_when_it_ends(tmp_path: Path, monkeypatch: pyt
             recorder.put(snapshot(at(ms)))
     assert sorted(synchronised) == [str(path) for path in Series(tmp_path, "left").files()]
     assert len(synchronised) == 3
-
-
-def test_a_recording_that_does_not_resume_makes_no_second_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(event: WireEvent) -> bytes:
-        raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(recording_writer, "encode", broken)
-    with Recorder(Series(tmp_path, "left"), LEFT, times=ONE_BATCH) as recorder:
-        recorder.put(Opened(at(0)))
-        recorder.put(snapshot(at(1)))
-    assert recorder.failure == f"{recorder.path}: Input/output error: nothing more is recorded; what was written stays"
-    assert len(Series(tmp_path, "left").files()) == 1
 
 
 @pytest.mark.parametrize("how", ["removed", "moved", "replaced"])

@@ -18,7 +18,6 @@ from firmware_protocol.messages import Configuration
 from resonator_daemon.conditions import Condition
 from resonator_daemon.errors import UserError
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate, load_plate
 from resonator_daemon.recording import recorder as recording
@@ -32,7 +31,7 @@ from resonator_daemon.recording.switch import (
     RecordingSwitch,
 )
 from resonator_daemon.recording.writer import Published
-from resonator_daemon.session.frames import Arrival, BoardOnline, ChannelisedFrame, LinkChange
+from resonator_daemon.session.frames import Arrival, BoardOnline, LinkChange
 from resonator_daemon.session.link_events import (
     Opened,
     Received,
@@ -132,22 +131,6 @@ def test_a_recording_begun_while_frames_come_is_replayed_with_their_numbers(tmp_
     assert summary is not None
     assert summary == (path, 1, path.stat().st_size, len(events), 0, summary.seconds, None)
     assert 1.0 < summary.seconds < DEADLINE_S
-
-
-def test_a_channelised_frame_under_way_is_not_recorded_in_half(tmp_path: Path) -> None:
-    path = tmp_path / "run.mcap"
-    with emulated(EmulatorOptions("skin32", tcp=("127.0.0.1", 0))) as emulator:
-        link = parse_link(emulator.link.address)
-        with listening(link, SKIN) as (it, switch):
-            it.wait_for_frames(20)
-            switch.start(path, Origin(SKIN, str(link)))
-            wait_for_frames(it, 50)
-            switch.stop()
-            it.take_the_rest()
-    arrivals = check_replay(it.arrivals, path, SKIN)
-    again = frames(arrivals)
-    assert again[0].index > 0
-    assert all(frame.known.all() for frame in again[:-1] if isinstance(frame, ChannelisedFrame))
 
 
 def inject(emulator: Emulator, fault: str) -> None:

@@ -134,15 +134,6 @@ def test_a_difference_is_printed_and_ends_with_a_failure(tmp_path: Path, capsys:
     assert (told["ok"], told["cases"][0]["differences"]) == (False, 1)
 
 
-def test_messages_that_are_missing_in_a_case_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    case = retold(tmp_path, lambda lines: lines.__delitem__(slice(1, None)))
-    assert check_cases([case], as_json=False) is ExitCode.FAILED
-    said = capsys.readouterr().out
-    assert said.startswith("DIFFERS refused: 6 differences\n        state/link at ")
-    assert ' s: message 0: expected "nothing", got "one"\n' in said
-    assert check(case).messages == 0
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

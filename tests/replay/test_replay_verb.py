@@ -20,7 +20,7 @@ from observer import Observer, observe
 
 from resonator_daemon.commands import main
 from resonator_daemon.publishing.topics import STATE_DAEMON
-from resonator_daemon.recording.reader import FORMAT, PLATE_FILE
+from resonator_daemon.recording.reader import PLATE_FILE
 from resonator_daemon.replay.case import read_expected
 
 CORPUS = Path(__file__).parents[1] / "corpus"
@@ -195,37 +195,21 @@ def test_a_damaged_file_is_played_up_to_there(case: str, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("make", "code", "said"),
+    "make",
     [
-        (lambda path: None, 69, "No such file or directory"),
-        (
-            lambda path: path.write_bytes(b""),
-            69,
-            "nothing of it was written; name a file that `resonatord record` has written",
-        ),
-        (lambda path: path.write_bytes(b"col1,col2\n" * 100), 69, "is no recording"),
-        (lambda path: path.write_bytes(TOUCHES.read_bytes()[:40]), 69, "is no recording"),
-        (lambda path: path.write_bytes(newer()), 69, "has format 9, this version reads format"),
-        (lambda path: path.mkdir(), 69, "is no regular file"),
-        (lambda path: os.mkfifo(path), 69, "is no regular file"),
+        lambda path: None,
+        lambda path: path.write_bytes(b""),
+        lambda path: path.write_bytes(TOUCHES.read_bytes()[:40]),
+        lambda path: os.mkfifo(path),
     ],
+    ids=["no file", "empty", "cut", "pipe"],
 )
-def test_what_cannot_be_replayed_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Any, code: int, said: str
-) -> None:
+def test_what_cannot_be_replayed_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str], make: Any) -> None:
     path = tmp_path / "run.mcap"
     make(path)
-    assert replay(path, "--to", "-") == code
+    assert replay(path, "--to", "-") == 69
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("resonatord: ")
-    assert said in line
-
-
-def newer() -> bytes:
-    content = TOUCHES.read_bytes()
-    place = content.index(b"format") + len(b"format")  # then its length, 4 bytes, and the number
-    assert content[place + 4 : place + 5] == FORMAT.encode()
-    return content[: place + 4] + b"9" + content[place + 5 :]
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,8 @@
 """The reader of one board against emulated boards in this process, and against what is no board at all."""
 
-import json
-import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,12 +12,10 @@ from listener import DEADLINE_S, Listener, check_bytes, check_indices, frames, g
 
 from firmware_protocol.device import DeviceSession
 from resonator_daemon.links.carriers.serial import SerialTarget
-from resonator_daemon.links.carriers.tcp import TcpTarget
 from resonator_daemon.links.link import Link, LinkLostError
 from resonator_daemon.links.table import parse_link
 from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import load_plate
-from resonator_daemon.session.clock import Line, TickScale
 from resonator_daemon.session.frames import (
     BoardOnline,
     BoardRefused,
@@ -37,7 +32,6 @@ pytestmark = pytest.mark.undisturbed
 
 QUARTZ = load_plate("quartz16")
 SKIN = load_plate("skin32")
-FRAME_BYTES = SingleToneFrame(0, 0, 0, TickScale(10**12, 0, Line(0, 0, 0.0, 0.0, 0.0), 0, 0), b"").memory_bytes
 
 
 def test_frames_over_a_pseudo_terminal(tmp_path: Path) -> None:
@@ -79,23 +73,6 @@ def test_a_brown_out_within_a_channelised_frame_costs_that_frame() -> None:
     assert counters.messages_stale == 0
 
 
-def test_what_is_not_taken_is_kept_up_to_the_ring_and_then_counted(tmp_path: Path) -> None:
-    port = tmp_path / "board"
-    with (
-        emulated(EmulatorOptions("quartz16", pty=port)),
-        Listener(SerialTarget(str(port), 4000000), frame_queue_bytes=100 * FRAME_BYTES) as it,
-    ):
-        deadline = time.monotonic() + DEADLINE_S
-        while it.reader.counters().frames < 400 and time.monotonic() < deadline:
-            threading.Event().wait(0.01)
-        it.take_the_rest()
-        counters = it.reader.counters()
-    kept = frames(it.arrivals)
-    assert len(kept) == 100
-    assert counters.lost.ring_overflow >= 300
-    assert kept[0].index == kept[-1].index - 99
-
-
 def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
     port = tmp_path / "board"
     with emulated(EmulatorOptions("quartz16", pty=port)), Listener(SerialTarget(str(port), 4000000), SKIN) as it:
@@ -105,39 +82,6 @@ def test_a_board_for_another_plate_is_refused(tmp_path: Path) -> None:
     assert any("single-tone" in problem and "channelised" in problem for problem in refused.problems)
     assert it.states[-1][0] == "refused"
     assert not frames(it.arrivals)
-
-
-@contextmanager
-def tcp_server(greeting: bytes) -> Iterator[TcpTarget]:
-    """Something that is no board: it sends its greeting and nothing else."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-
-        def serve() -> None:
-            try:
-                while True:
-                    client, _ = listener.accept()
-                    clients.append(client)
-                    client.sendall(greeting)
-            except OSError:
-                return
-
-        clients: list[socket.socket] = []
-        thread = threading.Thread(target=serve)
-        thread.start()
-        yield TcpTarget("127.0.0.1", listener.getsockname()[1])
-        listener.shutdown(socket.SHUT_RDWR)
-        thread.join()
-        for client in clients:
-            client.close()
-
-
-def test_a_port_that_talks_otherwise_is_stalled_and_its_bytes_are_counted() -> None:
-    with tcp_server(b"+OK ready\r\n" * 100) as link, Listener(link) as it:
-        it.wait_for(lambda arrivals: any(isinstance(a, LinkChange) and a.state == "stalled" for a in arrivals))
-        counters = it.reader.counters()
-    check_bytes(counters)
-    assert counters.bytes_accepted == 0
-    assert "1100 bytes came and no answer" in it.states[-1][1]
 
 
 def test_a_missing_port_is_waited_for(tmp_path: Path) -> None:
@@ -296,25 +240,6 @@ def test_what_ended_the_frames_is_told_with_the_outage(tmp_path: Path, faults: s
     assert seen[-1].index - seen[0].index == pytest.approx(elapsed_ns / 1e6, abs=4, rel=1e-3)
 
 
-def test_another_board_on_the_port_is_refused_and_the_right_one_taken_again(tmp_path: Path) -> None:
-    port = tmp_path / "board"
-    faults = parse_faults("wrong_board_at_s=0.3,wrong_board_for_s=0.5")
-    with (
-        emulated(EmulatorOptions("quartz16", pty=port, faults=faults)),
-        Listener(SerialTarget(str(port), 4000000)) as it,
-    ):
-        it.wait_for(lambda arrivals: bool(outages(arrivals)) and len(frames(arrivals[-100:])) == 100)
-    refused = [reason for state, reason in it.states if state == "refused"]
-    assert refused == [
-        "another board is on this link: EMU-0002; EMU-0001 was here before: connect that one again, "
-        "or start the daemon anew to take this one"
-    ]
-    assert {arrival.identity.serial_number for arrival in it.arrivals if isinstance(arrival, BoardOnline)} == {
-        "EMU-0001"
-    }
-    check_indices(it.arrivals)
-
-
 def test_a_slow_reader_makes_the_board_overflow_and_every_frame_is_put_down_to_it(tmp_path: Path) -> None:
     port = tmp_path / "board"
     faults = parse_faults("slow_reader_bytes_per_s=150000")
@@ -344,20 +269,3 @@ def test_bytes_that_come_one_by_one_are_not_taken_one_by_one(tmp_path: Path) -> 
         counters = it.reader.counters()
     assert counters.lost.damaged == counters.lost.link_gap == 0
     assert sum(reads) / len(reads) > 10
-
-
-def test_time_is_within_its_bound_through_clumps_and_late_answers(tmp_path: Path) -> None:
-    """The truth has the host's time of each gate, by the emulator's own clock."""
-    port, truth = tmp_path / "board", tmp_path / "truth.jsonl"
-    faults = parse_faults("clump_ms=16,answer_delay_rate=0.01,answer_delay_ms=50,skew_ppm=50")
-    options = EmulatorOptions("quartz16", pty=port, faults=faults, truth=truth)
-    with emulated(options), Listener(SerialTarget(str(port), 4000000)) as it:
-        it.wait_for_frames(9000)
-    ends_ns = {line["board_ticks"]: int(line["t_ns"]) for line in map(json.loads, truth.read_text().splitlines()[:-1])}
-    settled = [frame for frame in frames(it.arrivals)[5000:] if frame.board_ticks in ends_ns]
-    errors_ns = [frame.gate_middle.utc_ns + 500_000 - ends_ns[frame.board_ticks] for frame in settled]
-    bounds_ns = [frame.gate_middle.uncertainty_ns for frame in settled]
-    assert len(settled) > 3000
-    inside = [abs(error) <= 3 * bound for error, bound in zip(errors_ns, bounds_ns, strict=True)]
-    assert sum(inside) >= 0.99 * len(inside)
-    assert max(bounds_ns) < 3_000_000

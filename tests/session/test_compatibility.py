@@ -7,7 +7,7 @@ import pytest
 
 from firmware_protocol.messages import Description
 from resonator_daemon.plate import load_plate
-from resonator_daemon.session.compatibility import gate_ticks, incompatibilities, oscillator_hz
+from resonator_daemon.session.compatibility import incompatibilities, oscillator_hz
 
 QUARTZ, SKIN = load_plate("quartz16"), load_plate("skin32")
 
@@ -31,11 +31,6 @@ SKIN_BOARD = Description(
     oscillator_millihertz=10**11,  # 100 MHz, in steps of 3250 Hz: the plate's own tones
     oscillator_spacing_millihertz=3_250_000,
 )
-
-
-def test_gates_follow_from_the_plate() -> None:
-    assert gate_ticks(QUARTZ) == 1_000_000
-    assert gate_ticks(SKIN) == 2_500_000
 
 
 def test_oscillators_lie_on_a_comb() -> None:

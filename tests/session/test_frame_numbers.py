@@ -31,11 +31,6 @@ def accept(
     return accepted and (accepted.index, accepted.gap)
 
 
-def test_no_gap_without_loss() -> None:
-    it = numbering()
-    assert [accept(it, n) for n in range(3)] == [(0, None), (1, None), (2, None)]
-
-
 def test_frames_that_never_came_are_a_link_gap() -> None:
     it = numbering()
     accept(it, 0)
