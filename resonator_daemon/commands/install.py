@@ -46,7 +46,7 @@ def _print(done: "Installation", prefix: Path | None) -> None:
     }
     lines = [f"{file.path}: {words.get(file.action, str(file.action))}" for file in done.placed]
     for command, error in done.commands:
-        lines.append(f"{' '.join(command)}: {error or ('would be run' if error is None else 'done')}")
+        lines.append(f"{' '.join(command)}: {error or ('done' if done.run else 'would be run')}")
     if done.warning:
         print_note(f"warning: {done.warning}")
     elif prefix is None:
@@ -59,11 +59,11 @@ def _as_json(done: "Installation", *, dry_run: bool, ok: bool) -> dict[str, obje
         "verb": "install",
         "ok": ok,
         "program": str(done.program),
-        "warning": done.warning or None,
+        "warning": done.warning,
         "dry_run": dry_run,
         "files": [{"path": str(file.path), "action": file.action} for file in done.placed],
         "commands": [
-            {"command": " ".join(command), "done": error == "", "error": error or None}
+            {"command": " ".join(command), "done": done.run and error is None, "error": error}
             for command, error in done.commands
         ],
     }

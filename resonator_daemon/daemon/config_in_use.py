@@ -45,14 +45,14 @@ class ConfigInUse:
         return self._loaded.sha256
 
     @property
-    def remark(self) -> str:
-        """What people should know of it; "" where the file is in use as it is."""
+    def remark(self) -> str | None:
+        """What is wrong with the file or waits for a restart; None if the file is in use as it is."""
         if self._problems:
             last_good = self._loaded.in_use == "last_good"
             on = "on the last good configuration" if last_good else "its changed configuration cannot be used"
             more = f", and {len(self._problems) - 1} more" if len(self._problems) > 1 else ""
             return f"{on}: {self._problems[0]}{more}"
-        return f"restart for changed {', '.join(self._waiting)}" if self._waiting else ""
+        return f"restart for changed {', '.join(self._waiting)}" if self._waiting else None
 
     @property
     def status(self) -> ConfigStatus:

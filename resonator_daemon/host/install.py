@@ -89,15 +89,18 @@ class Installation:
     Attributes
     ----------
     commands
-        With what went wrong, "" where nothing did, None where it was not run.
+        What is to be run, with what went wrong.
+    run
+        Whether they were run.
     warning
-        Why the services cannot start, "" where they can.
+        Why the services cannot start; None if they can.
     """
 
     program: Path
-    warning: str
+    warning: str | None
     placed: list[Placed]
     commands: list[tuple[tuple[str, ...], str | None]]
+    run: bool
 
 
 def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Installation:
@@ -130,15 +133,15 @@ def install(prefix: Path | None, example_config: str, *, dry_run: bool) -> Insta
     for file in placed:
         _write(file)
     commands = [(command, run_command(command) if running else None) for command in _due(prefix is None)]
-    return Installation(program, hidden, placed, commands)
+    return Installation(program, hidden, placed, commands, running)
 
 
-def _hidden(program: Path) -> str:
-    """Return why services cannot start this program, or ""."""
+def _hidden(program: Path) -> str | None:
+    """Return why services cannot start this program; None if they can."""
     real = PurePosixPath(os.path.realpath(program))
     hidden = next((place for place in HIDDEN_FROM_SERVICES if real.is_relative_to(place)), None)
     if hidden is None:
-        return ""
+        return None
     return (
         f"{program} is below {hidden}, which services do not see; install it elsewhere: python3 -m venv "
         "/opt/resonatord && /opt/resonatord/bin/pip install resonatord (in a checkout: pip install .)"
@@ -203,13 +206,12 @@ def _due(here: bool) -> list[tuple[str, ...]]:
     return [command for command, needed in _COMMANDS if here and (needed is None or needed.exists())]
 
 
-def run_command(command: tuple[str, ...]) -> str:
-    """Run it; return what went wrong, or ""."""
+def run_command(command: tuple[str, ...]) -> str | None:
+    """Run a command; return what went wrong, or None."""
     try:
         done = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=_COMMAND_S, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return str(error)
-    said = " ".join(done.stderr.split()) or f"exit code {done.returncode}"
-    return said if done.returncode else ""
+    return (" ".join(done.stderr.split()) or f"exit code {done.returncode}") if done.returncode else None

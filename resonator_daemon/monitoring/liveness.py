@@ -50,7 +50,7 @@ class LivenessMonitor:
         self._frames, self._turns = frames, reader_turns
         silent_s, still_s = now_s - self._frame_s, now_s - self._turn_s
         limit_s = _FRAMES_S if link_state == "online" else _PATIENCE_S
-        problem = ""
+        problem = None
         if silent_s > limit_s:
             problem = f"no frame was measured for {silent_s:.0f} s (limit {limit_s:.0f} s), link {link_state}"
         elif still_s > _PATIENCE_S:

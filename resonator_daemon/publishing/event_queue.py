@@ -89,7 +89,7 @@ class EventQueue:
         self._unneeded: list[Key] = []  # given to the spool, and over
         self._paused: set[str] = set()  # what failed lately
         self._lasting = True  # what is written now is there for the next run
-        self._failure = ""  # as long as the disk fails
+        self._failure: str | None = None  # as long as the disk fails
         self._wake = asyncio.Event()
         self._executor = ThreadPoolExecutor(1, thread_name_prefix="spool") if self._spool is not None else None
         self._working: asyncio.Task[None] | None = None
@@ -233,7 +233,7 @@ class EventQueue:
             self._wake.set()
 
     async def _look(self, spool: Spool) -> None:
-        """See that what is written can be found by the next run: an open file outlives its name only until it ends."""
+        """Restore a spool file that was removed: an open file outlives its name only until the process ends."""
         try:
             again = await self._in_thread(spool.make_again)
         except SpoolError:
@@ -304,7 +304,7 @@ class EventQueue:
         else:
             if self._failure and self._lasting and not self._paused and not self._to_be_written():
                 self._log_change(logging.INFO, "events can be kept on disk again")
-                self._failure = ""
+                self._failure = None
 
     def _resume(self, what: str) -> None:
         self._paused.discard(what)

@@ -69,7 +69,7 @@ async def keep_connected(
     version: MQTTProtocolVersion | None = None
     attempts = 0
     accepted_s: float | None = None
-    reported = ""
+    reported: str | None = None
 
     def report_change(level: int, text: str) -> None:
         nonlocal reported

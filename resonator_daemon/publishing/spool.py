@@ -141,7 +141,7 @@ class Spool:
         self._do(lambda database: self._delete(database, keys))
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         database, self._database = self._database, None
         if database is not None:
             with contextlib.suppress(sqlite3.Error):

@@ -36,7 +36,7 @@ def advice(line: str, column: int, reason: str) -> str:
     return "; ".join(filter(None, (f"at {key[1]}" if key else "", said)))
 
 
-def _remedy(line: str, rest: str, reason: str) -> str:
+def _remedy(line: str, rest: str, reason: str) -> str | None:
     if any(quote in line for quote in _TYPOGRAPHIC_QUOTES):
         return 'use plain " quotes'
     for words, remedy in _OF_REASONS:
@@ -54,4 +54,4 @@ def _remedy(line: str, rest: str, reason: str) -> str:
         return "write a decimal point, not a comma" if rest.startswith(",") else _ONE_A_LINE
     if "Expected '='" in reason or "Invalid statement" in reason:
         return "write key = value, [table] or # comment"
-    return ""
+    return None

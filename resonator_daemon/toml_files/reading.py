@@ -232,10 +232,10 @@ def _as_text(model: type[BaseModel], path: KeyPath, value: object) -> str:
     return quoted
 
 
-def _example(model: type[BaseModel], path: KeyPath) -> str:
-    """Return a line of a file with the key, where its model has an example; "" where it has none."""
+def _example(model: type[BaseModel], path: KeyPath) -> str | None:
+    """Return a line of a file with the key; None if its model has no example."""
     field = _field(model, path)
-    return f"{path[-1]} = {json.dumps(field.examples[0], ensure_ascii=False)}" if field and field.examples else ""
+    return f"{path[-1]} = {json.dumps(field.examples[0], ensure_ascii=False)}" if field and field.examples else None
 
 
 def _field(model: type[BaseModel], path: KeyPath) -> FieldInfo | None:

@@ -23,7 +23,7 @@ def in_use(path: Path) -> ConfigInUse:
 
 async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_restart(path: Path) -> None:
     present = in_use(path)
-    assert (present.remark, present.status.in_use, present.status.needs_restart) == ("", "file", ())
+    assert (present.remark, present.status.in_use, present.status.needs_restart) == (None, "file", ())
     first = present.sha256
     path.write_text(GOOD.replace("5000", "5001") + "[measurement]\nwindow_ms = 20\n")
     found = await present.reload()
@@ -35,7 +35,7 @@ async def test_what_can_change_live_is_taken_and_the_rest_is_named_until_a_resta
     assert present.sha256 != first
     path.write_text(GOOD)  # as it was at the start
     await present.reload()
-    assert (present.remark, present.config.measurement.window_ms, present.sha256) == ("", 10.0, first)
+    assert (present.remark, present.config.measurement.window_ms, present.sha256) == (None, 10.0, first)
 
 
 async def test_a_bad_file_changes_nothing_and_all_that_is_wrong_with_it_is_told(path: Path) -> None:
@@ -45,11 +45,13 @@ async def test_a_bad_file_changes_nothing_and_all_that_is_wrong_with_it_is_told(
     assert await present.reload() is None
     assert present.config is before
     assert len(present.status.problems) == 2
+    assert present.remark is not None
     assert present.remark.startswith(f"its changed configuration cannot be used: {path}:6: measurement.span_ms")
+    assert present.remark is not None
     assert present.remark.endswith(", and 1 more")
     path.write_text(GOOD)
     await present.reload()
-    assert (present.remark, present.status.problems) == ("", ())
+    assert (present.remark, present.status.problems) == (None, ())
 
 
 async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_is_mended(path: Path) -> None:
@@ -57,13 +59,15 @@ async def test_a_daemon_that_began_on_the_last_good_one_says_so_until_the_file_i
     path.write_text(GOOD + "wrong = 1\n")
     present = in_use(path)
     assert present.status.in_use == "last_good"
+    assert present.remark is not None
     assert present.remark.startswith(f"on the last good configuration: {path}:4: wrong: unknown key")
     path.write_text(GOOD + "worse = 1\n")
     await present.reload()
+    assert present.remark is not None
     assert present.remark.startswith(f"on the last good configuration: {path}:4: worse: unknown key")
     path.write_text(GOOD + "[measurement]\nstep_ms = 2\n")
     await present.reload()
-    assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == ("", "file", 2.0)
+    assert (present.remark, present.status.in_use, present.config.measurement.step_ms) == (None, "file", 2.0)
 
 
 async def test_a_file_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path) -> None:
@@ -74,4 +78,5 @@ async def test_a_file_whose_name_is_no_text_is_told_all_the_same(tmp_path: Path)
     await present.reload()
     status = present.status.model_dump_json()
     assert "/h?.toml" in status
+    assert present.remark is not None
     assert present.remark.encode().startswith(b"its changed configuration cannot be used: ")
