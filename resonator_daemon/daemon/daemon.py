@@ -119,13 +119,13 @@ class Service:
             self._make_decoder,
             is_late=self._is_late,
         )
-        arrivals = ArrivalLoop(
+        self._arrivals = ArrivalLoop(
             lambda: self._reader.pop_arrivals(), self._handle, lambda: self._plate_publisher.together(), self._over
         )
         self._reader = BoardReader(
             config.link,
             config.plate,
-            arrivals.wake,
+            self._arrivals.wake,
             step_frames=self._pipeline.sensor.wake_frames,
             frame_queue_bytes=frames_waiting_bytes(config.plate),
             on_event=self._recording.put,
@@ -171,6 +171,7 @@ class Service:
         finally:
             self._pipeline.close()
             await asyncio.to_thread(self._reader.stop)
+            self._arrivals.close()
             await asyncio.to_thread(self._recording.stop)
         if self._fatal is not None:
             raise self._fatal

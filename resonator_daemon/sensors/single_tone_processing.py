@@ -152,7 +152,8 @@ class SingleToneProcessing:
             self._windows.restart()
         block = self._windows.push(payload)
         crowded = self._note(block)
-        changed, others = self._tone_has_changed(block), self._other_tone_heard(block)
+        changed = self._tone_has_changed(block)
+        others: list[int] | None = None  # looked for while nothing is touched
         step, count = self._step_frames, len(block)
         self._last = first_sequence + count - 1, board_ticks[-1]
         steps = range(-(first_sequence + 1) % step, count, step)
@@ -161,11 +162,15 @@ class SingleToneProcessing:
         readings = []
         for gate in range(count):
             at_step = gate in steps
-            something_new = gate in (changed if self._tracker.any_open else others)
-            if not (at_step or (something_new and self._common_mode.known)):
-                continue
+            if not at_step:
+                if others is None and not self._tracker.any_open:
+                    others = self._other_tone_heard(block)
+                something_new = gate in (changed if self._tracker.any_open else others or ())
+                if not (something_new and self._common_mode.known):
+                    continue
             window = windows.get(gate) or between.get(gate)
             if window is None:
+                others = others or []
                 between = self._windows_at(block, [later for later in others if later >= gate])
                 window = between[gate]
             window.crowded = crowded[gate]
