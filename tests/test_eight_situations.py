@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from scenarios import IDEAL
 from service_bench import Bench
 
 from simulators.faults import parse_faults
@@ -22,8 +23,7 @@ EXAMPLE = runpy.run_path(str(Path(__file__).parents[1] / "docs" / "examples" / "
 situation: Callable[[dict[str, Any]], str] = EXAMPLE["situation"]
 
 BASE = "resonator/hand/state"
-STILL = "[plate]\nideal = true\n"
-WARMED = "environment_kelvin = [[0, 298.15], [1, 298.15], [6, 318.15]]\n" + STILL
+WARMED = "environment_kelvin = [[0, 298.15], [1, 298.15], [6, 318.15]]\n" + IDEAL
 S = 1_000_000_000
 
 
@@ -81,7 +81,7 @@ async def test_never_started(mosquitto: Mosquitto) -> None:
 
 
 async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with bench.emulated(scenario=bench.scenario(STILL)), observe(mosquitto.url) as heard:
+    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as heard:
         async with bench.running(bench.service()):
             await well(heard)
             assert situation(await seen_late(mosquitto)) == "well"
@@ -95,7 +95,7 @@ async def test_clean_stop(bench: Bench, mosquitto: Mosquitto) -> None:
 async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
     bench.service()  # which writes the configuration
     command = (sys.executable, "-m", "resonator_daemon", "run", "--config", str(bench.folder / "board.toml"))
-    async with bench.emulated(scenario=bench.scenario(STILL)), observe(mosquitto.url) as heard:
+    async with bench.emulated(scenario=bench.scenario(IDEAL)), observe(mosquitto.url) as heard:
         daemon = await asyncio.create_subprocess_exec(*command, stderr=asyncio.subprocess.DEVNULL)
         await well(heard)
         os.kill(daemon.pid, signal.SIGKILL)
@@ -107,7 +107,7 @@ async def test_crash(bench: Bench, mosquitto: Mosquitto) -> None:
 
 
 async def test_broker_restarted_empty(bench: Bench, mosquitto: Mosquitto) -> None:
-    async with bench.emulated(scenario=bench.scenario(STILL)), bench.running(bench.service()):
+    async with bench.emulated(scenario=bench.scenario(IDEAL)), bench.running(bench.service()):
         async with observe(mosquitto.url) as heard:
             await well(heard)
             first = heard.payloads(f"{BASE}/daemon")[-1]
@@ -127,7 +127,7 @@ async def test_broker_restarted_empty(bench: Bench, mosquitto: Mosquitto) -> Non
 
 async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
     async with observe(mosquitto.url) as heard, bench.running(bench.service()):
-        async with bench.emulated(scenario=bench.scenario(STILL)):
+        async with bench.emulated(scenario=bench.scenario(IDEAL)):
             await well(heard)
             pulled_s = time.time()
         await heard.until_last(f"{BASE}/sensor", state="waiting")
@@ -139,8 +139,8 @@ async def test_cable_out(bench: Bench, mosquitto: Mosquitto) -> None:
 @pytest.mark.parametrize(
     ("scenario", "faults", "word", "state", "expected"),
     [
-        (STILL, "freeze_at_s=1,freeze_for_s=60", "link", {"state": "stalled"}, "board hung"),
-        (STILL, "reboot_at_s=1", "link", {"state": "online", "boots": 2}, "board rebooted"),
+        (IDEAL, "freeze_at_s=1,freeze_for_s=60", "link", {"state": "stalled"}, "board hung"),
+        (IDEAL, "reboot_at_s=1", "link", {"state": "online", "boots": 2}, "board rebooted"),
         (WARMED.replace("ideal = true", ""), "", "sensor", {"state": "drifting"}, "sensor drifting"),
     ],
 )
@@ -160,7 +160,7 @@ async def test_what_happens_to_the_board(
 
 async def test_states_of_an_earlier_run_do_not_stay(bench: Bench, mosquitto: Mosquitto) -> None:
     async with (
-        bench.emulated(scenario=bench.scenario(STILL)),
+        bench.emulated(scenario=bench.scenario(IDEAL)),
         observe(mosquitto.url) as heard,
         bench.running(bench.service()),
     ):

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from scenarios import IDEAL, touch_text
 from service_bench import Bench
 
 from resonator_daemon.daemon.config_store import ConfigStore
@@ -22,14 +23,7 @@ DAY_NS = 86_400 * S
 EPOCH_NS = 60 * S  # a computer without a clock of its own, a minute after it was switched on
 LATE_2038_NS = 2**31 * S + DAY_NS
 YEAR_2105_NS = 2**32 * S + DAY_NS  # seconds do not fit into 32 bits, with a sign or without
-PRESSED = """[plate]
-ideal = true
-[[touches]]
-start_s = 0.5
-site = 7
-force_newton = 1.0
-hold_s = 600.0
-"""  # never let go, however long a busy computer takes
+PRESSED = IDEAL + touch_text(0.5, 1.0, 600.0, site=7)  # never let go, however long a busy computer takes
 
 
 class WallClock:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from resonator_daemon.config import Mqtt
@@ -17,17 +18,7 @@ from resonator_daemon.publishing.requests import request
 
 pytestmark = pytest.mark.undisturbed
 
-HELD = """
-[plate]
-ideal = true
-[[touches]]
-start_s = 0.4
-site = 7
-force_newton = 2.0
-rise_s = 0.1
-hold_s = 60
-fall_s = 0.1
-"""
+HELD = IDEAL + touch_text(0.4, 2.0, 60, site=7)
 ALL = ("tare", "start_recording", "stop_recording", "mark", "set_window", "set_rate", "identify")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from brokers import Amqtt, Mosquitto
 from observer import observe
+from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from firmware_protocol.packets import encode_packet
@@ -20,16 +21,9 @@ from simulators.faults import parse_faults
 
 pytestmark = pytest.mark.undisturbed
 
-IDEAL = "[plate]\nideal = true\n"
-LONG_TOUCH = """
-[[touches]]
-start_s = 0.4
-site = 7
-force_newton = 2.0
-rise_s = 0.1
-hold_s = {hold_s}
-fall_s = 0.1
-"""
+
+def touched(hold_s: float, start_s: float = 0.4, **keys: float) -> str:
+    return touch_text(start_s, 2.0, hold_s, site=7, **keys)
 
 
 @pytest.fixture
@@ -43,7 +37,7 @@ def mean_newton(window: list[dict[str, Any]]) -> float:
 
 async def test_a_touch_becomes_messages_on_either_broker(tmp_path: Path, broker: Mosquitto | Amqtt) -> None:
     bench = Bench(tmp_path, broker.url)
-    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=0.3))
+    scenario = bench.scenario(IDEAL + touched(0.3))
     async with (
         observe(broker.url) as heard,
         bench.measured(heard, bench.service(), scenario=scenario) as service,
@@ -88,10 +82,8 @@ async def test_states_for_one_who_comes_late_and_a_farewell(bench: Bench, mosqui
 
 
 async def test_pressed_at_start_gives_no_force_until_it_is_let_go(bench: Bench, mosquitto: Mosquitto) -> None:
-    held = (
-        LONG_TOUCH.format(hold_s=0.6).replace("start_s = 0.4", "start_s = 0.0").replace("rise_s = 0.1", "rise_s = 0.0")
-    )
-    again = LONG_TOUCH.format(hold_s=0.2).replace("start_s = 0.4", "start_s = 1.5")
+    held = touched(0.6, start_s=0.0, rise_s=0.0)
+    again = touched(0.2, start_s=1.5)
     async with (
         observe(mosquitto.url) as heard,
         bench.measured(heard, bench.service(), scenario=bench.scenario(held + again)),
@@ -111,7 +103,7 @@ async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto
     faults = parse_faults("reboot_at_s=0.8")
     async with (
         observe(mosquitto.url) as heard,
-        bench.measured(heard, bench.service(), scenario=bench.scenario(LONG_TOUCH.format(hold_s=1.5)), faults=faults),
+        bench.measured(heard, bench.service(), scenario=bench.scenario(touched(1.5)), faults=faults),
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         await heard.until_last("resonator/hand/state/sensor", state="pressed_at_start")
@@ -127,7 +119,7 @@ async def test_a_reboot_under_a_finger_is_not_tared_away(bench: Bench, mosquitto
 
 async def test_a_pulled_cable_is_survived_and_said(bench: Bench, mosquitto: Mosquitto) -> None:
     faults = parse_faults("unplug_at_s=0.7,unplug_for_s=0.5")
-    scenario = bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=2.0))
+    scenario = bench.scenario(IDEAL + touched(2.0))
     async with (
         observe(mosquitto.url) as heard,
         bench.measured(heard, bench.service(), scenario=scenario, faults=faults) as service,
@@ -223,9 +215,7 @@ async def test_contacts_end_when_frames_have_stopped_coming(bench: Bench, mosqui
     faults = parse_faults("unplug_at_s=1,unplug_for_s=2")
     async with (
         observe(mosquitto.url) as heard,
-        bench.measured(
-            heard, bench.service(), scenario=bench.scenario(IDEAL + LONG_TOUCH.format(hold_s=10)), faults=faults
-        ),
+        bench.measured(heard, bench.service(), scenario=bench.scenario(IDEAL + touched(10)), faults=faults),
     ):
         await heard.until(lambda: len(events(heard)) == 2)
         assert heard.payloads("resonator/hand/state/link")[-1]["state"] != "online"

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 from brokers import Mosquitto
 from observer import Observer, observe
+from scenarios import IDEAL, touch_text
 from service_bench import Bench, events
 
 from resonator_daemon.commands import main
@@ -18,15 +19,6 @@ from resonator_daemon.plate import load_plate
 pytestmark = pytest.mark.undisturbed
 
 PLACE_M = (1.5e-3, -1.0e-3)
-TOUCHED = """
-[plate]
-ideal = true
-[[touches]]
-start_s = 0.8
-position_mm = [1.5, -1.0]
-force_newton = 2.0
-hold_s = {hold_s}
-"""
 SITES = {site.id: site.position_mm for site in load_plate("comb16").sites}
 
 
@@ -46,7 +38,7 @@ def forces(heard: Observer) -> list[dict[str, Any]]:
 
 
 async def test_a_touch_between_sites_becomes_a_contact_with_place_and_force(bench: Bench, mosquitto: Mosquitto) -> None:
-    scenario = bench.scenario(TOUCHED.format(hold_s=0.6))
+    scenario = bench.scenario(IDEAL + touch_text(0.8, 2.0, 0.6, position_mm=[1.5, -1.0]))
     async with (
         bench.emulated("comb16", scenario=scenario) as emulator,
         observe(mosquitto.url) as heard,
@@ -88,7 +80,7 @@ async def test_a_touch_between_sites_becomes_a_contact_with_place_and_force(benc
 async def test_tare_is_refused_while_touched_and_done_while_untouched(
     bench: Bench, mosquitto: Mosquitto, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    scenario = bench.scenario(TOUCHED.format(hold_s=4.0))
+    scenario = bench.scenario(IDEAL + touch_text(0.8, 2.0, 4.0, position_mm=[1.5, -1.0]))
     async with (
         bench.emulated("comb16", scenario=scenario) as emulator,
         observe(mosquitto.url) as heard,

@@ -9,18 +9,12 @@ import numpy as np
 from brokers import Mosquitto
 from jsonschema import Draft7Validator
 from observer import Observer, observe
+from scenarios import touch_text
 from service_bench import Bench
 from system_parts import SMALL_SKIN
 from test_skin_daemon import SHEARED
 
-PRESSED = """
-period_s = 1.0
-[[touches]]
-start_s = 0.3
-site = 7
-force_newton = 1.0
-hold_s = 0.3
-"""
+PRESSED = "period_s = 1.0\n" + touch_text(0.3, 1.0, 0.3, site=7)
 
 
 def rows_of(payload: bytes) -> Any:

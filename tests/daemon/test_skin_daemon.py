@@ -11,18 +11,12 @@ import psutil
 import pytest
 from brokers import Amqtt, Mosquitto
 from observer import Observer, observe
+from scenarios import touch_text
 from service_bench import Bench, events
 from system_parts import SMALL_SKIN
 
-SHEARED = """
-period_s = 1.6
-[[touches]]
-start_s = 0.2
-position_mm = [0.6, -0.3]
-force_newton = 0.8
-hold_s = 1.0
-shear = {peak_ratio = 0.95, direction_deg = 30}
-"""
+SHEAR = "{peak_ratio = 0.95, direction_deg = 30}"
+SHEARED = "period_s = 1.6\n" + touch_text(0.2, 0.8, 1.0, position_mm=[0.6, -0.3], shear=SHEAR)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scenarios import steady
 from tone_fields import counted_fields
 
 from firmware_protocol.layouts import ToneFlag
@@ -16,10 +17,6 @@ GATE_TICKS = 1_250_000
 GATE_S = 5e-3
 PLATE, QUARTZ = load_plate("comb16"), load_plate("quartz16")
 INDEX = {int(site): index for index, site in enumerate(PLATE.site_ids)}
-
-
-def held(force_newton: float, **keys: object) -> Touch:
-    return Touch(start_s=0.0, force_newton=force_newton, rise_s=0.0, hold_s=1000.0, fall_s=0.0, **keys)
 
 
 def emulated(*touches: Touch, plate: Plate = PLATE, seed: int = 4, **physics: float) -> CombPlate:
@@ -41,7 +38,9 @@ def frequency_hz(plate: CombPlate, fields: dict[str, Floats]) -> Floats:
 
 @pytest.mark.parametrize("reference_error", [-12e-6, 0.0, 1.5e-6])
 def test_forces_of_two_touches_come_back_from_every_site_and_corner(reference_error: float) -> None:
-    plate = emulated(held(5.0, site=7), held(0.4, site=16), reference_error=reference_error, sensitivity_scatter=0.0)
+    plate = emulated(
+        steady(5.0, site=7), steady(0.4, site=16), reference_error=reference_error, sensitivity_scatter=0.0
+    )
     fields = count(plate, 40)
     true_hz = frequency_hz(plate, fields).mean(axis=0).T * (1 + reference_error)
     force = (1 - PLATE.tones.f0_hz / true_hz) / PLATE.tones.sensitivity
@@ -69,7 +68,7 @@ def test_noise_is_that_of_100_dbhz_at_the_best_corner_and_by_level_in_the_others
 
 
 def test_phase_goes_on_from_gate_to_gate_and_call_to_call() -> None:
-    plate = emulated(held(3.0, site=9))
+    plate = emulated(steady(3.0, site=9))
     parts = [count(plate, frames) for frames in (5, 1, 14)]
     phase = np.concatenate([part["phase_turn32"] for part in parts]) / 2**32
     offset_hz = np.concatenate([part["offset_hz16"] for part in parts]) / 2**16
@@ -96,7 +95,7 @@ def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_tha
             tone["f0_hz"] = [9.9e6 + 4000.0 * (2 * index + number)] * 4
     warm_plate = Plate.model_validate(content)
     plate = emulated(
-        held(1.0, site=7, kelvin=308.15), plate=warm_plate, temperature_coefficient=-1e-6, sensitivity_scatter=0.0
+        steady(1.0, site=7, kelvin=308.15), plate=warm_plate, temperature_coefficient=-1e-6, sensitivity_scatter=0.0
     )
     plate.count(0, 0, 2 * 10**7, 200)  # 16 s: three time constants
     fields = count(plate, 20, at_s=16.0)
@@ -113,7 +112,7 @@ def test_a_warm_finger_shifts_its_site_and_a_temperature_tone_tells_how_warm_tha
 
 def test_the_seed_fixes_everything_and_a_run_begins_anew() -> None:
     def made(seed: int) -> list[list[bytes]]:
-        return [frame.channels for frame in emulated(held(1.0, site=9), seed=seed).count(0, 0, GATE_TICKS, 3)]
+        return [frame.channels for frame in emulated(steady(1.0, site=9), seed=seed).count(0, 0, GATE_TICKS, 3)]
 
     assert made(7) == made(7)
     assert made(7) != made(8)
@@ -124,7 +123,7 @@ def test_the_seed_fixes_everything_and_a_run_begins_anew() -> None:
 
 
 def test_a_tone_far_from_its_oscillator_is_out_of_band() -> None:
-    flags = count(emulated(held(60.0, site=1), sensitivity_scatter=0.0), 1)["flags"][0]
+    flags = count(emulated(steady(60.0, site=1), sensitivity_scatter=0.0), 1)["flags"][0]
     assert np.all(flags[:, INDEX[1]] == ToneFlag.OUT_OF_BAND)
 
 

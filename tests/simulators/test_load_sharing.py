@@ -3,6 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scenarios import steady
 
 from resonator_daemon.plate import load_plate
 from simulators.load_sharing import SiteLoads, site_loads
@@ -14,24 +15,20 @@ SITES = {int(site): index for index, site in enumerate(QUARTZ.site_ids)}
 NEAR, FAR = (QUARTZ.site_positions_m[SITES[site]] for site in (7, 9))
 
 
-def touch(force_newton: float, start_s: float = 0.0, **keys: object) -> Touch:
-    return Touch(start_s=start_s, force_newton=force_newton, rise_s=0.0, hold_s=10.0, fall_s=0.0, **keys)
-
-
 def loads(*touches: Touch, times_s: npt.ArrayLike = (5.0,), plate: object = QUARTZ) -> SiteLoads:
     scenario = Scenario(touches, None, plate)
     return site_loads(scenario.at(np.array(times_s)), plate, scenario.whole_plate)
 
 
 def test_a_touch_between_sites_is_shared_by_distance_to_the_power_of_minus_4() -> None:
-    force = loads(touch(3.0, position_mm=tuple((2 * NEAR + FAR) / 3 * 1e3))).force_newton[0]
+    force = loads(steady(3.0, position_mm=tuple((2 * NEAR + FAR) / 3 * 1e3))).force_newton[0]
     assert force.sum() == pytest.approx(3.0)
     assert force[SITES[7]] / force[SITES[9]] == pytest.approx(2.0**4)
     assert force[SITES[7]] == force.max()
 
 
 def test_exactly_on_a_site_the_site_carries_all() -> None:
-    result = loads(touch(3.0, position_mm=(-0.5, 2.0)), touch(1.0, site=16))
+    result = loads(steady(3.0, position_mm=(-0.5, 2.0)), steady(1.0, site=16))
     expected = np.zeros(16)
     expected[[SITES[7], SITES[16]]] = 3.0, 1.0
     assert result.force_newton[0] == pytest.approx(expected, abs=1e-12)
@@ -40,30 +37,30 @@ def test_exactly_on_a_site_the_site_carries_all() -> None:
 
 def test_without_sharing_the_nearest_site_carries_all() -> None:
     alone = QUARTZ.model_copy(update={"load_sharing_exponent": None})
-    force = loads(touch(2.0, position_mm=(-0.3, 2.3)), plate=alone).force_newton[0]
+    force = loads(steady(2.0, position_mm=(-0.3, 2.3)), plate=alone).force_newton[0]
     assert force.tolist() == [2.0 if index == SITES[7] else 0.0 for index in range(16)]
 
 
 def test_a_cover_spreads_a_touch_and_two_touches_add_up() -> None:
     place = np.array([1.0, -2.0])
-    force = loads(touch(3.0, position_mm=tuple(place)), touch(1.0, site=9), plate=COMB).force_newton[0]
+    force = loads(steady(3.0, position_mm=tuple(place)), steady(1.0, site=9), plate=COMB).force_newton[0]
     for index, position in enumerate(np.array([site.position_mm for site in COMB.sites])):
         first, second = ((position - at) @ (position - at) for at in (place, FAR * 1e3))
         assert force[index] == pytest.approx(3.0 / (1 + first / 6.25) ** 1.5 + 1.0 / (1 + second / 6.25) ** 1.5)
 
 
 def test_a_sliding_touch_is_shared_where_it_is() -> None:
-    slide = touch(1.0, position_mm=tuple(NEAR * 1e3), to_mm=tuple(FAR * 1e3))
+    slide = steady(1.0, hold_s=10.0, position_mm=tuple(NEAR * 1e3), to_mm=tuple(FAR * 1e3))
     moving = loads(slide, times_s=(1e-9, 2.5, 5.0, 9.999999)).force_newton
     assert moving[0, SITES[7]] == pytest.approx(1.0)
     assert moving[3, SITES[9]] == pytest.approx(1.0)
     assert moving[2, SITES[7]] == pytest.approx(moving[2, SITES[9]])
-    still = loads(touch(1.0, position_mm=tuple((0.75 * NEAR + 0.25 * FAR) * 1e3))).force_newton
+    still = loads(steady(1.0, position_mm=tuple((0.75 * NEAR + 0.25 * FAR) * 1e3))).force_newton
     assert moving[1] == pytest.approx(still[0])
 
 
 def test_the_whole_plate_presses_every_site_under_a_number_of_its_own() -> None:
-    result = loads(touch(0.5, site=9), touch(2.0, whole_plate=True, kelvin=305.0))
+    result = loads(steady(0.5, site=9), steady(2.0, whole_plate=True, kelvin=305.0))
     assert result.force_newton[0].tolist() == [2.5 if index == SITES[9] else 2.0 for index in range(16)]
     assert result.touch_id[0].tolist() == list(range(2, 18))
     assert np.all(result.contact_kelvin == 305.0)
@@ -71,7 +68,7 @@ def test_the_whole_plate_presses_every_site_under_a_number_of_its_own() -> None:
 
 def test_a_finger_warms_the_sites_that_bear_most_of_it() -> None:
     middle = tuple((NEAR + FAR) / 2 * 1e3)
-    result = loads(touch(2.0, start_s=1.0, position_mm=middle, kelvin=306.0), touch(1.0, site=4), times_s=(0.5, 5.0))
+    result = loads(steady(2.0, start_s=1.0, position_mm=middle, kelvin=306.0), steady(1.0, site=4), times_s=(0.5, 5.0))
     assert np.isnan(result.contact_kelvin[0]).all()
     warmed = np.flatnonzero(~np.isnan(result.contact_kelvin[1])).tolist()
     assert warmed == sorted((SITES[7], SITES[9]))

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from plates import with_counter
+from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
 from resonator_daemon.plate import Plate, load_plate
@@ -26,10 +27,8 @@ def scenario(*touches: Touch, plate: Plate = PLATE, **physics: float) -> Scenari
     return Scenario(touches, None, plate, physics=Physics(ideal=True, **physics))
 
 
-def held(force_newton: float, *, site: int | None = None, position_mm: tuple[float, float] | None = None) -> Touch:
-    return Touch(
-        start_s=0.1, site=site, position_mm=position_mm, force_newton=force_newton, rise_s=0.0, hold_s=0.5, fall_s=0.0
-    )
+def held(force_newton: float, **place: object) -> Touch:
+    return steady(force_newton, start_s=0.1, hold_s=0.5, **place)
 
 
 def count(plate: QuartzPlate, at_s: float, frames: int, board_ticks: int = 0) -> Records:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scenarios import steady
 
 from resonator_daemon.plate import load_plate
 from simulators.faults import FaultEvent, FaultPlan
@@ -27,10 +28,8 @@ def forces(scenario: Scenario, *times_s: float) -> list[list[float]]:
     return scenario.at(np.array(times_s)).force_newton[..., 2].tolist()
 
 
-def held(**what: Any) -> Touch:
-    return Touch.model_validate(
-        {"start_s": 0.0, "force_newton": 1.0, "rise_s": 0.0, "hold_s": 1.0, "fall_s": 0.0} | what
-    )
+def held(**keys: Any) -> Touch:
+    return steady(**{"hold_s": 1.0} | keys)
 
 
 def test_a_touch_rises_holds_and_falls_smoothly() -> None:
