@@ -11,25 +11,9 @@ from resonator_daemon.links.target import LinkTarget
 from resonator_daemon.plate import Plate
 from resonator_daemon.recording.reader import Recording, open_recording
 from resonator_daemon.session import board_reader
+from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.compatibility import BoardRefusedError
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import (
-    BlinkRequested,
-    Closed,
-    ControlRequested,
-    Lost,
-    Opened,
-    Overrun,
-    Received,
-    Refused,
-    Sent,
-    Skipped,
-    SnapshotTaken,
-    StateAnnounced,
-    StopRequested,
-    TimersRun,
-    WireEvent,
-)
 from resonator_daemon.session.link_state_machine import LinkStateMachine
 
 log = logging.getLogger(__name__)
@@ -130,50 +114,50 @@ class Replay:
         self._first = ""
         self.differences = 0
 
-    def apply(self, event: WireEvent) -> None:
+    def apply(self, event: wire.WireEvent) -> None:
         if self._begun is None:
             self._begun = event.now
         self._now = event.now
         match event:
-            case Received() | TimersRun() if self._raised is None and self._machine.connection is not None:
+            case wire.Received() | wire.TimersRun() if self._raised is None and self._machine.connection is not None:
                 # What of all events nearly every one is. It was sent before the link was read again; one reading may
                 # have come in pieces.
-                if event.idle if isinstance(event, TimersRun) else not self._reading:
+                if event.idle if isinstance(event, wire.TimersRun) else not self._reading:
                     self._compare_sent(event, b"")
-                self._reading = isinstance(event, Received)
+                self._reading = isinstance(event, wire.Received)
                 self._apply(event)
-            case StateAnnounced() | Skipped() | ControlRequested():
+            case wire.StateAnnounced() | wire.Skipped() | wire.ControlRequested():
                 self._apply(event)
-                if isinstance(event, Skipped):
+                if isinstance(event, wire.Skipped):
                     self._astray = True
                     self._differ(event, f"{event.events} events with {event.size_bytes} bytes are missing")
-            case SnapshotTaken():
+            case wire.SnapshotTaken():
                 # Repeated for readers that have not read what was before.
                 if self._astray and self._machine.connection is None:
                     self._apply(event)
                 self._astray = False
-            case Opened():
+            case wire.Opened():
                 if self._machine.connection is not None:
                     self._differ(event, "the link is opened twice")
                     self.close(event.now)
                 self._machine.apply(event)
             case _ if self._machine.connection is None:
                 self._differ(event, "the link is not open")
-            case Lost() | Refused():
+            case wire.Lost() | wire.Refused():
                 self._compare_end(event)
                 self._machine.apply(event)
-            case Closed():
+            case wire.Closed():
                 self.close(event.now)
             case _ if self._raised is not None:
                 self._differ(event, f"the link would have been closed: {self._raised}")
-            case Sent():
+            case wire.Sent():
                 self._apply(event)
                 self._compare_sent(event, event.data)
-            case Overrun() | StopRequested() | BlinkRequested():
+            case wire.Overrun() | wire.StopRequested() | wire.BlinkRequested():
                 self._reading = False
                 self._apply(event)
 
-    def _apply(self, event: WireEvent) -> None:
+    def _apply(self, event: wire.WireEvent) -> None:
         try:
             self._machine.apply(event)
         except (BoardRefusedError, LinkLostError) as error:
@@ -181,7 +165,7 @@ class Replay:
         except ValueError as error:  # no daemon has events in such an order; whoever made the file may
             self._differ(event, f"it cannot follow: {error}")
 
-    def end(self) -> WireEvent:
+    def end(self) -> wire.WireEvent:
         """Announce that the link is lost because the recording is over; return that event."""
         self.close(self._now)
         name, damage = os.path.basename(self._recording.path), self._recording.damage
@@ -190,7 +174,7 @@ class Replay:
             sentences.append(f"its file is {damage}; all before that was replayed")
         if self.differences:
             sentences.append(f"replay differs from it in {self.differences} places, first {self._first}")
-        over = StateAnnounced(self._now, Condition.LOST, "; ".join(sentences))
+        over = wire.StateAnnounced(self._now, Condition.LOST, "; ".join(sentences))
         self._machine.apply(over)
         return over
 
@@ -198,9 +182,9 @@ class Replay:
         """Close what is open."""
         self._raised = None
         if self._machine.connection is not None:
-            self._machine.apply(Closed(now))
+            self._machine.apply(wire.Closed(now))
 
-    def _compare_sent(self, event: WireEvent, sent: bytes) -> None:
+    def _compare_sent(self, event: wire.WireEvent, sent: bytes) -> None:
         connection = self._machine.connection
         if connection is None or connection.pings.follow:
             return
@@ -208,14 +192,14 @@ class Replay:
         if wanted != sent:
             self._differ(event, f"{sent.hex(' ') or 'nothing'} was sent, now {wanted.hex(' ') or 'nothing'} is")
 
-    def _compare_end(self, event: Lost | Refused) -> None:
+    def _compare_end(self, event: wire.Lost | wire.Refused) -> None:
         raised, self._raised = self._raised, None
         match event, raised:
-            case (Lost(), None):
+            case (wire.Lost(), None):
                 return  # the link itself went away
-            case (Lost(), LinkLostError()):
+            case (wire.Lost(), LinkLostError()):
                 as_recorded = str(raised) == event.reason
-            case (Refused(), BoardRefusedError()):
+            case (wire.Refused(), BoardRefusedError()):
                 as_recorded = raised.refused.problems == event.problems
             case _:
                 as_recorded = False
@@ -223,7 +207,7 @@ class Replay:
             now = raised or "nothing is wrong"
             self._differ(event, f"the link was closed, {'; '.join(_reasons(event))}; now: {now}")
 
-    def _differ(self, event: WireEvent, what: str) -> None:
+    def _differ(self, event: wire.WireEvent, what: str) -> None:
         self.differences += 1
         if self.differences == 1 and self._begun is not None:
             at_s = (event.now.monotonic_ns - self._begun.monotonic_ns) * 1e-9
@@ -231,5 +215,5 @@ class Replay:
             log.warning("replay differs from the recording %s, %s", self._recording.path, self._first)
 
 
-def _reasons(event: Lost | Refused) -> tuple[str, ...]:
-    return (event.reason,) if isinstance(event, Lost) else event.problems
+def _reasons(event: wire.Lost | wire.Refused) -> tuple[str, ...]:
+    return (event.reason,) if isinstance(event, wire.Lost) else event.problems

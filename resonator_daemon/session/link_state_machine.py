@@ -6,6 +6,7 @@ from collections.abc import Callable
 from firmware_protocol.host import Described
 from resonator_daemon.conditions import Condition
 from resonator_daemon.plate import Plate
+from resonator_daemon.session import link_events as wire
 from resonator_daemon.session.compatibility import gate_ticks
 from resonator_daemon.session.connection import Connection
 from resonator_daemon.session.counters import FrameLoss, LinkCounters
@@ -13,23 +14,6 @@ from resonator_daemon.session.frame_numbers import FrameNumbering
 from resonator_daemon.session.frame_queue import FrameQueue
 from resonator_daemon.session.frames import BoardRefused, ControlRequest
 from resonator_daemon.session.host_time import HostTime
-from resonator_daemon.session.link_events import (
-    BlinkRequested,
-    Closed,
-    ControlRequested,
-    Lost,
-    Opened,
-    Overrun,
-    Received,
-    Refused,
-    Sent,
-    Skipped,
-    SnapshotTaken,
-    StateAnnounced,
-    StopRequested,
-    TimersRun,
-    WireEvent,
-)
 from resonator_daemon.session.link_snapshot import LinkSnapshot
 from resonator_daemon.session.link_state import LinkState
 
@@ -53,7 +37,7 @@ class LinkStateMachine:
         self,
         plate: Plate,
         queue: FrameQueue,
-        on_event: Callable[[WireEvent], None],
+        on_event: Callable[[wire.WireEvent], None],
         *,
         snapshot_every_ns: int = SNAPSHOT_EVERY_NS,
     ) -> None:
@@ -69,7 +53,7 @@ class LinkStateMachine:
         self._snapshot_due_ns = 0
         self.connection: Connection | None = None
 
-    def apply(self, event: WireEvent) -> None:
+    def apply(self, event: wire.WireEvent) -> None:
         """Do what follows from the event.
 
         Raises
@@ -79,45 +63,45 @@ class LinkStateMachine:
         ValueError
             An event of an open link, and none is open; or `Opened`, and one is.
         """
-        if isinstance(event, Received) and event.now.monotonic_ns >= self._snapshot_due_ns:
+        if isinstance(event, wire.Received) and event.now.monotonic_ns >= self._snapshot_due_ns:
             self._record_snapshot(event.now)
         self._on_event(event)
         match event:
-            case Received():
+            case wire.Received():
                 with self._lock:
                     self.opened.receive(event.data, event.now)
-            case TimersRun():
+            case wire.TimersRun():
                 with self._lock:
                     self.opened.run_timers(event.now, idle=event.idle)
-            case StateAnnounced():
+            case wire.StateAnnounced():
                 self._state.announce(event.state, event.reason, event.now.utc_ns)
                 self._record_snapshot(event.now)
-            case Opened():
+            case wire.Opened():
                 self._open(event.now)
-            case Overrun():
+            case wire.Overrun():
                 with self._lock:
                     self.opened.overrun()
-            case StopRequested():
+            case wire.StopRequested():
                 self.opened.request_stop()
-            case Lost():
+            case wire.Lost():
                 if self._state.state is not Condition.STALLED:
                     state = Condition.LOST if self.opened.was_online else Condition.WAITING
                     self._state.announce(state, event.reason, event.now.utc_ns)
-            case Refused():
+            case wire.Refused():
                 self._state.announce(Condition.REFUSED, "; ".join(event.problems), event.now.utc_ns)
                 self._queue.put(BoardRefused(event.problems, event.other_protocol))
-            case Closed():
+            case wire.Closed():
                 self._close()
                 self._record_snapshot(event.now)
-            case Sent():
+            case wire.Sent():
                 self.opened.sent(event.data, event.now)
-            case BlinkRequested():
+            case wire.BlinkRequested():
                 self.opened.blink(event.now)
-            case SnapshotTaken():
+            case wire.SnapshotTaken():
                 self.restore(event.snapshot, event.now)
-            case ControlRequested():
+            case wire.ControlRequested():
                 self._queue.put(ControlRequest(event.key, event.request))
-            case Skipped():
+            case wire.Skipped():
                 pass
 
     def counters(self) -> LinkCounters:
@@ -171,7 +155,7 @@ class LinkStateMachine:
 
     def _record_snapshot(self, now: HostTime) -> None:
         if (snapshot := self.snapshot()) is not None:
-            self._on_event(SnapshotTaken(now, snapshot))
+            self._on_event(wire.SnapshotTaken(now, snapshot))
             self._snapshot_due_ns = now.monotonic_ns + self._snapshot_every_ns
 
     def _close(self) -> None:
