@@ -37,7 +37,13 @@ ROOT: Final = Path(__file__).resolve().parents[1]
 MAPS: Final = ROOT / "build" / "mutants"  # the lines that tests run, until something changes
 # Whole paths through the product: what a package's own tests let pass is shown to these.
 ABOVE: Final = ("tests/replay", "tests/daemon", "tests/commands")
-NO_FOLDER: Final = {"resonator_daemon": ("tests/test_plate.py", "tests/config")}
+# The tests of a package, where they are not those in the folder of its name alone.
+FOLDERS: Final = {
+    "resonator_daemon": ("tests/test_plate.py", "tests/config"),
+    "simulators": ("tests/simulators", "tests/links"),
+    "host": ("tests/host", "tests/commands"),
+    "planning": ("tests/planning", "tests/commands"),
+}
 START_S: Final = 20.0  # a run's limit: this and so many times what its tests take by themselves
 TIMES: Final = 4.0
 
@@ -93,6 +99,10 @@ def _named(file: Path, mutants: list[Mutant]) -> list[Mutant]:
 
 def _has_change(mutants: list[Mutant], path: str, change: str) -> bool:
     return any(mutant.path == path and f"{mutant.before} -> {mutant.after}" == change for mutant in mutants)
+
+
+def folders_of(package: str) -> tuple[str, ...]:
+    return FOLDERS.get(package, (f"tests/{package}",))
 
 
 def copy_of_root(tree: Path) -> Path:
@@ -188,7 +198,7 @@ class Judge:
                 print(f"{line} {trial.mutant.id}", file=sys.stderr, flush=True)
 
     def _begin(self, mutant: Mutant) -> _Trial:
-        folders = NO_FOLDER.get(mutant.package, (f"tests/{mutant.package}",))
+        folders = folders_of(mutant.package)
         stages = [*folders, *(folder for folder in self._above if folder not in folders)]
         tree = self._free.pop()
         return _Trial(mutant, tree, deque(stages), (tree / mutant.path).read_text())
@@ -215,6 +225,8 @@ class Judge:
     def _started(self, trial: _Trial, stage: str) -> bool:
         mutant, lines = trial.mutant, self._map(trial.tree, stage)
         tests = lines.tests_of(mutant.path, mutant.first_line, mutant.last_line)
+        if mutant.path not in lines.lines and stage in folders_of(mutant.package):
+            tests = set(lines.seconds)  # it runs under another Python
         if not tests:
             return False
         seconds: dict[str, float] = defaultdict(float)

@@ -1,12 +1,13 @@
 """Forces on the emulated quartz plate, read back from its records by eq. (1)."""
 
+import tomllib
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-from plates import with_counter
+from plates import plate_head, site, with_counter
 from scenarios import steady
 
 from firmware_protocol.layouts import SINGLE_TONE_STRUCT, RecordFlag, SingleToneRecord
@@ -155,6 +156,20 @@ def test_a_touch_between_sites_is_heard_at_the_share_of_a_site() -> None:
     records = count(plate, 0.2, 100)
     force = (1 - f0_hz[1] / (frequency_hz(records, 1) * (1 + 1.5e-6))) / sensitivity[1]
     assert force == pytest.approx(3.0 * share[6], abs=6e-3)
+
+
+@pytest.mark.parametrize("sites", [1, 2, 3])
+def test_a_plate_of_few_sites_is_counted_while_all_are_touched(sites: int) -> None:
+    counter = {"reference_hz": 1e9, "frame_rate_hz": 1000, "pilot_hz": 10.01e6}
+    text = plate_head("few", (-5, -5), (5, 5), **counter) + "".join(
+        site(number, number, 0, force=(10e6 - 4000.0 * number, -6e-6)) for number in range(1, sites + 1)
+    )
+    few = Plate.model_validate(tomllib.loads(text))
+    touches = [held(1.0, site=number) for number in range(1, sites + 1)]
+    plate = QuartzPlate(few, scenario(*touches, plate=few), seed=2)
+    hz = [frequency_hz(count(plate, 0.2, 20), channel) for channel in range(4)]
+    pressed_hz = few.tones.f0_hz[:, 0] / (1.0 + 6e-6)
+    assert all(np.abs(pressed_hz - each).min() < 60.0 for each in hz)
 
 
 @pytest.mark.parametrize("counter", ["sums", "stamps"])

@@ -40,6 +40,11 @@ def test_a_touch_rises_holds_and_falls_smoothly() -> None:
     assert [force for (force,) in forces(scenario, *times_s)] == pytest.approx(expected, abs=1e-12)
 
 
+def test_a_touch_takes_a_second_unless_it_says_otherwise() -> None:
+    touch = Touch(start_s=0.0, site=7, force_newton=2.0)
+    assert (touch.rise_s, touch.hold_s, touch.fall_s) == (0.1, 0.8, 0.1)
+
+
 def test_shear_rises_to_its_peak_in_the_middle_of_the_hold_and_returns() -> None:
     content = {
         "start_s": 0.0,
