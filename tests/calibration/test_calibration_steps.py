@@ -69,3 +69,9 @@ def test_a_sweep_comes_last_with_the_heaviest_mass() -> None:
 )
 def test_what_cannot_be_asked_for_is_refused_with_value_and_limit(wanted: dict[str, object], printed: str) -> None:
     assert printed in refused(replace(USUAL, **wanted))
+
+
+def test_ids_with_gaps_are_listed_one_by_one() -> None:
+    plate = NOMINAL.model_copy(update={"sites": NOMINAL.sites[::5]})
+    with pytest.raises(UsageError, match="has no site 7; it has 1, 6, 11, 16"):
+        plan_steps(replace(USUAL, sites=(7,)), plate)

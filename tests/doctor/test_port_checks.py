@@ -91,6 +91,8 @@ def test_brltty_is_a_warning_where_its_rules_name_the_adapter(
 
 
 def test_a_latency_timer_is_a_warning_where_it_cannot_be_shortened(computer: MadeUpHost) -> None:
+    (computer.root / f"{USB}/1-1.4:1.0/ttyUSB0/latency_timer").unlink()
+    assert found(computer.host())["port.latency_timer"].outcome is Outcome.OK
     computer.write(f"{USB}/1-1.4:1.0/ttyUSB0/latency_timer", "16")
     assert found(computer.host())["port.latency_timer"].outcome is Outcome.OK
     finding = found(computer.host(closed="latency_timer"))["port.latency_timer"]

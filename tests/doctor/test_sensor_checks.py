@@ -191,7 +191,7 @@ def test_a_tone_that_no_channel_hears_is_a_fault(comb: Capture, comb16: Plate) -
 
     findings = judged(changed(comb, shift=deaf), comb16)
     assert findings["sensor.tones"].outcome is Outcome.FAULT
-    assert "1 of 16 are not heard" in findings["sensor.tones"].evidence
+    assert (findings["sensor.tones"].value, findings["sensor.tones"].limit) == (1.0, 0.0)
 
 
 def test_a_site_that_stays_pressed_is_a_fault_of_a_calibrated_plate(comb: Capture, comb16: Plate) -> None:
@@ -240,6 +240,35 @@ def test_bytes_that_the_driver_lost_are_not_the_cables_fault(calm: Capture) -> N
     )
     found = {finding.id: finding.outcome for finding in check_capture(dataclasses.replace(calm, after=account))}
     assert (found["host.overrun"], found["link.errors"]) == (Outcome.FAULT, Outcome.NOT_CHECKED)
+
+
+@pytest.mark.parametrize(
+    ("damaged", "discarded", "outcome"),
+    [
+        (0, 0, Outcome.OK),
+        (2, 0, Outcome.WARNING),
+        (3, 0, Outcome.FAULT),
+        (0, 1024, Outcome.WARNING),
+        (0, 1025, Outcome.FAULT),
+    ],
+)
+def test_a_packet_that_was_cut_is_no_broken_cable(
+    calm: Capture, damaged: int, discarded: int, outcome: Outcome
+) -> None:
+    lost = dataclasses.replace(calm.after.lost, damaged=calm.before.lost.damaged + damaged)
+    counters = dataclasses.replace(calm.after, lost=lost, bytes_discarded=calm.before.bytes_discarded + discarded)
+    found = {finding.id: finding for finding in check_capture(dataclasses.replace(calm, after=counters))}
+    assert found["link.errors"].outcome is outcome
+
+
+@pytest.mark.parametrize(("frames", "outcome"), [(100_000, Outcome.WARNING), (100, Outcome.FAULT)])
+def test_dropped_frames_are_judged_by_their_share(calm: Capture, frames: int, outcome: Outcome) -> None:
+    before = calm.after
+    after = dataclasses.replace(
+        before, frames=before.frames + frames, lost=dataclasses.replace(before.lost, board_overflow=1)
+    )
+    capture = dataclasses.replace(calm, before=before, after=after, frame_rate_hz=1.0)
+    assert {finding.id: finding.outcome for finding in check_capture(capture)}["link.overflow"] is outcome
 
 
 def test_a_board_that_does_not_count_is_the_sensors(calm: Capture) -> None:
