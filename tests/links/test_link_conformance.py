@@ -2,7 +2,7 @@
 
 The same over a real board, which is left quiet:
 
-    RESONATOR_TEST_LINK="serial:/dev/ttyACM0?baud=4000000" pytest -m hardware tests/acquisition/test_link_conformance.py
+    RESONATOR_TEST_LINK="serial:/dev/ttyACM0?baud=4000000" pytest -m hardware tests/links/test_link_conformance.py
 """
 
 import os

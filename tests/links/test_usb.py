@@ -17,8 +17,6 @@ from resonator_daemon.links.port_holders import Holder, Holders
 from resonator_daemon.links.usb_devices import UsbBoard
 from resonator_daemon.links.usb_link import open_usb
 
-FRAME_BYTES = 204
-SKIN_FRAME_BYTES = 147_000
 UNSUPPORTED = "Operation not supported or unimplemented on this platform"
 
 _IMPORTS = """

@@ -24,7 +24,6 @@ from resonator_daemon.session.host_time import HostTime
 from resonator_daemon.session.link_events import Opened, Received, SnapshotTaken, TimersRun, WireEvent
 
 DEADLINE_S = 30.0
-MINUTE_NS = 60 * 10**9
 LEFT = Origin(PLATE, "tcp://board:1", name="left")
 SCHEMA = {"title": "Count", "type": "object", "properties": {"count": {"type": "integer"}}}
 
