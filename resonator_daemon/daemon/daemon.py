@@ -243,7 +243,7 @@ class Service:
     def _measuring_sensor(self) -> Sensor[Any] | None:
         """Return the sensor while a board counts, None otherwise."""
         link, sensor = self._pipeline.link, self._pipeline.sensor
-        return sensor if sensor.ready and link is not None and link.state == "online" else None
+        return sensor if sensor.ready and link is not None and link.state == Condition.ONLINE else None
 
     def _set_rate(self, path: str, rate_hz: float | None, limits_hz: Mapping[str, float]) -> None:
         self._plate_publisher.set_rate(path, rate_hz)
@@ -358,7 +358,7 @@ class Service:
         """Report readiness and liveness to the service manager."""
         while True:
             link = self._pipeline.link
-            state = link.state if link is not None else "starting"
+            state = link.state if link is not None else Condition.STARTING
             if not self._ready and (self._pipeline.frames or state in DECLARED_WAITING):
                 self._ready = True
                 self._manager.ready(self._sentence())
@@ -371,7 +371,7 @@ class Service:
         """Return the status line."""
         link, health = self._pipeline.link, self._health
         said = f"link {link.state}: {link.reason}" if link is not None else "starting"
-        if link is not None and link.state == "online" and health is not None:
+        if link is not None and link.state == Condition.ONLINE and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
             said = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
         return "; ".join(filter(None, (f"{self._name or self._instance}: {said}", self._in_use.remark)))

@@ -4,11 +4,13 @@ import logging
 import time
 from collections.abc import Callable
 
+from resonator_daemon.conditions import Condition
+
 log = logging.getLogger(__name__)
 
 _FRAMES_S = 10.0  # a link that is silent for a fraction of that is no longer called online
 _PATIENCE_S = 60.0  # the name of a host may take that long to look up
-DECLARED_WAITING = ("waiting", "stalled", "lost", "refused")
+DECLARED_WAITING = (Condition.WAITING, Condition.STALLED, Condition.LOST, Condition.REFUSED)
 
 
 class LivenessMonitor:
@@ -30,7 +32,7 @@ class LivenessMonitor:
         self._frame_s = self._turn_s = clock_s()
         self._well = True
 
-    def healthy(self, frames: int, link_state: str, reader_turns: int) -> bool:
+    def healthy(self, frames: int, link_state: Condition, reader_turns: int) -> bool:
         """Update the counts and return whether the daemon is healthy; each change is logged.
 
         Parameters
@@ -49,7 +51,7 @@ class LivenessMonitor:
             self._turn_s = now_s
         self._frames, self._turns = frames, reader_turns
         silent_s, still_s = now_s - self._frame_s, now_s - self._turn_s
-        limit_s = _FRAMES_S if link_state == "online" else _PATIENCE_S
+        limit_s = _FRAMES_S if link_state == Condition.ONLINE else _PATIENCE_S
         problem = None
         if silent_s > limit_s:
             problem = f"no frame was measured for {silent_s:.0f} s (limit {limit_s:.0f} s), link {link_state}"

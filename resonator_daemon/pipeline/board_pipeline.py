@@ -135,7 +135,7 @@ class BoardPipeline:
                 self._arrive(arrival.utc_ns)
                 self.link = arrival
                 self._publish_link_state(arrival)
-                if arrival.state != "online":
+                if arrival.state != Condition.ONLINE:
                     self._sensor_state.no_frames(f"link {arrival.state}: {arrival.reason}", arrival.utc_ns)
                 self._frame_timeout.watch(arrival.state, arrival.utc_ns)
             case Outage():

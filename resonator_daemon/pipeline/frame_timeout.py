@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Final, Protocol
 
+from resonator_daemon.conditions import Condition
+
 CONTACTS_END_S: Final = 0.5  # as long as a contact of which nothing is known is kept while frames do come
 
 
@@ -33,10 +35,10 @@ class FrameTimeout:
         self._due_utc_ns: int | None = None
         self._waiting = False
 
-    def watch(self, link_state: str, utc_ns: int) -> None:
+    def watch(self, link_state: Condition, utc_ns: int) -> None:
         """Follow a change of the link's state."""
         self.passed(utc_ns)
-        if link_state == "online":
+        if link_state == Condition.ONLINE:
             self.stop()
         elif not self._waiting:
             self._waiting = True

@@ -199,7 +199,8 @@ class DecoderProcess:
             turns += 1
             state = self._mode.condition()
             decoded = sum(plate.decoded for plate in self._mode.health().values())
-            if self._liveness.healthy(decoded, "online" if state[0] is Condition.ONLINE else "waiting", turns):
+            online = state[0] is Condition.ONLINE
+            if self._liveness.healthy(decoded, Condition.ONLINE if online else Condition.WAITING, turns):
                 self._manager.alive()
             self._manager.status(self._sentence())
             if state != self._state:

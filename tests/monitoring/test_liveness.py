@@ -3,9 +3,10 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from resonator_daemon.conditions import Condition
 from resonator_daemon.monitoring.liveness import LivenessMonitor
 
-WAITING = ("waiting", "stalled", "lost", "refused")
+WAITING = (Condition.WAITING, Condition.STALLED, Condition.LOST, Condition.REFUSED)
 
 
 @dataclass
@@ -20,7 +21,7 @@ class Course:
     def __post_init__(self) -> None:
         self.watch = LivenessMonitor(lambda: self.now_s)
 
-    def healthy_s(self, state: str, seconds: int, *, frames: bool, turns: bool) -> int:
+    def healthy_s(self, state: Condition, seconds: int, *, frames: bool, turns: bool) -> int:
         """For how many seconds of those given the watch found it well."""
         well = 0
         for _ in range(seconds):
@@ -32,41 +33,41 @@ class Course:
 
 
 def test_frames_are_well() -> None:
-    assert Course().healthy_s("online", 1000, frames=True, turns=True) == 1000
+    assert Course().healthy_s(Condition.ONLINE, 1000, frames=True, turns=True) == 1000
 
 
 def test_online_without_frames_is_not() -> None:
     course = Course()
-    course.healthy_s("online", 100, frames=True, turns=True)
-    assert course.healthy_s("online", 100, frames=False, turns=True) == 10
+    course.healthy_s(Condition.ONLINE, 100, frames=True, turns=True)
+    assert course.healthy_s(Condition.ONLINE, 100, frames=False, turns=True) == 10
 
 
 @pytest.mark.parametrize("state", WAITING)
-def test_a_declared_wait_lasts_as_long_as_it_is_tried(state: str) -> None:
+def test_a_declared_wait_lasts_as_long_as_it_is_tried(state: Condition) -> None:
     course = Course()
     assert course.healthy_s(state, 1000, frames=False, turns=True) == 1000
     assert course.healthy_s(state, 1000, frames=False, turns=False) == 60
 
 
 def test_a_start_may_take_a_minute() -> None:
-    assert Course().healthy_s("starting", 1000, frames=False, turns=True) == 60
+    assert Course().healthy_s(Condition.STARTING, 1000, frames=False, turns=True) == 60
 
 
 def test_a_reader_that_stands_still_is_found_though_old_frames_are_measured() -> None:
-    assert Course().healthy_s("online", 1000, frames=True, turns=False) == 60
+    assert Course().healthy_s(Condition.ONLINE, 1000, frames=True, turns=False) == 60
 
 
 def test_the_first_frame_has_its_time_after_a_long_wait() -> None:
     course = Course()
-    course.healthy_s("waiting", 1000, frames=False, turns=True)
-    assert course.healthy_s("online", 8, frames=False, turns=True) == 8
-    assert course.healthy_s("online", 100, frames=True, turns=True) == 100
+    course.healthy_s(Condition.WAITING, 1000, frames=False, turns=True)
+    assert course.healthy_s(Condition.ONLINE, 8, frames=False, turns=True) == 8
+    assert course.healthy_s(Condition.ONLINE, 100, frames=True, turns=True) == 100
 
 
 def test_what_goes_on_again_is_well(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     course = Course()
-    assert course.healthy_s("online", 50, frames=False, turns=True) == 10
-    assert course.healthy_s("online", 50, frames=True, turns=True) == 50
+    assert course.healthy_s(Condition.ONLINE, 50, frames=False, turns=True) == 10
+    assert course.healthy_s(Condition.ONLINE, 50, frames=True, turns=True) == 50
     assert [record.levelname for record in caplog.records] == ["ERROR", "INFO"]
     assert "no frame was measured for 11 s (limit 10 s), link online" in caplog.messages[0]
