@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from mqtt_helpers import HEADER
 from numpy.typing import NDArray
+from pydantic_core import PydanticSerializationError
+from sample_messages import example
 
-from resonator_daemon.publishing.codec import decode, encode
-from resonator_daemon.publishing.payloads import Decoded, Grid, Signals
+from resonator_daemon.publishing.codec import decode, encode, encode_fields
+from resonator_daemon.publishing.payloads import Contacts, Decoded, Forces, Grid, Measured, Signals
 
 # 40([[3, 2], 85(h'...')]): tag 40 is d8 28, array of 2 is 82, 85 is d8 55, 24 bytes are 58 18
 VALUES = (0.0, 1.0, -2.0, 0.5, float("inf"), 3.0)
@@ -169,3 +171,16 @@ def test_damaged_arrays_are_refused(array: bytes, finding: str) -> None:
 def test_cbor_that_is_no_message_is_refused(payload: bytes) -> None:
     with pytest.raises(ValueError, match="Signals"):
         decode(Signals, payload)
+
+
+@pytest.mark.parametrize("kind", [Forces, Contacts])
+def test_fields_are_encoded_as_their_model_is(kind: type[Measured]) -> None:
+    message = example(kind.__name__)
+    encoded = encode_fields(kind, message.model_dump())
+    assert (encoded.payload, encoded.t_ns) == (message.model_dump_json().encode(), message.t_ns)
+
+
+@pytest.mark.parametrize(("field", "value"), [("status", 1), ("lost", 3), ("sites", "none")])
+def test_fields_of_another_type_are_no_message(field: str, value: object) -> None:
+    with pytest.raises(PydanticSerializationError):
+        encode_fields(Forces, example("Forces").model_dump() | {field: value})
