@@ -32,22 +32,9 @@ async def test_frames_become_messages_of_their_topics_under_their_own_numbers() 
     assert [contact.id for contact in client.on("contacts")[-2].contacts] == [1]
 
 
-async def test_frames_wait_in_order_while_the_process_is_busy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 10**12)
-    client = Client()
-    async with client.running():
-        await client.read(NOTHING)
-        first = client.offered
-        for _ in range(3):
-            client.offer(NOTHING)
-        assert client.supervisor.waiting == 3
-        assert client.is_exact
-        await until(lambda: client.supervisor.waiting == 0)
-        await until(lambda: client.on("contacts")[-1].seq == 1000 + client.offered - 1)
-    assert [message.seq for message in client.on("decoded")][-3:] == list(range(first, first + 3))
-
-
-async def test_of_frames_that_have_waited_for_too_long_the_newest_is_decoded(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_frames_wait_in_order_and_of_those_that_wait_too_long_the_newest_is_decoded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 0)
     client = Client()
     async with client.running():
@@ -59,7 +46,13 @@ async def test_of_frames_that_have_waited_for_too_long_the_newest_is_decoded(mon
         assert client.is_exact
         await until(lambda: client.supervisor.waiting == 0)
         assert client.supervisor.skipped["newer_frame"] == skipped + 28
+        monkeypatch.setattr(supervisor, "WAIT_MAX_NS", 10**12)
+        first = client.offered
+        for _ in range(3):
+            client.offer(NOTHING)
+        assert client.supervisor.waiting == 3
         await until(lambda: client.on("contacts")[-1].seq == 1000 + client.offered - 1)
+    assert [message.seq for message in client.on("decoded")][-3:] == list(range(first, first + 3))
     for path in ("decoded", "decoded/summary", "contacts"):
         for before, after in pairwise(client.on(path)):
             assert 3 * (after.seq - before.seq - 1) == after.lost.skipped_late - before.lost.skipped_late
@@ -89,9 +82,14 @@ async def test_a_process_that_is_killed_is_restarted_and_its_contacts_end() -> N
     client = Client()
     async with client.running():
         await client.touch()
-        before = client.on("contacts")[-1].contacts[0]
         pid = client.supervisor.info().pid
         assert pid is not None
+        assert (psutil.Process(pid).name(), psutil.Process(pid).cmdline()[-2]) == ("resonatord-dec", "hand")
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # for the daemon
+            os.kill(pid, number)
+        await client.read()
+        assert client.supervisor.restarts == {}
+        before = client.on("contacts")[-1].contacts[0]
         os.kill(pid, signal.SIGKILL)
         await until(lambda: len(client.events) == 2)
         assert client.announced[-1] == "decoder crashed (by SIGKILL) and is restarted"
@@ -152,29 +150,6 @@ async def test_frames_whose_noise_is_not_known_are_counted_apart() -> None:
         client.offered = 1
         await until(lambda: client.supervisor.skipped["no_noise"] == 1)
         await client.read(NOTHING)
-
-
-async def test_a_process_that_cannot_be_started_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(supervisor, "RESTART_FIRST_S", 0.01)
-    monkeypatch.setattr(sys, "executable", "/nowhere/python")
-    client = Client()
-    async with client.running():
-        await until(lambda: client.supervisor.restarts["crashed"] >= 2)
-        monkeypatch.undo()
-        await client.read(NOTHING)
-
-
-async def test_the_process_is_named_and_ignores_signals_that_are_for_its_daemon() -> None:
-    client = Client()
-    async with client.running():
-        await client.read(NOTHING)
-        process = psutil.Process(client.supervisor.info().pid)
-        assert process.name() == "resonatord-dec"
-        assert process.cmdline()[-2] == "hand"
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            process.send_signal(number)
-        await client.read(NOTHING)
-        assert client.supervisor.restarts == {}
 
 
 DAEMON = """

@@ -14,7 +14,7 @@ from decoder_bench import NOISE
 from surface_bench import NOTHING, frame, header, settings
 
 from resonator_daemon.decoder_process.connection import WorkerConnection
-from resonator_daemon.decoder_process.messages import EndContacts, Reply, Request, Results, SetUpStep, Work, packed
+from resonator_daemon.decoder_process.messages import Reply, Request, Results, SetUpStep, Work, packed
 from resonator_daemon.decoder_process.worker import AGE_MAX_NS, work
 from resonator_daemon.decoding.streaming import StreamingDecoder
 
@@ -80,10 +80,6 @@ def test_steps_of_a_set_up_come_as_they_begin(bench: Bench) -> None:
     replies = bench.ask(Work(frame(1, NOTHING, 8.0 * NOISE), time.monotonic_ns()))
     steps = [reply.step for reply in replies if isinstance(reply, SetUpStep)]
     assert (steps[0], steps[-1]) == ("looking in the cache", "")
-
-
-def test_without_contacts_an_interruption_has_no_message(bench: Bench) -> None:
-    assert bench.ask(EndContacts(None, "unplugged")) == [Results((), "ready")]
 
 
 def test_rebuilds_rest_so_that_frames_have_the_processor(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -101,20 +101,12 @@ def test_noise_std_is_per_channel(centred: Scene):
     wrong = FourierDecoder(body, (32, 32), PITCH, DEPTH, declared[[0, 2, 1]]).decode(frame)
     assert centred.error(found[0]) < 0.92 * centred.error(equal)
     assert centred.error(found[0]) < 0.75 * centred.error(wrong)
-    uneven = np.full((3, 32, 32), std)
-    uneven[:, ::2] *= 0.5
-    uneven[:, 1::2] *= np.sqrt(1.75)
-    mean = FourierDecoder(body, (32, 32), PITCH, DEPTH, uneven).decode(frame)
-    flat = FourierDecoder(body, (32, 32), PITCH, DEPTH, std).decode(frame)
-    np.testing.assert_allclose(mean.traction_pascal, flat.traction_pascal, rtol=1e-9, atol=1e-6)
 
 
 # --- lost and impossible signals
 
 
-@pytest.mark.parametrize(
-    ("lost", "decibel", "limit"), [(0.01, 30, 1.02), (0.05, 30, 1.04), (0.2, 30, 1.08), (0.2, 40, 1.10)]
-)
+@pytest.mark.parametrize(("lost", "decibel", "limit"), [(0.01, 30, 1.02), (0.2, 40, 1.10)])
 def test_scattered_losses_cost_little(centred: Scene, lost: float, decibel: float, limit: float):
     decode = decoder(centred, decibel).decode
     for seed in range(3):
