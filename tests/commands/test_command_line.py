@@ -162,6 +162,13 @@ def test_emulate_prints_the_schema_of_scenarios_and_needs_nothing_else_for_it(re
 
 
 @pytest.mark.parametrize("form", [(), ("--json",)])
+def test_config_schema_prints_a_json_schema(form: tuple[str, ...], resonatord: Resonatord) -> None:
+    printed = resonatord("config", "schema", *form).stdout
+    assert {"plate", "link", "mqtt"} <= json.loads(printed)["properties"].keys()
+    assert (printed.count("\n") == 1) == bool(form)
+
+
+@pytest.mark.parametrize("form", [(), ("--json",)])
 def test_schema_prints_the_document_of_daemons(form: tuple[str, ...], resonatord: Resonatord) -> None:
     printed = resonatord("schema", *form).stdout
     assert json.loads(printed) == document()

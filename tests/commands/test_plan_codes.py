@@ -44,6 +44,7 @@ def test_a_planned_plate_passes_check_and_comes_back_as_it_was_shown(
     assert plate.counter.reference_hz == 1e9
     assert plate.calibration.sensitivity_std == pytest.approx(np.std(np.linspace(-0.3, 0.3, 100_001)), rel=1e-4)
     assert found["ok"] is True
+    assert found["band"]["trapped_ppm"] == pytest.approx(15_000)
     assert found["guard_band_ppm"]["step"] == pytest.approx(
         81.9 + 20 * 6 * 5e-2 + 2 + 2 * 25 + 2 * 20 + 2 * 13.8**0.5 * 81.9 * 0.015, abs=0.01
     )
@@ -218,6 +219,8 @@ def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path
         ((), "one of the arguments --sites --plate --grid is required"),
         (("--grid", "4"), "'4' is not NXxNY, columns and rows from 1 to 1000, as 4x4"),
         (("--grid", "4x4"), "--grid and --pitch-mm belong together"),
+        (("--grid", "4x4", "--pitch-mm", "1001"), "'1001' is not a number from 0.1 to 1000"),
+        ((*GRID, "--counter-tick-ns", "1001"), "'1001' is not a number from 0.001 to 1000"),
         ((*GRID, "--force-max-newton", "0"), "'0' is not a number from 0.001 to 10000"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
         ((*GRID, "--sensitivity-ppm-per-newton", "0"), "must not be zero; give the expected, signed value, as -6.3"),
