@@ -9,10 +9,10 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.calibration.load_procedure import Loading, LoadProcedure
 from resonator_daemon.forces.calibration_fit import CalibrationFit
-from resonator_daemon.forces.loading_fit import RESPONSE_USUAL
+from resonator_daemon.forces.loading_fit import RESPONSE_DEFAULT
 
 SIGMAS: Final = 2.0  # of the pace, so that holds too short to show creep do not rule it out
-CARRIED_ON_S: Final = math.exp(RESPONSE_USUAL[2])  # creep that begins at some pace and dies out goes on for its time
+CARRIED_ON_S: Final = math.exp(RESPONSE_DEFAULT[2])  # creep that begins at some pace and dies out goes on for its time
 
 
 def creep_share(procedure: LoadProcedure, loadings: Sequence[Loading], fit: CalibrationFit) -> float:

@@ -87,7 +87,7 @@ def press(
     ------
     ValueError
         What differs from the above; contact at the border of a surface that is not periodic, as the height map does
-        not tell what touches beyond; on a periodic one, an approach that leaves no gap on average.
+        not show what touches beyond; on a periodic one, an approach that leaves no gap on average.
     NotConvergedError
         A tolerance out of reach.
     """

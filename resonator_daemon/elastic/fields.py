@@ -53,7 +53,7 @@ class SurfaceFields:
     periodic 0.12, 0.13, 0.04; padded 0.013, 0.013, 0.0013; wrap-free 2e-4, 7e-4, 1.2e-3 from 32 x 32 samples, 1e-6,
     3e-6, 4e-6 from 128 x 128. What is left of the last are the samples: they miss the load's vertical slope at its
     edge, by the fourth power of the pitch at a fixed depth. One pitch deep it is 2e-3, 8e-3, 0.03 from 32 x 32; at
-    depth 0 stresses hold what the samples tell of the load itself, sigma_zz to 4 %, while u_z is right to 8e-4.
+    depth 0 stresses hold what the samples show of the load itself, sigma_zz to 4 %, while u_z is right to 8e-4.
     `python benchmarks/elastic_fields.py` prints these errors and the time each method takes.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What a set of stress and strain components at one depth tells of the load: rank, spectra, bandwidth and symmetry."""
+"""What a set of stress and strain components at one depth shows of the load: rank, spectra, bandwidth and symmetry."""
 
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -137,7 +137,7 @@ class SensorSet:
         return values
 
     def rank(self, omega_x: ArrayLike, omega_y: ArrayLike) -> Integers:
-        """How many of the load's three components are told apart: singular values above 1e-12 exp(-omega depth)."""
+        """How many of the load's three components show: singular values above 1e-12 exp(-omega depth)."""
         known = self.singular_values(omega_x, omega_y) > _ZERO * self._fading(omega_x, omega_y)
         return np.asarray(known.sum(axis=-1), np.int64)
 
@@ -233,9 +233,9 @@ class SensorSet:
 
     @cached_property
     def loss(self) -> Loss:
-        """Why not all three components of a load can be told apart, whatever the direction and frequency.
+        """Why not all three components of a load can be distinguished, whatever the direction and frequency.
 
-        "too_few": fewer than three components. "incompressible": volume is kept, so that the strains tell nothing of
+        "too_few": fewer than three components. "incompressible": volume is kept, so that the strains show nothing of
         the mean stress; the same set has a higher rank for a Poisson's ratio below 1/2. "dependent": its components
         follow from each other, as in-plane strains at one depth do by compatibility.
         """

@@ -28,7 +28,7 @@ class GroupSite(NamedTuple):
         return self.fit.site
 
 
-class Account(NamedTuple):
+class Explanation(NamedTuple):
     """Explanation of a reading: `named` has one entry per site, `candidates` are the ambiguous ones."""
 
     status: Literal["ok", "ambiguous", "rejected"]
@@ -41,7 +41,7 @@ class Groups(NamedTuple):
     """Channels in use, channels that no site explains, and groups that one site explains."""
 
     channels: Group
-    deaf: Group
+    unexplained: Group
     explained: Mapping[Group, GroupSite]
 
 
@@ -83,40 +83,42 @@ def partitions(channels: Group) -> tuple[tuple[Group, ...], ...]:
     )
 
 
-def join(groups: Groups) -> Account:
+def join(groups: Groups) -> Explanation:
     """Divide the channels among the fewest sites, two at least, that explain all of them.
 
     Every division into as many sites that explains them too, and every other site for one of the groups, must be worse
     by a gap of 13.8 in score.
     """
-    accounts: list[tuple[int, float, list[GroupSite]]] = []
+    explanations: list[tuple[int, float, list[GroupSite]]] = []
     for partition in partitions(groups.channels):
         named = [groups.explained[group] for group in partition if group in groups.explained]
         if len(named) == len(partition) == len({group.site for group in named}) > 1:
-            accounts.append((len(named), sum(group.fit.score for group in named), named))
-    if not accounts:
-        return Account("rejected", "no site explains the channels")
-    accounts.sort(key=lambda account: account[:2])
-    count, score, named = accounts[0]
-    alike = [other for number, total, other in accounts if number == count and total - score < RUNNER_UP_GAP]
+            explanations.append((len(named), sum(group.fit.score for group in named), named))
+    if not explanations:
+        return Explanation("rejected", "no site explains the channels")
+    explanations.sort(key=lambda explanation: explanation[:2])
+    count, score, named = explanations[0]
+    alike = [other for number, total, other in explanations if number == count and total - score < RUNNER_UP_GAP]
     rivals = {group.rival for group in named if group.gap < RUNNER_UP_GAP}
     if len(alike) > 1 or rivals:
         candidates = rivals.union(group.site for other in alike for group in other)
-        return Account("ambiguous", "channels hear different sites, and not these alone", (), tuple(sorted(candidates)))
-    return Account("ok", "channels hear different sites", tuple(named))
+        return Explanation(
+            "ambiguous", "channels hear different sites, and not these alone", (), tuple(sorted(candidates))
+        )
+    return Explanation("ok", "channels hear different sites", tuple(named))
 
 
-def leave_one_out(groups: Groups) -> Account:
+def leave_one_out(groups: Groups) -> Explanation:
     """Name the site that explains all channels but one, which no site explains.
 
     A channel that follows another site is not left out here: `join` explains it, or nothing does.
     """
-    rest = tuple(c for c in groups.channels if c not in groups.deaf)
-    if len(groups.channels) == LEAVE_ONE_OUT_CHANNELS and len(groups.deaf) == 1 and rest in groups.explained:
+    rest = tuple(c for c in groups.channels if c not in groups.unexplained)
+    if len(groups.channels) == LEAVE_ONE_OUT_CHANNELS and len(groups.unexplained) == 1 and rest in groups.explained:
         named = groups.explained[rest]
         if named.gap >= RUNNER_UP_GAP:
-            return Account("ok", f"channel {groups.deaf[0]} hears another tone", (named,))
-        return Account(
+            return Explanation("ok", f"channel {groups.unexplained[0]} hears another tone", (named,))
+        return Explanation(
             "ambiguous", "two sites explain the channels alike", (), tuple(sorted((named.site, named.rival)))
         )
-    return Account("rejected", "no site explains the channels")
+    return Explanation("rejected", "no site explains the channels")

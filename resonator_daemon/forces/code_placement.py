@@ -31,7 +31,7 @@ def neighbours(distance_m: Floats) -> NDArray[np.bool_]:
     return near
 
 
-def usual_coupling(distance_m: Floats) -> Floats:
+def default_coupling(distance_m: Floats) -> Floats:
     """(m, m), in no unit: falls with distance as that of trapped modes about does."""
     coupling: Floats = np.exp(-distance_m / (DECAY_FACTOR * _usual_m(distance_m)))
     return coupling

@@ -40,7 +40,7 @@ def code_overlaps(
     common_shift
         Largest |g|, relative: what temperature, ageing and the pilot's residual may move all channels by unnoticed.
     margin
-        Relative: what noise and the error of K may move a channel by. To tell sites apart at odds of 1000 : 1, about
+        Relative: what noise and the error of K may move a channel by. To distinguish sites at odds of 1000 : 1, about
         seven times the larger of the two sites' standard deviations at the largest force.
     """
     unloaded = np.log(f0_hz)

@@ -107,16 +107,16 @@ class ContactTracker:
             for contact in self.contacts
             if board_ticks - contact.since_ticks - contact.duration_ticks > self._unknown_ticks
         ]
-        taken = self._associate(touches)
+        contact_of = self._associate(touches)
         for contact in list(self._open.values()):
-            if contact.id in taken.values():
+            if contact.id in contact_of.values():
                 continue
             if complete:
                 events.append(self._release(contact.id, board_ticks, "no longer felt"))
                 continue
             self._open[contact.id] = replace(contact, touch=_unknown(contact.touch, status, reason))
         for index, touch in enumerate(touches):
-            events += self._take(board_ticks, touch, taken.get(index))
+            events += self._track(board_ticks, touch, contact_of.get(index))
         return tuple(events)
 
     def close(self, board_ticks: int, reason: str) -> tuple[ContactEvent, ...]:
@@ -134,13 +134,13 @@ class ContactTracker:
             for contact in contacts
             if (distance_m := math.dist(touch.position_m, contact.touch.position_m)) <= self._reach_m
         ]
-        taken: dict[int, int] = {}
+        contact_of: dict[int, int] = {}
         for _, index, number in sorted(pairs, key=itemgetter(0)):
-            if index not in taken and number not in taken.values():
-                taken[index] = number
-        return taken
+            if index not in contact_of and number not in contact_of.values():
+                contact_of[index] = number
+        return contact_of
 
-    def _take(self, board_ticks: int, touch: Touch, number: int | None) -> list[ContactEvent]:
+    def _track(self, board_ticks: int, touch: Touch, number: int | None) -> list[ContactEvent]:
         newton = touch.force_newton
         at_least = newton if touch.at_least_newton is None else touch.at_least_newton
         if number is None:

@@ -32,24 +32,24 @@ class DriftWatch:
         self._seen.clear()
         self._drifting = False
 
-    def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> str:
+    def update(self, common_mode: Sequence[float], plate_kelvin: float, time_s: float) -> str | None:
         """Update with the common mode per channel and the plate's temperature, each NaN where unknown.
 
-        Returns how the baseline drifts, "" while it does not.
+        Returns how the baseline drifts, None while it does not.
         """
-        told = (*common_mode, _SHIFT_PER_KELVIN * plate_kelvin)
-        if all(map(math.isnan, told)):
+        values = (*common_mode, _SHIFT_PER_KELVIN * plate_kelvin)
+        if all(map(math.isnan, values)):
             self.reset()
-            return ""
+            return None
         if self._seen and 0 <= time_s - self._seen[-1][0] < _EVERY_S:
             return self._verdict
         if self._seen:
             last_s, last = self._seen[-1]
             if time_s < last_s:
                 self.reset()
-            elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(told, last, strict=True)):
+            elif all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in zip(values, last, strict=True)):
                 return self._verdict
-        self._seen.append((time_s, told))
+        self._seen.append((time_s, values))
         while len(self._seen) > 2 and time_s - self._seen[1][0] >= SPAN_S:
             self._seen.popleft()
         self._judge()
@@ -65,9 +65,9 @@ class DriftWatch:
         self._drifting = self._moved > limit * (_OVER if self._drifting else 1.0)
 
     @property
-    def _verdict(self) -> str:
+    def _verdict(self) -> str | None:
         if not self._drifting:
-            return ""
+            return None
         rate = self._moved / self._span_s
         limit = WALKS * COMMON_MODE_WALK * math.sqrt(self._span_s)
         return (

@@ -10,8 +10,8 @@ from resonator_daemon.arrays import Floats
 from resonator_daemon.forces.site_response import SiteResponse
 
 # Of an AT cut near its zero slope at 25 C, where the plate file does not give them: 1/K, 1/K^2, 1/K^3.
-USUAL_COEFFICIENTS: Final = (-5e-8, -0.5e-9, 1.08e-10)
-USUAL_COEFFICIENT_STD: Final = 5e-8  # 1/K: a third of an arc minute of the cut, from site to site
+DEFAULT_COEFFICIENTS: Final = (-5e-8, -0.5e-9, 1.08e-10)
+DEFAULT_COEFFICIENT_STD: Final = 5e-8  # 1/K: a third of an arc minute of the cut, from site to site
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,4 +61,4 @@ class ForceSites:
 
 def known_coefficients(coefficients: Floats) -> Floats:
     """Return coefficients (m, 3) with the crystal's default in place of each NaN."""
-    return np.where(np.isnan(coefficients), USUAL_COEFFICIENTS, coefficients)
+    return np.where(np.isnan(coefficients), DEFAULT_COEFFICIENTS, coefficients)

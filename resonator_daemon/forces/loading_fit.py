@@ -16,9 +16,9 @@ from resonator_daemon.forces.loadings import Readings, Steps, felt_newton
 DEFAULT_SCATTER: Final = 0.015  # of K F from touch to touch, where there are too few loadings
 LITTLE_SCATTER: Final = 1e-3  # nobody lays masses on better than that, so less is no reason to doubt one of them
 SCATTER_RANGE: Final = (1e-6, 0.5)
-# Hysteresis relative to the largest load, creep fraction, log of the creep time in seconds. What is usual, with a wide
-# standard deviation, is used without data: no unloading, no creep.
-RESPONSE_USUAL: Final = (0.01, 0.005, math.log(20.0))
+# Hysteresis relative to the largest load, creep fraction, log of the creep time in seconds. These defaults, with a wide
+# standard deviation, are used without data: no unloading, no creep.
+RESPONSE_DEFAULT: Final = (0.01, 0.005, math.log(20.0))
 RESPONSE_STD: Final = (0.02, 0.01, 1.0)
 RESPONSE_LOWEST: Final = (0.0, 0.0, math.log(1.0))
 RESPONSE_HIGHEST: Final = (0.25, 0.2, math.log(600.0))
@@ -144,15 +144,15 @@ class LoadingProblem:
         scale = np.array([self._force.max(), 1.0, 1.0])
 
         def residual(response: Floats) -> Floats:
-            from_usual = (response / scale - RESPONSE_USUAL) / RESPONSE_STD
-            return np.append(self._solution(response, scatter).whitened(), from_usual)
+            from_default = (response / scale - RESPONSE_DEFAULT) / RESPONSE_STD
+            return np.append(self._solution(response, scatter).whitened(), from_default)
 
         def jacobian(response: Floats) -> Floats:
             return _derivatives(residual, response)
 
         fit = least_squares(
             residual,
-            scale * RESPONSE_USUAL if start is None else start.value,
+            scale * RESPONSE_DEFAULT if start is None else start.value,
             bounds=(scale * RESPONSE_LOWEST, scale * RESPONSE_HIGHEST),
             x_scale=scale * RESPONSE_STD,
             jac=jacobian,

@@ -317,8 +317,8 @@ class PlateDrift:
             plate_kelvin, plate_variance = float(common.mean[0]), float(common.covariance[0, 0])
         warmth = own_kelvin - plate_kelvin
         variance = own_variance + plate_variance
-        told = known & (self._in_contact | (warmth**2 > OFF_SIGMAS**2 * variance))
-        return np.where(told, warmth, 0.0), np.where(told, variance, 0.0)
+        significant = known & (self._in_contact | (warmth**2 > OFF_SIGMAS**2 * variance))
+        return np.where(significant, warmth, 0.0), np.where(significant, variance, 0.0)
 
     def _expected(self, common: _Common, warmth: Floats, warmth_variance: Floats) -> tuple[Floats, Floats]:
         slope = common.slope(self._coefficients)
@@ -338,8 +338,8 @@ class PlateDrift:
         slope = common.slope(self._coefficients)
         curvature = 2.0 * b + 6.0 * c * theta
         seen_by = np.where(self._in_contact, 0.0, slope)  # theta follows shifts of these, in proportion
-        told = float(seen_by @ seen_by)
-        weight = slope / told if told > 0.0 else np.zeros(len(slope))
+        sensitivity = float(seen_by @ seen_by)
+        weight = slope / sensitivity if sensitivity > 0.0 else np.zeros(len(slope))
         slope_variance = self._coefficient_variance * (1.0 + weight * slope)
         slope_variance += (curvature - weight * float(seen_by @ curvature)) ** 2 * self._start_variance
         step_kelvin = self._rate_kelvin_per_s * self._step_s

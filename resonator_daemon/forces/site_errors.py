@@ -12,8 +12,8 @@ from resonator_daemon.forces.force_sites import ForceSites
 from resonator_daemon.forces.site_response import ResponseInverse
 
 # Of quartz force sensors whose response nobody has measured: half width of hysteresis, of the largest force, and creep.
-USUAL_HYSTERESIS: Final = 0.01
-USUAL_CREEP: Final = 0.005
+DEFAULT_HYSTERESIS: Final = 0.01
+DEFAULT_CREEP: Final = 0.005
 PROVEN_HYSTERESES: Final = 4.0  # a press that large leaves a site where any press leaves it
 RANGE_MARGIN: Final = 0.02  # of the largest calibrated force, before a force counts as outside
 
@@ -155,8 +155,8 @@ class SiteErrors:
         return PressedSites(force, noise, systematic, unmodelled, calibrated)
 
     def _unmodelled_all(self, force_newton: Floats) -> Floats:
-        lag = np.minimum(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
-        return np.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
+        lag = np.minimum(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, np.abs(force_newton))
+        return np.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)
 
     def _unknown_rest(self, sites: Indices, force_newton: Floats) -> Floats:
         response, unproven = self._sites.response, self._unproven[sites]
@@ -171,5 +171,5 @@ class SiteErrors:
         if self._inverse is not None:
             return 0.0
         # A site lags by half of its hysteresis, but by no more than presses it.
-        lag = min(USUAL_HYSTERESIS * self._sites.force_max_newton / 2.0, abs(force_newton))
-        return math.hypot(lag, USUAL_CREEP / 2.0 * force_newton)
+        lag = min(DEFAULT_HYSTERESIS * self._sites.force_max_newton / 2.0, abs(force_newton))
+        return math.hypot(lag, DEFAULT_CREEP / 2.0 * force_newton)

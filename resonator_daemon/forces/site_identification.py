@@ -9,7 +9,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from resonator_daemon.arrays import Floats
-from resonator_daemon.forces.channel_groups import Account, detected_alone, explain_groups, join, leave_one_out
+from resonator_daemon.forces.channel_groups import Explanation, detected_alone, explain_groups, join, leave_one_out
 from resonator_daemon.forces.code_fit import (
     RUNNER_UP_GAP,
     Code,
@@ -139,25 +139,25 @@ class Matcher:
         if set.intersection(*map(set, detected.values())):  # a chance excess of the gate is not read as anything else
             return Match("rejected", "channels disagree on the force", chi2)
         groups = explain_groups(self._codes, detected, reading)
-        account, over = join(groups), self._overload(reading)
-        if over and account.status != "rejected":
-            candidates = {site.site for site in account.named} | {force.site for force in over.forces}
+        explanation, over = join(groups), self._overload(reading)
+        if over and explanation.status != "rejected":
+            candidates = {site.site for site in explanation.named} | {force.site for force in over.forces}
             reason = "one force beyond the range, or several sites"
-            return Match("ambiguous", reason, chi2, (), tuple(sorted(candidates.union(account.candidates))))
+            return Match("ambiguous", reason, chi2, (), tuple(sorted(candidates.union(explanation.candidates))))
         if over:
             return over
-        if account.status == "rejected":
-            account = leave_one_out(groups)
-        return self._match_of(account, reading, chi2)
+        if explanation.status == "rejected":
+            explanation = leave_one_out(groups)
+        return self._match_of(explanation, reading, chi2)
 
-    def _match_of(self, account: Account, reading: Reading, chi2: float) -> Match:
-        if not account.named:
-            return Match(account.status, account.reason, chi2, (), account.candidates)
-        forces = tuple([self._site_force(group.fit, reading) for group in account.named])
-        chi2 = sum(group.fit.chi2 for group in account.named)
+    def _match_of(self, explanation: Explanation, reading: Reading, chi2: float) -> Match:
+        if not explanation.named:
+            return Match(explanation.status, explanation.reason, chi2, (), explanation.candidates)
+        forces = tuple([self._site_force(group.fit, reading) for group in explanation.named])
+        chi2 = sum(group.fit.chi2 for group in explanation.named)
         if any(force.status == "overload" for force in forces):
-            return Match("overload", f"{account.reason}; {self._overload_reason}", chi2, forces)
-        return Match("ok", account.reason, chi2, forces)
+            return Match("overload", f"{explanation.reason}; {self._overload_reason}", chi2, forces)
+        return Match("ok", explanation.reason, chi2, forces)
 
     def _overload(self, reading: Reading) -> Match | None:
         """Return the site that needs the least force beyond the range to explain all channels.

@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from resonator_daemon.arrays import Floats
 from resonator_daemon.errors import ConfigurationError, UsageError
-from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
+from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.plate import Plate
 from resonator_daemon.toml_files.reading import TomlFile, load_model
 
@@ -80,10 +80,10 @@ def _place_mm(line: str) -> tuple[float, float] | None:
 
 
 def _within_a_rectangle(positions_m: Floats) -> Layout:
-    """Leave half the usual distance between sites around them, a transducer at each corner."""
+    """Leave half the typical distance between sites around them, a transducer at each corner."""
     nearest_m, _ = cKDTree(positions_m).query(positions_m, k=[2])
-    usual_m = float(np.median(nearest_m)) if len(positions_m) > 1 else 0.0
-    border_m = max(LEAST_BORDER_M, usual_m / 2)
+    typical_m = float(np.median(nearest_m)) if len(positions_m) > 1 else 0.0
+    border_m = max(LEAST_BORDER_M, typical_m / 2)
     (x0, y0), (x1, y1) = positions_m.min(axis=0) - border_m, positions_m.max(axis=0) + border_m
     corners_m = np.array([(x0, y0), (x1, y0), (x1, y1), (x0, y1)])
     return Layout(tuple(range(1, len(positions_m) + 1)), positions_m, corners_m, corners_m)
@@ -125,7 +125,7 @@ def plate_file_text(layout: Layout, f0_hz: Floats, sensitivity: Floats, draft: P
         "[thermal]",
         f"reference_kelvin = {_number(REFERENCE_KELVIN)}",
         f"range_kelvin = [{_number(low)}, {_number(high)}]",
-        f"coefficient_std = {_number(USUAL_COEFFICIENT_STD)}",
+        f"coefficient_std = {_number(DEFAULT_COEFFICIENT_STD)}",
         "",
         "[calibration]",
         f"sensitivity_std = {_number(draft.sensitivity_std)}",
@@ -145,7 +145,7 @@ def plate_file_text(layout: Layout, f0_hz: Floats, sensitivity: Floats, draft: P
 
 
 def planned_plate(text: str) -> Plate:
-    """Return the plate that a text makes; UsageError says what of it cannot be."""
+    """Return the plate of a text; UsageError names what cannot be."""
     try:
         return load_model(Plate, TomlFile(Path("the planned plate"), text, tomllib.loads(text)))
     except ConfigurationError as error:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from firmware_protocol.layouts import CHANNEL_COUNT
 from resonator_daemon.errors import ConfigurationError, UsageError
 from resonator_daemon.forces.code_plan import Limits, stamp_noise
-from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD
+from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD
 from resonator_daemon.forces.site_identification import MODEL_ERROR
 from resonator_daemon.planning.plate_file import PILOT_ABOVE, Layout, PlateDraft, grid_layout, plate_layout, read_layout
 from resonator_daemon.plate import FORCE_SIGNAL, Plate, load_plate
@@ -108,8 +108,8 @@ def _sensitivity(
     if plate is not None and options.sensitivity_ppm_per_newton is None:
         sites = force_sites(plate)
         return sites.sensitivity, options.sensitivity_spread or 0.0, sites.model_error
-    usual = np.full((count, CHANNEL_COUNT), 1e-6 * given["sensitivity_ppm_per_newton"])
-    return usual, given["sensitivity_spread"], MODEL_ERROR
+    default = np.full((count, CHANNEL_COUNT), 1e-6 * given["sensitivity_ppm_per_newton"])
+    return default, given["sensitivity_spread"], MODEL_ERROR
 
 
 def _limits(options: argparse.Namespace, given: dict[str, Any], tempco_difference: float, noise_std: float) -> Limits:
@@ -209,7 +209,7 @@ def _with_defaults(options: argparse.Namespace, plate: Plate | None) -> dict[str
 def _temperature_coefficients(plate: Plate | None) -> tuple[float, float]:
     """Return the standard deviation of a site's and the largest difference of two sites', in 1/K."""
     if plate is None:
-        return USUAL_COEFFICIENT_STD, TEMPCO_STDS * USUAL_COEFFICIENT_STD
+        return DEFAULT_COEFFICIENT_STD, TEMPCO_STDS * DEFAULT_COEFFICIENT_STD
     warmth = force_sites(plate).warmth
     apart = float(np.ptp(warmth.coefficients[:, 0]))
     return warmth.coefficient_std, apart + TEMPCO_STDS * warmth.coefficient_std

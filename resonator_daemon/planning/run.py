@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_protocol.layouts import CHANNEL_COUNT
-from resonator_daemon.errors import UsageError
+from resonator_daemon.errors import ExitCode, UsageError, UserError
 from resonator_daemon.forces import code_placement, code_trials
 from resonator_daemon.forces.code_plan import GuardBand, force_noise, guard_band, ladder_hz, stamp_noise
 from resonator_daemon.forces.code_trials import Codes, Outcomes, Scatter
@@ -21,7 +21,6 @@ from resonator_daemon.planning.plate_file import (
     plate_file_text,
     plate_layout,
 )
-from resonator_daemon.planning.refusal import PlanRefusedError
 from resonator_daemon.planning.request import JITTER_S, Request, make_request
 from resonator_daemon.plate import Plate
 from resonator_daemon.sensors import code_check
@@ -34,6 +33,13 @@ PLATES: Final = 50  # drawn; one where the codes are those of a plate
 TWO_TOUCH_SHARE: Final = 20  # of simulated touches, one in this many is two at a time
 COMMON_SHIFTS: Final = (1e-5, 2e-5, 4e-5)  # at which the nearest band is tried
 CODES_MORE: Final = 1.1  # times as many codes, while neighbours couple too much
+
+
+class PlanRefusedError(UserError):
+    """The plan cannot be fulfilled; no plate file was written."""
+
+    exit_code = ExitCode.FAILED
+    code = "no_plan"
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +70,9 @@ def plan_codes(options: argparse.Namespace) -> tuple[CodePlan, str]:
     ladder = _kept(request.plate, options) if request.plate else _new(request, guard, options, random)
     plate = ladder.plate
     scatter = _scatter(request, plate, 1e-3 * options.window_ms, options.stamps_per_s)
-    usual = float(np.median(np.abs(plate.tones.sensitivity)))
+    typical = float(np.median(np.abs(plate.tones.sensitivity)))
     noise = {
-        name: force_noise(usual, scatter.counter_std, 1e-3 * options.window_ms, channels)
+        name: force_noise(typical, scatter.counter_std, 1e-3 * options.window_ms, channels)
         for name, channels in (("one_channel", 1), ("four_channels", CHANNEL_COUNT))
     }
     plates = 1 if request.plate else PLATES
@@ -173,7 +179,7 @@ def _place(
     """Return codes by site, and pairs that couple too much; takes more codes than sites where that helps."""
     layout = request.layout
     distance_m = code_placement.distances_m(layout.positions_m)
-    coupling, steps = code_placement.usual_coupling(distance_m), code_placement.needed_steps(distance_m)
+    coupling, steps = code_placement.default_coupling(distance_m), code_placement.needed_steps(distance_m)
     if options.coupling is not None:
         coupling = code_placement.measured_coupling_hz(distance_m, *options.coupling)
         steps = code_placement.needed_steps(distance_m, coupling / (step * request.f0_hz))

@@ -76,7 +76,7 @@ class SharedPlates:
             return Condition.STARTING, self._note
         now_s = time.monotonic()
         served = self._stage.served
-        heard = [
+        live = [
             plate
             for plate in self._plates.values()
             if now_s - plate.last_s <= WAITS_AFTER_S and plate.skin and served.get(plate.name) is plate.skin
@@ -85,9 +85,9 @@ class SharedPlates:
         problems += [f"{name}: {problem}" for name, problem in self._problems.items()]
         if len(problems) > _PROBLEMS_NAMED:
             problems[_PROBLEMS_NAMED:] = [f"and {len(problems) - _PROBLEMS_NAMED} more"]
-        what = f"signals of {len(heard)} plates are decoded" if heard else "no signals that could be decoded"
+        what = f"signals of {len(live)} plates are decoded" if live else "no signals that could be decoded"
         full = [f"{PLATES_MAX} plates are known, no more are taken"] if len(self._plates) >= PLATES_MAX else []
-        return (Condition.ONLINE if heard else Condition.WAITING), "; ".join((what, *full, *problems))
+        return (Condition.ONLINE if live else Condition.WAITING), "; ".join((what, *full, *problems))
 
     def health(self) -> dict[str, DecoderPlateHealth]:
         return {

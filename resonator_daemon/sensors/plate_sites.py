@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from resonator_daemon.forces.force_sites import USUAL_COEFFICIENT_STD, ForceSites, Warmth, known_coefficients
+from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENT_STD, ForceSites, Warmth, known_coefficients
 from resonator_daemon.forces.site_response import SiteResponse
 from resonator_daemon.plate import FORCE_SIGNAL, TEMPERATURE_SIGNAL, Plate, Response
 
@@ -28,7 +28,7 @@ def force_sites(plate: Plate) -> ForceSites:
         plate.force_max_newton,
         Warmth(
             known_coefficients(coefficients),
-            max(thermal.coefficient_std, USUAL_COEFFICIENT_STD)
+            max(thermal.coefficient_std, DEFAULT_COEFFICIENT_STD)
             if np.isnan(coefficients).any()
             else thermal.coefficient_std,
             thermal.transient_s,

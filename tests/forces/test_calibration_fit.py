@@ -128,13 +128,6 @@ def test_the_scatter_of_touches_is_found_within_30_per_cent(repeats):
         assert rms(bench.standardised(fit)) == pytest.approx(1.0, abs=0.3)
 
 
-def test_many_readings_of_a_touch_are_one_touch():
-    bench = Bench(2)
-    fit = bench.calibrate(ONE_BY_ONE, 1e-3, scatter=0.015, readings=8)
-    assert 0.7 < fit.model_error / 0.015 < 1.3
-    assert rms(bench.standardised(fit)) == pytest.approx(1.0, abs=0.3)
-
-
 def test_hysteresis_and_creep_are_fitted_from_loading_and_unloading_with_holds():
     for seed in range(4):
         bench = Bench(seed)
@@ -226,12 +219,6 @@ def test_a_step_that_may_be_the_bad_one_instead_is_named_beside_it():
     assert doubtful.count((23,)) > 10
 
 
-def test_a_bad_loading_between_holds_is_named_too():
-    bench = Bench(7, 8)
-    fit = bench.calibrate(UP_AND_DOWN, 1e-3, h=0.1, c=0.005, readings=3, wrong={14: 9.0}, with_response=True)
-    assert fit.doubtful_steps == (14,)
-
-
 def test_sound_loadings_are_not_doubted():
     doubted = 0
     for seed in range(30):
@@ -253,13 +240,6 @@ def test_of_two_loads_the_sign_of_k_tells_their_order():
     fit = Bench(9, 4).calibrate(ONE_BY_ONE[:4], 1e-3, wrong={5: 2.0, 7: 1.0})
     assert fit.swapped_steps == (5, 7)
     assert Bench(9, 4).calibrate(ONE_BY_ONE[:4], 1e-3).swapped_steps is None
-
-
-def test_a_wrong_sign_of_one_channel_in_the_plate_file_does_not_hide_exchanged_loads():
-    bench = Bench(13, 4)
-    bench.nominal_k[:, 0] *= -1
-    assert bench.calibrate(ONE_BY_ONE, 1e-3, wrong={7: 2.0, 9: 1.0}).swapped_steps == (7, 9)
-    assert bench.calibrate(ONE_BY_ONE, 1e-3).swapped_steps is None
 
 
 def test_a_load_that_is_none_of_the_masses_is_not_called_exchanged():

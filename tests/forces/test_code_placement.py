@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from resonator_daemon.forces.code_placement import (
+    default_coupling,
     distances_m,
     measured_coupling_hz,
     missing,
     needed_steps,
     neighbours,
     place_codes,
-    usual_coupling,
 )
 from resonator_daemon.plate import load_plate
 
@@ -31,7 +31,7 @@ def test_neighbours_on_a_grid_are_those_beside_and_across() -> None:
 def test_sixteen_sites_get_sixteen_codes_and_neighbours_never_adjacent_ones(plate: str, seed: int) -> None:
     distance_m = grid(4, 4) if plate == "grid" else distances_m(load_plate("quartz16").site_positions_m)
     steps = needed_steps(distance_m)
-    codes = place_codes(usual_coupling(distance_m), 16, steps, np.random.default_rng(seed))
+    codes = place_codes(default_coupling(distance_m), 16, steps, np.random.default_rng(seed))
     assert sorted(codes.tolist()) == list(range(1, 17))
     adjacent = [(i, j) for i in range(16) for j in range(i) if abs(codes[i] - codes[j]) == 1]
     assert not any(neighbours(distance_m)[pair] for pair in adjacent)
@@ -42,7 +42,7 @@ def test_the_sites_that_couple_most_get_codes_as_far_apart_as_brute_force_finds(
     random = np.random.default_rng(4)
     for _ in range(5):
         distance_m = distances_m(random.uniform(0, 10e-3, (6, 2)))
-        coupling, none = usual_coupling(distance_m), np.ones((6, 6), np.int64)
+        coupling, none = default_coupling(distance_m), np.ones((6, 6), np.int64)
 
         def taken(codes, coupling=coupling) -> float:
             return sum((coupling[i, j] / (codes[i] - codes[j])) ** 2 for i in range(6) for j in range(i))
@@ -55,11 +55,11 @@ def test_pairs_that_cannot_have_their_steps_are_named() -> None:
     distance_m = grid(2, 2)
     steps = needed_steps(distance_m)
     random = np.random.default_rng(0)
-    codes = place_codes(usual_coupling(distance_m), 4, steps, random)
+    codes = place_codes(default_coupling(distance_m), 4, steps, random)
     expected = [(i, j) for i in range(4) for j in range(i + 1, 4) if abs(codes[i] - codes[j]) == 1]
     assert missing(codes, steps) == expected
     assert len(expected) == 3
-    assert missing(place_codes(usual_coupling(distance_m), 7, steps, random), steps) == []
+    assert missing(place_codes(default_coupling(distance_m), 7, steps, random), steps) == []
 
 
 def test_measured_coupling_passes_through_its_two_points_and_asks_for_ten_times_as_much() -> None:
@@ -83,5 +83,5 @@ def test_fewer_codes_than_sites_are_refused() -> None:
 
 def test_one_site_has_no_neighbours() -> None:
     distance_m = distances_m(np.zeros((1, 2)))
-    codes = place_codes(usual_coupling(distance_m), 1, needed_steps(distance_m), np.random.default_rng(0))
+    codes = place_codes(default_coupling(distance_m), 1, needed_steps(distance_m), np.random.default_rng(0))
     assert codes.tolist() == [1]

@@ -70,7 +70,7 @@ def test_a_baseline_that_is_forgotten_begins_anew(gap: tuple[float, float]) -> N
     drift = DriftWatch()
     for n in range(100):
         drift.update((1e-9 * n, 0.0), NAN, n * STEP_S)
-    assert drift.update(gap, NAN, 10.0) == ""
+    assert drift.update(gap, NAN, 10.0) is None
     assert not any(drift.update((1.0 + 1e-15 * n, 0.0), NAN, 10.1 + n * STEP_S) for n in range(100))
 
 
@@ -96,5 +96,5 @@ def test_with_time_that_goes_backwards_it_begins_anew() -> None:
     drift = DriftWatch()
     told = [drift.update((1e-6 * n, 0.0), NAN, 100.0 + n * STEP_S) for n in range(100)]
     assert told[-1]
-    assert drift.update((1.0, 0.0), NAN, 0.0) == ""
+    assert drift.update((1.0, 0.0), NAN, 0.0) is None
     assert not any(drift.update((1.0 + 1e-13 * n, 0.0), NAN, n * STEP_S) for n in range(1, 100))

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from resonator_daemon.forces.force_sites import USUAL_COEFFICIENTS, ForceSites, Warmth, known_coefficients
+from resonator_daemon.forces.force_sites import DEFAULT_COEFFICIENTS, ForceSites, Warmth, known_coefficients
 
 
 def sites_of(sensitivity):
@@ -34,10 +34,10 @@ def test_equal_sensitivities_give_their_inverse_and_opposite_ones_see_nothing_co
     assert sites_of([[5e-6, -5e-6, 5e-6, -5e-6]]).newton_per_shift(0, (0, 1, 2, 3)) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_coefficients_that_are_not_given_are_the_usual_ones_each_by_itself():
+def test_coefficients_that_are_not_given_are_the_default_ones_each_by_itself():
     given = np.array([[1e-7, np.nan, 0.0], [np.nan, np.nan, np.nan]])
     known = known_coefficients(given)
-    assert known.tolist() == [[1e-7, USUAL_COEFFICIENTS[1], 0.0], list(USUAL_COEFFICIENTS)]
+    assert known.tolist() == [[1e-7, DEFAULT_COEFFICIENTS[1], 0.0], list(DEFAULT_COEFFICIENTS)]
     assert np.isnan(given[1]).all()  # the plate's own array stays as it was
 
 

@@ -49,7 +49,7 @@ def test_without_a_response_and_warmth_a_force_is_what_the_site_feels():
     assert pressed.systematic_newton == pytest.approx(0.03)
 
 
-def test_a_response_that_was_not_calibrated_may_be_the_usual_one():
+def test_a_response_that_was_not_calibrated_may_be_the_default_one():
     # A hysteresis of 1 % of the 10 N of this plate: half of it, and no more than presses; and half of 0.5 % of creep.
     for newton, unmodelled in ((0.02, 0.02), (2.0, 0.05), (8.0, math.hypot(0.05, 0.02))):
         assert press(errors(), newton, 0.0).unmodelled_newton == pytest.approx(unmodelled, rel=0.01)

@@ -30,21 +30,6 @@ def test_eq_1_round_trip(force, mixed_sign):
         assert match.forces[0].force_newton == pytest.approx(force, abs=1e-8)
 
 
-def test_noise_is_the_spread_of_forces_and_systematic_the_stated_parts():
-    plate = Ladder()
-    matcher, counter = matcher_of(plate), np.array([4e-9, 8e-9, 4e-9, 6e-9])
-    rng = np.random.default_rng(4)
-    forces = []
-    for _ in range(3000):
-        error = counter * rng.normal(size=4) + OSCILLATOR_STD * rng.normal()
-        match = matcher.match(plate.loaded_hz(5, 0.5) * (1 + error), counter, OSCILLATOR_STD, COMMON_MODE_STD)
-        forces.append(match.forces[0])
-    assert np.std([f.force_newton for f in forces]) == pytest.approx(forces[0].noise_newton, rel=0.04)
-    # Four channels alike, each with an error of K of its own.
-    expected = math.hypot(0.015 * 0.5 / 2, COMMON_MODE_STD / abs(plate.sensitivity[5, 0]))
-    assert forces[0].systematic_newton == pytest.approx(expected, rel=0.01)
-
-
 def test_a_common_mode_leaves_mixed_sign_channels_almost_alone():
     plate = Ladder(mixed_sign=True)
     match = matcher_of(plate).match(plate.loaded_hz(3, 1.0) * (1 + 3e-7), *NOISE)
@@ -179,13 +164,6 @@ def test_a_touch_between_sites_is_told_in_parts_or_covered_by_what_may_be_hidden
                 assert found.hidden_newton == pytest.approx(hidden[found.site] * found.force_newton)
                 assert 0 <= force - found.force_newton <= found.hidden_newton * (1 + 1e-6)
     assert min(told.values()) > 10
-
-
-def test_a_site_that_shares_no_load_hides_none():
-    plate = Ladder()
-    (found,) = matcher_of(plate).match(plate.loaded_hz(3, 2.0), *NOISE).forces
-    assert found.hidden_newton == 0.0
-    assert found.channels == (0, 1, 2, 3)
 
 
 @pytest.mark.parametrize(("oscillator", "common_mode"), [(math.nan, 1e-7), (1e-9, math.nan), (1e-9, math.inf)])

@@ -166,22 +166,6 @@ def test_after_a_gap_the_state_is_unknown_again_but_not_after_a_short_one():
             assert result.force_newton == pytest.approx(4.03, abs=1e-5)
 
 
-def test_creep_goes_on_while_a_site_is_silent():
-    # 60 s under 8 N and 10 s of rest: u = 8 (1 - e^-3) e^-0.5, and h = 0 leaves F_e = (1 - c) F + c u.
-    response, c = response_of(0.0, 0.005), 0.005
-    inverse = ResponseInverse(1, response, FULL_SCALE_NEWTON)
-    site, noise = np.array([0]), np.array([1e-9])
-    inverse.release(site, -1e4)
-    for k in range(6001):
-        creep = 8 * (1 - math.exp(-k / 2000))
-        result = inverse.press(site, np.array([(1 - c) * 8 + c * creep]), noise, 0.01 * k)
-    assert result.force_newton == pytest.approx(8.0, abs=1e-4)
-    inverse.release(site, 60.0)
-    creep = 8 * (1 - math.exp(-3)) * math.exp(-0.5)
-    result = inverse.press(site, np.array([(1 - c) * 2 + c * creep]), noise, 70.0)
-    assert result.force_newton == pytest.approx(2.0, abs=1e-4)
-
-
 def test_what_pressed_before_the_start_is_forgotten_with_the_creep_time():
     response, c = response_of(0.0, 0.005), 0.005
     for rest_s in (0.1, 20.0, 100.0):

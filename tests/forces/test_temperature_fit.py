@@ -4,8 +4,8 @@ import pytest
 from resonator_daemon.forces.temperature_fit import fit_temperature
 
 REFERENCE_KELVIN = 298.15
-USUAL = np.array([-5e-8, -5e-10, 1.08e-10])
-USUAL_STD = np.array([5e-8, 5e-10, 2e-11])
+DEFAULT = np.array([-5e-8, -5e-10, 1.08e-10])
+DEFAULT_STD = np.array([5e-8, 5e-10, 2e-11])
 TRUE = np.array([[-9e-8, -9e-10, 1.2e-10], [2e-8, 2e-10, 0.9e-10], [-5e-8, -5e-10, 1.08e-10]])
 
 
@@ -19,7 +19,7 @@ def sweep(span_kelvin, *, noise=2e-9, seed=0, count=60):
 
 
 def fit(kelvin, shift, noise=2e-9):
-    return fit_temperature(kelvin, shift, np.full(3, noise), USUAL, USUAL_STD, REFERENCE_KELVIN)
+    return fit_temperature(kelvin, shift, np.full(3, noise), DEFAULT, DEFAULT_STD, REFERENCE_KELVIN)
 
 
 def test_a_wide_sweep_tells_all_three_terms():
@@ -29,12 +29,12 @@ def test_a_wide_sweep_tells_all_three_terms():
     assert result.coefficient[:, 2] == pytest.approx(TRUE[:, 2], rel=0.02)
 
 
-def test_a_narrow_sweep_tells_the_first_term_and_leaves_the_rest_as_usual():
+def test_a_narrow_sweep_tells_the_first_term_and_leaves_the_rest_at_the_defaults():
     result = fit(*sweep(1.0))
-    assert (result.coefficient_std[:, 0] < 0.1 * USUAL_STD[0]).all()
+    assert (result.coefficient_std[:, 0] < 0.1 * DEFAULT_STD[0]).all()
     assert (np.abs(result.coefficient[:, 0] - TRUE[:, 0]) < 3.5 * result.coefficient_std[:, 0]).all()
-    assert result.coefficient[:, 2] == pytest.approx(np.full(3, USUAL[2]), rel=0.01)
-    assert result.coefficient_std[:, 2] == pytest.approx(np.full(3, USUAL_STD[2]), rel=0.01)
+    assert result.coefficient[:, 2] == pytest.approx(np.full(3, DEFAULT[2]), rel=0.01)
+    assert result.coefficient_std[:, 2] == pytest.approx(np.full(3, DEFAULT_STD[2]), rel=0.01)
 
 
 def test_a_sweep_off_the_reference_speaks_of_the_reference():
@@ -42,7 +42,7 @@ def test_a_sweep_off_the_reference_speaks_of_the_reference():
     warm = kelvin > REFERENCE_KELVIN + 2
     result = fit(kelvin[warm], shift[warm])
     assert (np.abs(result.coefficient - TRUE) < 4 * result.coefficient_std).all()
-    assert result.coefficient_std[0, 0] < 0.1 * USUAL_STD[0]
+    assert result.coefficient_std[0, 0] < 0.1 * DEFAULT_STD[0]
 
 
 def test_the_stated_standard_deviations_are_the_spread():
@@ -51,9 +51,9 @@ def test_the_stated_standard_deviations_are_the_spread():
     for span in (2.0, 10.0, 40.0):
         kelvin = np.linspace(-span / 2, span / 2, 20) + REFERENCE_KELVIN + 3
         d = kelvin - REFERENCE_KELVIN
-        true = USUAL + USUAL_STD * rng.normal(size=(4000, 3))
+        true = DEFAULT + DEFAULT_STD * rng.normal(size=(4000, 3))
         shift = np.polynomial.polynomial.polyval(d, np.insert(true, 0, 0.0, axis=1).T).T
         shift = shift + 5e-9 * rng.normal(size=shift.shape)
-        result = fit_temperature(kelvin, shift, np.full(4000, 5e-9), USUAL, USUAL_STD, REFERENCE_KELVIN)
+        result = fit_temperature(kelvin, shift, np.full(4000, 5e-9), DEFAULT, DEFAULT_STD, REFERENCE_KELVIN)
         spread = np.std((result.coefficient - true) / result.coefficient_std, axis=0)
         assert spread == pytest.approx(np.ones(3), abs=0.05)
