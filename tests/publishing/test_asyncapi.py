@@ -129,6 +129,8 @@ def test_every_verb_is_there_with_its_answers() -> None:
         answers = [resolved(resolved(answer["$ref"])["$ref"])["name"] for answer in operation["reply"]["messages"]]
         assert answers == [verb.answer.__name__, "Refusal"]
         assert operation["x-changes"] is verb.changes
+        kinds = (verb.request.__name__, verb.answer.__name__, "Refusal")
+        assert not any("headers" in DOCUMENT["components"]["messages"][kind] for kind in kinds)
 
 
 def test_the_schema_of_a_request_refuses_what_the_daemon_refuses() -> None:
