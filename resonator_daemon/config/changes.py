@@ -18,9 +18,9 @@ class Changes(NamedTuple):
     restart: tuple[str, ...]
 
     def __str__(self) -> str:
-        told = [f"taken: {', '.join(self.live)}"] if self.live else []
-        told += [f"restart for {', '.join(self.restart)}"] if self.restart else []
-        return "; ".join(told) or "nothing changed"
+        parts = [f"taken: {', '.join(self.live)}"] if self.live else []
+        parts += [f"restart for {', '.join(self.restart)}"] if self.restart else []
+        return "; ".join(parts) or "nothing changed"
 
 
 def takes_live(key: str) -> bool:

@@ -14,7 +14,7 @@ from resonator_daemon.toml_files.reading import Table, read_toml
 class DecoderConfig(Table):
     """Whose signals to decode, how, and over which broker.
 
-    The plate that `name` says is followed; with `decoding.plates` and `decoding.group`, frames of those are shared.
+    The plate called `name` is followed; with `decoding.plates` and `decoding.group`, frames of those are shared.
     """
 
     mqtt: Mqtt = Mqtt()

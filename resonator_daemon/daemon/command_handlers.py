@@ -139,8 +139,8 @@ class CommandHandlers:
         measurement = Measurement(window_ms=request.window_ms, step_ms=step_ms)
         spans_ms = {"window_ms": measurement.window_ms, "step_ms": measurement.step_ms}
         if problems := timing_problems(spans_ms, self._plate):
-            said = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
-            raise CommandRefusedError("window", said, "send window_ms and step_ms that fit each other and the frames")
+            faults = "; ".join(f"{key}: got {value:g}; {sentence}" for key, value, sentence in problems)
+            raise CommandRefusedError("window", faults, "send window_ms and step_ms that fit each other and the frames")
         if reason := await self._parts.apply(control_requests.SetWindow(measurement=measurement)):
             raise CommandRefusedError("window", reason, "see state/sensor")
         return SetWindowAnswer(window_s=measurement.window_s, step_s=measurement.step_s)

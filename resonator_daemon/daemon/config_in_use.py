@@ -24,7 +24,7 @@ class ConfigInUse:
     Attributes
     ----------
     config
-        In use: what the file said at the start, with what could be changed since.
+        In use: the file's content at the start, with the keys that were changed live since.
 
     Raises
     ------

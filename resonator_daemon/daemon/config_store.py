@@ -58,13 +58,13 @@ class ConfigStore:
     """
 
     def __init__(self, path: Path, directory: Path) -> None:
-        self.path = path.absolute()  # what follows from it is told to programs that run elsewhere
+        self.path = path.absolute()  # messages with it are read by programs that run elsewhere
         normal = os.path.abspath(path)
         self._copy = directory / f"{path.stem}-{hashlib.sha256(os.fsencode(normal)).hexdigest()[:16]}.json"
         self._reported: str | None = None  # why no copy can be kept
 
     def load(self) -> Loaded:
-        """Load the file, else the last good copy, which is said in the log.
+        """Load the file, else the last good copy, which is logged.
 
         A file that is not there is not made up for: whoever removed it does not want it to be used.
 
@@ -121,7 +121,7 @@ class ConfigStore:
         return config_from(TomlFile(file.path, file.text, content), self.path.parent)
 
     def _keep(self, file: TomlFile, config: Config) -> None:
-        """Write the copy, unless it is there; a failure is said once and stops nothing."""
+        """Write the copy, unless it is there; a failure is logged once and stops nothing."""
         name = os.fsencode(self.path).decode(errors="replace")
         copy = _Copy(file=name, saved_utc_ns=time.time_ns(), config=file.text, plate=plate_text(config.plate))
         try:

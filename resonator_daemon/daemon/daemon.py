@@ -62,7 +62,7 @@ log = logging.getLogger(__name__)
 
 _HEALTH_S = 1.0
 _SWITCH_S = 5e-4  # of the reader thread, before the event loop has its turn; Python's 5 ms are half a frame
-_WATCH_S = 1.0  # a frame that comes is soon told, and a status is never old
+_WATCH_S = 1.0  # readiness is reported soon after the first frame, and a status is never old
 _FRAMES_WAITING_S = 2.0
 _FRAME_OVERHEAD_BYTES = 500  # by which a frame takes more memory than bytes on the wire
 _LATE_NS = 75_000_000  # after its window, a message is skipped if a newer one can be made
@@ -370,11 +370,11 @@ class Service:
     def _sentence(self) -> str:
         """Return the status line."""
         link, health = self._pipeline.link, self._health
-        said = f"link {link.state}: {link.reason}" if link is not None else "starting"
+        state = f"link {link.state}: {link.reason}" if link is not None else "starting"
         if link is not None and link.state == Condition.ONLINE and health is not None:
             lost = sum(health.lost.model_dump(exclude={"skipped_late"}).values())
-            said = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
-        return "; ".join(filter(None, (f"{self._name or self._instance}: {said}", self._in_use.remark)))
+            state = f"{health.frame_rate_hz:.0f} frames/s, {lost} lost"
+        return "; ".join(filter(None, (f"{self._name or self._instance}: {state}", self._in_use.remark)))
 
     def _status(self) -> Status:
         """Return how all of this is, for programs on the same computer."""

@@ -83,7 +83,7 @@ class RecordingCommands:
             return StartRecordingAnswer(file=as_json_text(now.path), since_t_ns=now.since_utc_ns, already=False)
 
     async def keep_recording(self) -> None:
-        """Record from now on, if the configuration says so and nothing is recorded; see `continuous` there."""
+        """Record from now on, if `continuous` is configured and nothing is recorded."""
         async with self._one_at_a_time:
             wanted = self._config.recording.continuous and self._config.link.recording_path is None
             if wanted and self._switch.current is None:
@@ -94,7 +94,7 @@ class RecordingCommands:
         """Use another configuration.
 
         A recording that the configuration began ends where `[recording]` changed, and one by the new configuration
-        begins, if that says so; a recording by a command goes on as it began.
+        begins, if that is `continuous`; a recording by a command goes on as it began.
         """
         changed = config.recording != self._config.recording
         self._config, self._config_sha256 = config, config_sha256
@@ -143,7 +143,7 @@ class RecordingCommands:
 
 
 def origin(config: Config, name: str | None, daemon_boot_id: str | None, config_sha256: str | None) -> Origin:
-    """Return what a recording says of where it comes from; takes a third of a second for a plate of 400 sites."""
+    """Return the origin that a recording carries; takes a third of a second for a plate of 400 sites."""
     return Origin(
         plate=config.plate,
         link=str(config.link),
@@ -190,7 +190,7 @@ def _summary_info(summary: RecordingSummary) -> RecordingSummaryInfo:
 
 
 def recording_info(switch: RecordingSwitch) -> RecordingInfo:
-    """Return what `health` says of recordings."""
+    """Return the part of `health` about recordings."""
     now = switch.current
     return RecordingInfo(
         file=as_json_text(now.path) if now else None,

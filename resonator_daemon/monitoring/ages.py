@@ -1,4 +1,4 @@
-"""How long ago moments were that are told in UTC, by the monotonic clock: the wall clock may be set in between."""
+"""Seconds since moments that are given in UTC, by the monotonic clock: the wall clock may be set in between."""
 
 import time
 from typing import Final
@@ -11,7 +11,7 @@ _TOLD_AFTER_S: Final = 10.0  # at most, if the wall clock was not set meanwhile
 class Ages:
     """Counts the seconds since moments from when it first sees them; to be asked about once a second.
 
-    The wall clock tells only how long before that a moment was, and is believed where that is little.
+    The wall clock is used only for the time before that, and only if it is short.
     """
 
     def __init__(self) -> None:

@@ -10,13 +10,13 @@ from resonator_daemon.publishing.mqtt_messages import Incoming
 from resonator_daemon.publishing.payloads import Condition
 
 _BOOT_ID_LENGTH_MAX: Final = 64
-_OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may say so
+_OTHERS_MAX: Final = 4  # that are named; nobody runs more under one name, but anyone may claim to
 
 log = logging.getLogger(__name__)
 
 
 class DaemonStanding(NamedTuple):
-    """What `state/daemon` says beside its header."""
+    """Fields of `state/daemon` beside its header."""
 
     condition: Condition
     reason: str
@@ -31,7 +31,7 @@ class DaemonState:
     Two daemons of one name overwrite each other's states. Each subscribes to its own `state/daemon`: a live
     message of another boot id is a conflict, announced once by both, until the other is offline. Any other
     `offline` is a will that came late, of an earlier run or connection: the present state is announced again. What the
-    broker had retained tells nothing: it may be of a daemon that is long gone.
+    broker had retained is ignored: it may be of a daemon that is long gone.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class DaemonState:
     def connected(self, number: int) -> None:
         """Announce a new connection to the broker, by its number."""
         self._connections, self._connected_utc_ns = number, time.time_ns()
-        self._others.clear()  # whoever is still there speaks up when it hears of this one
+        self._others.clear()  # any other that still runs announces itself again when it receives this state
         self._announce(self.standing)
 
     def receive(self, message: Incoming) -> None:

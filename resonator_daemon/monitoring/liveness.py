@@ -16,7 +16,7 @@ DECLARED_WAITING = (Condition.WAITING, Condition.STALLED, Condition.LOST, Condit
 class LivenessMonitor:
     """Judges a daemon by the frames that it measures.
 
-    It is well while frames are measured. Where the link says that none can come (`waiting`, `stalled`, `lost`,
+    It is well while frames are measured. If the link reports that none can come (`waiting`, `stalled`, `lost`,
     `refused`) it is well while the reader goes on trying. A link that is `online` without frames for 10 s, one that is
     `starting` for 60 s, and a reader that does nothing for 60 s are not: a restart is the remedy.
 

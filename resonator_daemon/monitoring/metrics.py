@@ -1,4 +1,4 @@
-"""What a daemon says of itself, as metrics for Prometheus; docs/monitoring.md lists them."""
+"""Status of a daemon as metrics for Prometheus; docs/monitoring.md lists them."""
 
 import math
 import time

@@ -1,4 +1,4 @@
-"""What a running daemon says of itself to programs on the same computer: its states, health, and configuration."""
+"""Status of a running daemon for programs on the same computer: its states, health, and configuration."""
 
 from typing import Literal
 

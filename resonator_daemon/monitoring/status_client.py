@@ -28,8 +28,8 @@ class Answer:
     @property
     def names(self) -> set[str]:
         """The names by which people may mean this daemon."""
-        said = (self.status or {}).get("name")
-        return {self.socket.parent.name, said} if isinstance(said, str) else {self.socket.parent.name}
+        name = (self.status or {}).get("name")
+        return {self.socket.parent.name, name} if isinstance(name, str) else {self.socket.parent.name}
 
 
 async def ask_all(wanted: str | None) -> list[Answer]:

@@ -29,11 +29,11 @@ def advice(line: str, column: int, reason: str) -> str:
     column
         Where on that line, from 1.
     reason
-        What the parser says.
+        Message of the parser.
     """
     key = _FIRST_WORD.match(line)
-    said = _remedy(line.strip(), line[column - 1 :].strip(), reason)
-    return "; ".join(filter(None, (f"at {key[1]}" if key else "", said)))
+    remedy = _remedy(line.strip(), line[column - 1 :].strip(), reason)
+    return "; ".join(filter(None, (f"at {key[1]}" if key else "", remedy)))
 
 
 def _remedy(line: str, rest: str, reason: str) -> str | None:

@@ -105,8 +105,8 @@ def parse_toml(text: str, path: Path) -> TomlFile:
     except ValueError as error:  # also of numbers and dates that Python cannot hold
         place = re.search(r"\(at line (\d+), column (\d+)\)", str(error))
         number, column = (int(place[1]), int(place[2])) if place else (text.count("\n") + 1, 1)
-        said = advice((text + "\n").split("\n")[number - 1], column, str(error))
-        reason = "; ".join(filter(None, (" ".join(str(error).split())[:_LONGEST_REASON], said)))
+        remedy = advice((text + "\n").split("\n")[number - 1], column, str(error))
+        reason = "; ".join(filter(None, (" ".join(str(error).split())[:_LONGEST_REASON], remedy)))
         raise ConfigurationError(f"{named(path)}:{number}: not TOML: {reason}") from None
 
 
@@ -122,10 +122,10 @@ def load_model(model: type[Model], file: TomlFile, context: object = None) -> Mo
         placed = [(_line_of(lines, finding["loc"]), finding) for finding in error.errors()]
     placed.sort(key=lambda item: item[0] or 0)
     name = named(file.path)
-    told = [f"{name}:{f'{line}:' if line else ''} {_sentence(model, item)}" for line, item in placed[:MAX_FINDINGS]]
+    findings = [f"{name}:{f'{line}:' if line else ''} {_sentence(model, item)}" for line, item in placed[:MAX_FINDINGS]]
     if len(placed) > MAX_FINDINGS:
-        told.append(f"{name}: {len(placed) - MAX_FINDINGS} more; mend the first ones first")
-    raise ConfigurationError(*told)
+        findings.append(f"{name}: {len(placed) - MAX_FINDINGS} more; mend the first ones first")
+    raise ConfigurationError(*findings)
 
 
 def finding(key_path: KeyPath, value: object, sentence: str) -> InitErrorDetails:
