@@ -220,7 +220,7 @@ def test_positions_come_from_a_file(capsys: pytest.CaptureFixture[str], tmp_path
         (("--grid", "4"), "'4' is not NXxNY, columns and rows from 1 to 1000, as 4x4"),
         (("--grid", "4x4"), "--grid and --pitch-mm belong together"),
         (("--grid", "4x4", "--pitch-mm", "1001"), "'1001' is not a number from 0.1 to 1000"),
-        ((*GRID, "--counter-tick-ns", "1001"), "'1001' is not a number from 0.001 to 1000"),
+        ((*GRID, "--window-ms", "1001"), "'1001' is not a number from 0.1 to 1000"),
         ((*GRID, "--force-max-newton", "0"), "'0' is not a number from 0.001 to 10000"),
         ((*GRID, "--force-max-newton", "10000", "--sensitivity-ppm-per-newton", "100"), "largest shift is 1.3e+06 ppm"),
         ((*GRID, "--sensitivity-ppm-per-newton", "0"), "must not be zero; give the expected, signed value, as -6.3"),
