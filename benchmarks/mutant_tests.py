@@ -187,6 +187,11 @@ class LineMap:
             tests = {test for others in by_line.values() for test in others} - {ANY_TEST} or set(self.seconds)
         return {test for test in tests if test in self.seconds} - set(self.failed)
 
+    def is_of_import(self, path: str, first: int, last: int) -> bool:
+        """Return whether the lines run only while their file is imported, as constants and defaults do."""
+        by_line = self.lines.get(path, {})
+        return {test for line in range(first, last + 1) for test in by_line.get(str(line), ())} == {ANY_TEST}
+
 
 def map_lines(tree: Path, folder: str, limit_s: float = 1800.0) -> LineMap:
     """Run the tests of a folder once and return which lines each of them runs.

@@ -17,6 +17,7 @@ import json
 import math
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
@@ -43,6 +44,7 @@ FOLDERS: Final = {
     "simulators": ("tests/simulators", "tests/links"),
     "host": ("tests/host", "tests/commands"),
     "planning": ("tests/planning", "tests/commands"),
+    "toml_files": ("tests/toml_files", "tests/config"),
 }
 START_S: Final = 20.0  # a run's limit: this and so many times what its tests take by themselves
 TIMES: Final = 4.0
@@ -227,6 +229,11 @@ class Judge:
         tests = lines.tests_of(mutant.path, mutant.first_line, mutant.last_line)
         if mutant.path not in lines.lines and stage in folders_of(mutant.package):
             tests = set(lines.seconds)  # it runs under another Python
+        elif lines.is_of_import(mutant.path, mutant.first_line, mutant.last_line):
+            word = re.compile(rf"\b{Path(mutant.path).stem}\b")
+            files = {name.split("::")[0] for name in lines.seconds}
+            naming = {name for name in files if word.search((trial.tree / name).read_text())}
+            tests |= {test for test in lines.seconds if test.split("::")[0] in naming} - set(lines.failed)
         if not tests:
             return False
         seconds: dict[str, float] = defaultdict(float)

@@ -57,21 +57,21 @@ def test_the_latch_lets_go_for_the_same_site_in_range_or_the_pilot():
 
 
 def test_the_latch_holds_no_force_of_another_site():
-    latch = OverloadLatch()
+    latch = OverloadLatch()  # compared by their text, in which NaN is NaN
     both = outcome(s2="ok", s3="overload")
-    assert latch.apply(both) == both
-    assert latch.apply(outcome(s4="ok")) == outcome(s3="overload")
+    assert repr(latch.apply(both)) == repr(both)
+    assert repr(latch.apply(outcome(s4="ok"))) == repr(outcome(s3="overload"))
     # The overloaded site is heard again beside another one: both are of this reading.
     fresh = outcome(s3="overload", s6="ok")
-    assert latch.apply(fresh) == fresh
-    assert latch.apply(outcome()) == outcome(s3="overload")
-    assert latch.apply(outcome(s3="ok", s6="ok")) == outcome(s3="ok", s6="ok")
-    assert latch.apply(outcome()) == outcome()
+    assert repr(latch.apply(fresh)) == repr(fresh)
+    assert repr(latch.apply(outcome())) == repr(outcome(s3="overload"))
+    assert repr(latch.apply(outcome(s3="ok", s6="ok"))) == repr(outcome(s3="ok", s6="ok"))
+    assert repr(latch.apply(outcome())) == repr(outcome())
 
 
 def test_of_two_sites_in_overload_the_one_that_stays_so_is_held():
     latch = OverloadLatch()
     latch.apply(outcome(s3="overload", s4="overload"))
-    assert latch.apply(outcome(s3="ok")) == outcome(s3="overload", s4="overload")
+    assert repr(latch.apply(outcome(s3="ok"))) == repr(outcome(s3="overload", s4="overload"))
     latch.apply(outcome(s3="ok", s4="overload"))
-    assert latch.apply(outcome(s9="ok")) == outcome(s4="overload")
+    assert repr(latch.apply(outcome(s9="ok"))) == repr(outcome(s4="overload"))
