@@ -3,6 +3,7 @@
 import asyncio
 import logging
 import re
+import socket
 from collections.abc import Callable
 from email.parser import Parser
 from typing import Any, Final, NamedTuple
@@ -14,6 +15,7 @@ from resonator_daemon.monitoring.metrics import StatusCollector
 from resonator_daemon.monitoring.status import Status
 
 TOGETHER: Final = 8  # connections; further ones are closed
+_BACKLOG: Final = 100
 _PATH: Final = "/metrics"
 _REQUEST: Final = re.compile(rf"([A-Z]+) {_PATH}(?:\?\S*)? HTTP/1\.[01]\r\n")
 
@@ -25,11 +27,11 @@ class MetricsTimes(NamedTuple):
 
     request_s: float = 1.0  # from the beginning of a connection to its end
     pause_s: float = 0.05  # after an answer
-    retry_s: float = 5.0  # after a failure to listen
+    retry_s: float = 5.0  # after a failure
 
 
 class MetricsServer:
-    """Answers on an address as long as `run` does; a failure to listen is logged once and retried.
+    """Answers on an address as long as `run` does; a failure is logged once and retried.
 
     Parameters
     ----------
@@ -50,26 +52,32 @@ class MetricsServer:
         self._app = make_wsgi_app(registry)
         self._answering = asyncio.Lock()
         self._connections = 0
+        self._problem: str | None = None
 
     async def run(self) -> None:
         """Answer until cancelled."""
-        server = await self._begin_listening()
-        log.info("metrics at http://%s%s", self._listen, _PATH)
-        try:
-            await server.serve_forever()
-        finally:
-            server.close()
-
-    async def _begin_listening(self) -> asyncio.Server:
-        problem = None
+        # Not asyncio's server: without free descriptors it logs a hundred errors a second.
+        serving: set[asyncio.Task[None]] = set()
         while True:
             try:
-                return await asyncio.start_server(self._serve, self._listen.host, self._listen.port)
+                with await asyncio.to_thread(_listening_socket, self._listen) as listening:  # may resolve a name
+                    self._log_change(None)
+                    while True:
+                        client, _ = await asyncio.get_running_loop().sock_accept(listening)
+                        task = asyncio.create_task(self._serve(*await asyncio.open_connection(sock=client)))
+                        serving.add(task)
+                        task.add_done_callback(serving.discard)
             except OSError as error:
-                if problem != (problem := error.strerror or str(error)):
-                    advice = "see listen in [metrics], and who else has the port: ss -tlnp"
-                    log.warning("no metrics at %s: %s; %s", self._listen, problem, advice)
-            await asyncio.sleep(self._times.retry_s)
+                self._log_change(error.strerror or str(error))
+                await asyncio.sleep(self._times.retry_s)
+
+    def _log_change(self, problem: str | None) -> None:
+        if problem is None:
+            log.info("metrics at http://%s%s", self._listen, _PATH)
+        elif problem != self._problem:
+            advice = "see listen in [metrics], and who else has the port: ss -tlnp"
+            log.warning("no metrics at %s: %s; %s", self._listen, problem, advice)
+        self._problem = problem
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._connections += 1
@@ -106,6 +114,13 @@ class MetricsServer:
             await asyncio.sleep(self._times.pause_s)
         status, headers = started["head"]
         return _response(status, headers, b"".join(body))
+
+
+def _listening_socket(listen: Listen) -> socket.socket:
+    family = socket.getaddrinfo(listen.host, listen.port, type=socket.SOCK_STREAM)[0][0]
+    listening = socket.create_server((listen.host, listen.port), family=family, backlog=_BACKLOG)
+    listening.setblocking(False)
+    return listening
 
 
 def _response(status: str, headers: list[tuple[str, str]], body: bytes) -> bytes:
