@@ -13,8 +13,9 @@ from brokers import Amqtt, Mosquitto
 
 
 def pytest_configure() -> None:
-    """Processes that tests start can be interrupted, though a shell ran this one in the background, and start fast."""
+    """Processes that tests start can be interrupted, though a shell or nohup ignores signals, and start fast."""
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     sys.dont_write_bytecode = False
 
