@@ -1,14 +1,27 @@
 """Readings of force sites to payloads: forces, contacts and their events."""
 
 import math
+from collections.abc import Callable
+from dataclasses import fields
+from operator import attrgetter
 from typing import Any, Final
 
 from resonator_daemon.forces import contacts as measured
+from resonator_daemon.forces.readings import Compensation as MeasuredCompensation
 from resonator_daemon.forces.readings import ForceReading
 from resonator_daemon.forces.site_identification import SiteForce as MeasuredForce
 from resonator_daemon.plate import Plate
 from resonator_daemon.publishing.codec import Encoded, encode_fields
-from resonator_daemon.publishing.payloads import ContactEvent, Contacts, EventContact, Forces, Status
+from resonator_daemon.publishing.payloads import (
+    Compensation,
+    ContactEvent,
+    Contacts,
+    EventContact,
+    Forces,
+    Message,
+    SiteForce,
+    Status,
+)
 from resonator_daemon.publishing.topics import CONTACT_EVENT, CONTACTS, FORCES
 from resonator_daemon.sensors.calendar import utc_day
 from resonator_daemon.sensors.output import MessageOutput
@@ -17,6 +30,18 @@ from resonator_daemon.session.clock import Instant
 
 _NS: Final = 1_000_000_000
 _STATUS = {str(word): word for word in Status}
+
+
+def _common_fields(reading: type[Any], payload: type[Message]) -> Callable[[Any], dict[str, Any]]:
+    """Return a function from a reading to those of its fields that the payload has under the same name."""
+    names = [field.name for field in fields(reading) if field.name in payload.model_fields]
+    values = attrgetter(*names)
+    return lambda measured: dict(zip(names, values(measured), strict=True))
+
+
+_forces_of = _common_fields(ForceReading, Forces)
+_compensation_of = _common_fields(MeasuredCompensation, Compensation)
+_site_force_of = _common_fields(MeasuredForce, SiteForce)
 
 
 class ForceMessages:
@@ -43,25 +68,15 @@ class ForceMessages:
         return {**header, "lost": vars(header["lost"])}
 
     def forces(self, header: dict[str, Any], reading: ForceReading, gate_middle: Instant) -> Encoded:
-        made = reading.compensation
         return encode_fields(
             Forces,
             {
                 "seq": self._headers.next_seq(FORCES),
                 **header,
-                "window_s": reading.window_s,
+                **_forces_of(reading),
                 "status": _STATUS[reading.status],
-                "reason": reading.reason,
                 "sites": tuple([self._site_force(force, gate_middle) for force in reading.sites]),
-                "beats": reading.beats,
-                "compensation": {
-                    "baseline": made.baseline,
-                    "common_mode": made.common_mode,
-                    "common_mode_std": made.common_mode_std,
-                    "plate_kelvin": made.plate_kelvin,
-                    "plate_kelvin_std": made.plate_kelvin_std,
-                    "response": made.response,
-                },
+                "compensation": _compensation_of(reading.compensation),
             },
         )
 
@@ -90,15 +105,8 @@ class ForceMessages:
         )
 
     def _site_force(self, force: MeasuredForce, gate_middle: Instant) -> dict[str, Any]:
-        return {
-            "site": self._site_ids[force.site],
-            "force_newton": force.force_newton,
-            "noise_newton": force.noise_newton,
-            "systematic_newton": force.systematic_newton,
-            "hidden_newton": force.hidden_newton,
-            "status": self._worth(force.status, gate_middle),
-            "at_least_newton": force.at_least_newton,
-        }
+        common = _site_force_of(force)
+        return {**common, "site": self._site_ids[force.site], "status": self._worth(force.status, gate_middle)}
 
     def _worth(self, status: str, gate_middle: Instant) -> Status:
         """Return what a force is worth: less once its calibration has expired."""
