@@ -45,7 +45,7 @@ def check_clock(
         yield DATE.ok(date)
     match synchronised():
         case None:
-            yield SYNCHRONISED.not_checked("the kernel does not tell")
+            yield SYNCHRONISED.not_checked("the kernel does not report it")
         case True:
             yield SYNCHRONISED.ok("the kernel's clock is kept by a time server")
         case False:
@@ -58,7 +58,7 @@ def check_clock(
 def _source(host: Host) -> Finding:
     source = host.text(_CURRENT)
     if source is None:
-        return SOURCE.not_checked("the kernel does not tell")
+        return SOURCE.not_checked("the kernel does not report it")
     if source not in _SLOW_SOURCES:
         return SOURCE.ok(source)
     return SOURCE.warning(

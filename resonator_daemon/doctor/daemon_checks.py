@@ -12,9 +12,9 @@ from resonator_daemon.publishing.payloads import Condition
 
 RUNS: Final = Check("daemon.runs", Area.SOFTWARE, "running daemon")
 CONFIG: Final = Check("daemon.config", Area.SOFTWARE, "configuration in use")
-LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon says")
-SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon says")
-BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon says")
+LINK: Final = Check("daemon.link", Area.WIRING, "link, as the daemon reports it")
+SENSOR: Final = Check("daemon.sensor", Area.SENSOR, "sensor, as the daemon reports it")
+BROKER: Final = Check("daemon.broker", Area.SOFTWARE, "broker, as the daemon reports it")
 
 _FRAMES_MIN: Final = 100
 _WATCHED: Final = (Condition.DRIFTING, Condition.UNCALIBRATED)  # states in which a sensor measures on
@@ -35,7 +35,7 @@ def check_daemon(answer: Answer) -> Iterator[Finding]:
 def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
     """Yield the findings on a daemon's status; what the status leaves out is not checked."""
     pid = f" as pid {status['pid']}" if "pid" in status else ""
-    yield RUNS.ok(f"it runs{pid} and has the link; what follows is what it says over {where}")
+    yield RUNS.ok(f"it runs{pid} and has the link; what follows is from its status over {where}")
     if config := _table(status, "config"):
         yield from _config(config)
     link = _table(status, "link")
@@ -43,7 +43,7 @@ def check_status(status: Mapping[str, Any], where: str) -> Iterator[Finding]:
         yield LINK.ok(f"online {link.get('reason', '')}".strip())
         yield from _losses(_table(status, "health"))
     else:
-        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "do what the reason says; docs/links.md")
+        yield LINK.fault(f"{link.get('state')}: {link.get('reason')}", "see the reason and docs/links.md")
     yield _sensor(_table(status, "sensor"), online=link.get("state") == Condition.ONLINE)
     broker = _table(status, "broker")
     if broker.get("connected"):
@@ -60,7 +60,7 @@ def _sensor(sensor: Mapping[str, Any], *, online: bool) -> Finding:
     if state == Condition.ONLINE:
         return SENSOR.ok(words)
     if state is None or state == Condition.STARTING:
-        return SENSOR.not_checked(words if state else "the daemon has not told of it yet")
+        return SENSOR.not_checked(words if state else "the daemon has not reported it yet")
     return SENSOR.warning(words, remedy) if state in _WATCHED else SENSOR.fault(words, remedy)
 
 
@@ -68,7 +68,7 @@ def _config(config: Mapping[str, Any]) -> Iterator[Finding]:
     problems = "; ".join(str(problem) for problem in config.get("problems") or ())
     if problems or config.get("in_use") == "last_good":
         works = "works by the last good one" if config.get("in_use") == "last_good" else "refused the changed file"
-        yield CONFIG.fault(f"it {works}: {problems}", f"mend {config.get('file')} (resonatord check), then reload")
+        yield CONFIG.fault(f"it {works}: {problems}", f"correct {config.get('file')} (resonatord check), then reload")
     elif config.get("needs_restart"):
         keys = ", ".join(str(key) for key in config["needs_restart"])
         yield CONFIG.warning(f"{keys} in the file are not in effect yet", "restart the daemon")
@@ -79,7 +79,7 @@ def _config(config: Mapping[str, Any]) -> Iterator[Finding]:
 def _losses(health: Mapping[str, Any]) -> Iterator[Finding]:
     boots = health.get("boots") or ()
     if not boots:
-        yield link_checks.ERRORS.not_checked("the daemon has not told of its health yet")
+        yield link_checks.ERRORS.not_checked("the daemon has not reported its health yet")
         return
     present = boots[-1]
     lost = present.get("lost", {})

@@ -64,7 +64,7 @@ def check_capture(capture: Capture) -> Iterator[Finding]:
     yield excused(_overflow(capture), capture.busy)
     yield OVERRUN.judged(
         graded(overruns, 0.0, 0.0),
-        f"{overruns} times, none is meant" if overruns else "none that it tells of",
+        f"{overruns} times, none is meant" if overruns else "none that it reports",
         "relieve the computer: what keeps it from its interrupts for so long?",
         Amount(float(overruns), 0.0, "times"),
     )
@@ -169,7 +169,7 @@ def _fits(probed: ProbeResult, plate: Plate) -> Finding:
 def _unit(probed: ProbeResult, plate: Plate) -> Finding:
     unit, present = plate.calibration.unit, probed.described.identity.serial_number
     if unit is None:
-        return UNIT.not_checked("the plate file does not say with which board it was calibrated")
+        return UNIT.not_checked("the plate file does not name the board with which it was calibrated")
     if unit != present:
         return UNIT.fault(
             f"the plate file was calibrated with {unit}, {present} is connected",
@@ -190,7 +190,7 @@ def _reference(probed: ProbeResult) -> Finding:
         return REFERENCE.ok(evidence, Amount(rate.deviation_ppm, float(TOLERANCE_PPM), "ppm"))
     return REFERENCE.fault(
         f"{evidence}: forces would be wrong by as much",
-        "mend the reference oscillator of the board, or what its firmware says of it; check this computer's clock",
+        "repair the board's reference oscillator, or its frequency in the firmware; check this computer's clock",
         Amount(rate.deviation_ppm, float(TOLERANCE_PPM), "ppm"),
     )
 
@@ -199,7 +199,7 @@ def _round_trip(probed: ProbeResult) -> Finding:
     times_s = round_trip_s(probed)
     if times_s is None:
         return ROUND_TRIP.fault(
-            "it says who it is, and answers no ping", "start the board anew, or update its firmware"
+            "it identifies itself, and answers no ping", "start the board anew, or update its firmware"
         )
     shortest_s, median_s = times_s
     evidence = (
@@ -221,6 +221,6 @@ def _reset(probed: ProbeResult) -> Finding:
             "its supply had broken down", "check the board's power: a shorter cable, another port, a hub with a supply"
         )
     if cause == ResetCause.WATCHDOG:
-        return RESET.warning("its watchdog had started it anew", "update its firmware; tell its maker")
+        return RESET.warning("its watchdog had started it anew", "update its firmware; report it to its maker")
     name = ResetCause(cause).name.lower().replace("_", " ") if cause in set(ResetCause) else f"cause {cause}"
     return RESET.ok(name)

@@ -73,7 +73,7 @@ def _has(status: Mapping[str, Any], link: LinkTarget, config_path: Path | None) 
 async def published_status(broker: Mqtt, name: str | None, link: LinkTarget) -> dict[str, Any] | None:
     """Return the status that a daemon publishes, as its socket would give it; None where none comes in time.
 
-    Without a name it is the one that says it reads `link`.
+    Without a name it is that of the daemon whose status names `link`.
     """
     plates: dict[str, dict[str, Any]] = {}
     topics = tuple(TOPICS[path] for path in _STATUS_TOPICS)

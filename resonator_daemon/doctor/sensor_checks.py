@@ -123,14 +123,14 @@ def _channels(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Fin
     """Judge each channel by the share of all tones that it counts, wherever they are."""
     counted = np.isfinite(shift).mean(axis=(0, 1)) + np.isfinite(strange_hz).mean(axis=0)
     dead = [str(channel + 1) for channel in range(CHANNEL_COUNT) if counted[channel] < _COUNTED_SHARE]
-    least = f"a channel counts as alive that hears {100 * _COUNTED_SHARE:.0f} % of its tones"
+    least = f"a channel counts as alive that counts {100 * _COUNTED_SHARE:.0f} % of its tones"
     if dead:
         return CHANNELS.fault(
-            f"channel {', '.join(dead)} of {CHANNEL_COUNT} hears too little; {least}",
+            f"channel {', '.join(dead)} of {CHANNEL_COUNT} counts too little; {least}",
             "check the transducer, its plug and its amplifier; if all channels are dead, the drive of the plate",
             Amount(float(counted.min()), _COUNTED_SHARE),
         )
-    return CHANNELS.ok(f"all {CHANNEL_COUNT} hear their tones", Amount(float(counted.min()), _COUNTED_SHARE))
+    return CHANNELS.ok(f"all {CHANNEL_COUNT} count their tones", Amount(float(counted.min()), _COUNTED_SHARE))
 
 
 def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Finding:
@@ -143,7 +143,7 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
         frequency_hz = float(np.nanmean(strange_hz))
         nearest_hz = float(expected.f0_hz.mean())
         return TONES.fault(
-            f"{frequency_hz / 1e6:.6f} MHz is heard, which is neither {expected.names[0]} ({nearest_hz / 1e6:.6f} MHz) "
+            f"{frequency_hz / 1e6:.6f} MHz is counted, neither {expected.names[0]} ({nearest_hz / 1e6:.6f} MHz) "
             "nor a site of the plate file",
             "name the plate file of this plate, or calibrate it anew",
             Amount(frequency_hz, nearest_hz, "Hz"),
@@ -159,12 +159,12 @@ def _tones(shift: Floats, strange_hz: Floats, expected: ExpectedTones) -> Findin
     if len(uncounted):
         names = ", ".join(expected.names[tone] for tone in uncounted[:5])
         return TONES.fault(
-            f"{len(uncounted)} of {len(off)} are not heard by every channel that is alive: {names}",
+            f"{len(uncounted)} of {len(off)} are not counted by every channel that is alive: {names}",
             "these sites are broken, or another tone covers theirs",
             Amount(float(len(uncounted)), 0.0, "tones"),
         )
     if not alive.any():
-        return TONES.not_checked("no channel hears them")
+        return TONES.not_checked("no channel counts them")
     worst = int(np.argmax(off / expected.band))
     return TONES.ok(
         f"{'the only one is' if len(off) == 1 else f'all {len(off)} are'} in band: at most {1e6 * off[worst]:.1f} ppm "
@@ -179,7 +179,7 @@ def _noise(shift: Floats, std: Floats, plate: Plate, expected: ExpectedTones) ->
     usable = np.isfinite(steps)
     count = usable.sum(axis=0)
     if not (count > 1).any():
-        return NOISE.not_checked("no tone is heard for some readings in a row")
+        return NOISE.not_checked("no tone is counted for some readings in a row")
     expected = np.where(usable, std[2:] ** 2 + 4.0 * std[1:-1] ** 2 + std[:-2] ** 2, 0.0).sum(axis=0)
     seen = np.where(usable, steps**2, 0.0).sum(axis=0)  # (t, 4)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -225,7 +225,7 @@ def _worse(one: Finding, other: Finding) -> Finding:
 def _cross_talk(pair_noise: Floats) -> Finding:
     """Two channels that count by themselves differ by their noise; one that receives the other's tone does not."""
     if not np.isfinite(pair_noise).any():
-        return CROSS_TALK.not_checked("no two channels hear the same tone")
+        return CROSS_TALK.not_checked("no two channels count the same tone")
     mean = known_mean(pair_noise, axis=0)
     pair = int(np.nanargmin(mean))
     alike = 1.0 / max(float(mean[pair]), 1e-6)
@@ -237,7 +237,7 @@ def _cross_talk(pair_noise: Floats) -> Finding:
     return CROSS_TALK.judged(
         graded(alike, _ALIKE_WARNING, _ALIKE_FAULT),
         evidence,
-        "one of them hears the other: check plugs and shields of both transducers",
+        "one of them receives the other's signal: check plugs and shields of both transducers",
         Amount(alike, _ALIKE_WARNING, "times"),
     )
 
@@ -247,7 +247,7 @@ def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
     values = known_mean(shift, axis=2)  # (r, t)
     complete = np.isfinite(values).all(axis=0)
     if not complete.any():
-        return DRIFT.not_checked("no tone is heard all the time")
+        return DRIFT.not_checked("no tone is counted all the time")
     lever = times_s - times_s.mean()
     line = lever / (lever @ lever)
     slope = line @ values[:, complete]
@@ -269,7 +269,7 @@ def _drift(times_s: Floats, shift: Floats, std: Floats) -> Finding:
 
 def _temperature(kelvin: list[float]) -> Finding:
     if not kelvin:
-        return TEMPERATURE.not_checked("the board does not tell, or has not told in this time")
+        return TEMPERATURE.not_checked("the board does not report it, or has not reported it in this time")
     low, high = min(kelvin), max(kelvin)
     evidence = f"{low:.1f} to {high:.1f} K"
     remedy = "cool or warm the board; a value that no board can have means a broken thermometer"
