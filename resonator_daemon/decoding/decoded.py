@@ -15,8 +15,8 @@ class Decoded:
     """One decoded frame, or a stack of them: leading axes of the signals are leading axes here.
 
     Components are x, y, z; a traction is what the object exerts: f_z > 0 presses; u_z > 0 is indentation.
-    Where `status` is neither "ok" nor "constraint_dropped" the numbers of the surface are NaN and `reason` says why.
-    "constraint_dropped": contact physics did not fit the signals, and `reason` says what is shown in its place.
+    If `status` is neither "ok" nor "constraint_dropped", the surface's numbers are NaN, with the cause in `reason`.
+    "constraint_dropped": contact physics did not fit the signals, and `reason` names what is shown in its place.
     """
 
     traction_pascal: Floats  # (..., 3, ny, nx) or (..., 3, m)
@@ -24,9 +24,9 @@ class Decoded:
     displacement_m: Floats | None  # of the same shape, where asked for
     border_contact: bool | Bools  # (...): the load reaches the border, expect errors there
     log_evidence: float | Floats  # (...): log density of the signals under the decoder's model
-    chi2: float | Floats  # (...): about 1 where signals scatter as the model and the declared noise say
+    chi2: float | Floats  # (...): about 1 where signals scatter by the model and the declared noise
     status: str | NDArray[np.str_]  # (...)
-    reason: str | NDArray[np.str_]  # (...): empty where there is nothing to say
+    reason: str | NDArray[np.str_]  # (...): empty where there is none
 
     @classmethod
     def stack(cls, frames: Sequence[Self], leading: tuple[int, ...], shape: tuple[int, ...]) -> Self:

@@ -1,4 +1,4 @@
-"""Tractions that obey a condition at every pixel: one method for known regions, normal contact and friction.
+"""Tractions under a condition at every pixel: one method for known regions, normal contact and friction.
 
 It finds the tractions f of a convex set that minimise  f.A f / 2 - f.b,  A symmetric and positive, among those of a
 prescribed sum where there is one. At the minimum the slack  b + shift - A f  vanishes wherever f is free to move; the
@@ -201,7 +201,7 @@ def minimise(
             raise NotConvergedError(_BEYOND_NUMBERS, tuple(residuals))
         if residual <= tolerance and not fresh:
             response, fresh = compliance(f), True
-            directions.forget()
+            directions.restart()
             continue
         residuals.append(residual)
         if residual <= tolerance:
@@ -227,7 +227,7 @@ def minimise(
         change = allowed - f
         moved = compliance(change)
         if np.vdot(slack, change) - 0.5 * np.vdot(change, moved) < 0.5 * step_length * (self_compliance * natural) ** 2:
-            directions.forget()
+            directions.restart()
             while True:
                 change = nearest(f + step_length * slack) - f
                 moved = compliance(change)
@@ -246,7 +246,7 @@ class _ConjugateDirections:
         self._balanced = balanced  # components that keep their sum
         self._last: tuple[Floats, Floats, Floats] | None = None  # direction, push, eased push
 
-    def forget(self) -> None:
+    def restart(self) -> None:
         self._last = None
 
     def next(self, face: Face, slack: Floats) -> tuple[Floats, float]:

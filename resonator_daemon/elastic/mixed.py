@@ -36,7 +36,7 @@ class MixedBoundary:
     known
         Three different ones of "u_x", "u_y", "u_z" (m), "f_x", "f_y", "f_z" (Pa).
     zero
-        What the means obey. "periodic": the load repeats for ever, and no displacement holds a mean traction up: where
+        Kind of load. "periodic": the load repeats for ever, and no displacement holds a mean traction up: where
         u_i is known, its mean is as given and the mean of f_i is 0; where f_i is known, displacements are counted from
         the mean of u_i on the surface. "isolated": the load stands alone, so that the mean of u_i, counted from
         infinity, and the mean of f_i give each other, as in `HalfSpace.transfer_matrix`; for poisson_ratio < 0.5

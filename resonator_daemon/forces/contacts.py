@@ -46,7 +46,7 @@ def touch_of(force: SiteForce, position_m: tuple[float, float], covariance_m2: F
 
 @dataclass(slots=True)  # not frozen, which takes three times as long to make: several for each reading
 class Contact:
-    """A touch from its onset on. While its force is not known it is NaN, and the touch's status and reason say why.
+    """A touch from its onset on. An unknown force is NaN, with the cause in the touch's status and reason.
 
     `since_ticks` is the end of the window in which it set on, `duration_ticks` the time from there to the last reading
     that gave its force.
@@ -97,8 +97,8 @@ class ContactTracker:
     ) -> tuple[ContactEvent, ...]:
         """Update with one reading.
 
-        `complete` says that there are no touches but these; else `status` and `reason` say why the force of contacts
-        without a touch is not known.
+        If `complete`, there are no touches but these; else `status` and `reason` give the cause for which the force of
+        contacts without a touch is not known.
         """
         if not touches and not self._open:
             return ()

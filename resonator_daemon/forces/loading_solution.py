@@ -109,7 +109,7 @@ class LoadingSolution:
 
     @property
     def covariance_of_true_masses(self) -> Floats:
-        """(p, p), as if the masses were what they are said to be."""
+        """(p, p), as if the masses had exactly their nominal values."""
         known = len(self._normal) - len(self._means.mass_std)
         inverse = np.zeros(self._normal.shape)
         inverse[:known, :known] = _inverse(self._normal[:known, :known])

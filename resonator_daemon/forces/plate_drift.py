@@ -164,7 +164,7 @@ class PlateDrift:
         local_kelvin
             (m,): temperature of the site by its own thermometer, whose zero is free; NaN where it has none.
         pressed, free
-            (m,): sites that are known to be in contact, and not to be, whatever their shift says.
+            (m,): sites that are known to be in contact, and not to be, whatever their shift is.
         """
         detected = self._detected(shift, variance)
         self._advance(dt_s)

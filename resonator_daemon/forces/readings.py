@@ -26,9 +26,9 @@ class Compensation:
     """Compensation applied to the frequencies before their conversion to forces.
 
     `common_mode` is the relative frequency error taken out of each channel, `common_mode_std` what it may be off by.
-    `baseline` says how it is known: "followed" from an untouched plate or from untouched tones, "held" during a touch,
+    `baseline` is how it is known: "followed" from an untouched plate or from untouched tones, "held" during a touch,
     "unknown". `plate_kelvin` is the plate's temperature against its calibration's as the tones show it, NaN where none
-    does. `response` says whether hysteresis and creep are taken out.
+    does. `response` is "on" if hysteresis and creep are taken out.
     """
 
     common_mode: tuple[float, ...]
@@ -64,7 +64,7 @@ class ForceReading:
 class SkinReading:
     """Signals of one frame, the dimensionless triple [3 p_n / (2 E), eps_xz, eps_yz] and its noise, both (3, sites).
 
-    `board_ticks` is the end of the gate. NaN where not known, `status` and `reason` say why.
+    `board_ticks` is the end of the gate. NaN where not known, with the cause in `status` and `reason`.
     """
 
     sequence: int

@@ -41,7 +41,7 @@ class Touches:
     `noise_newton` (k,) is the part of the forces' standard deviations that comes from the sites' noise alone.
 
     Under `rejected` they are those that explain most: all but `unexplained` of what the sites feel, by its square, and
-    `reason` says how much that is. `freedom` counts the sites less the numbers that were fitted.
+    `reason` has that share. `freedom` counts the sites less the numbers that were fitted.
     """
 
     status: SpreadStatus
@@ -87,7 +87,7 @@ class SpreadFit:
         """Initialise with positions (n, 2), depth w of the cover, and the relative model error of a site.
 
         `share_error` is what each site's share of a touch may be off by, of the whole force: no cover spreads a touch
-        exactly as the law says, and far sites would else outweigh the near ones, whose errors grow with their force.
+        exactly by the law, and far sites would else outweigh the near ones, whose errors grow with their force.
         Touches lie within the box of `outline_m` (p, 2), else within that of the sites and one depth around it: further
         out, distance and force make up for each other.
         """

@@ -1,4 +1,4 @@
-"""Whether a plate's sites can be told apart by their codes, over its forces and temperatures."""
+"""Whether a plate's sites can be distinguished by their codes, over its forces and temperatures."""
 
 import math
 from typing import Final

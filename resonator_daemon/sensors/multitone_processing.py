@@ -25,7 +25,7 @@ from resonator_daemon.tones.tone_merging import SIGMA_HZ, merge_tones
 
 OFFSET_STD: Final = 2e-7  # of a site's f0 since calibration, relative: the ageing of weeks
 LOCAL_KELVIN_STD: Final = 0.01  # of a site's own thermometer
-KNOWN_KELVIN: Final = 2.0  # a temperature that is known worse says nothing about the calibration's range
+KNOWN_KELVIN: Final = 2.0  # a temperature that is known worse is not compared with the calibration's range
 UNKNOWN_CONTACT_S: Final = 0.5
 SHARE_ERROR: Final = 0.003  # of a touch, by which a site's share differs from the law of the cover
 UNLAWFUL_SHARE_ERROR: Final = 0.05  # where the sites' forces do not follow that law
@@ -56,7 +56,7 @@ class MultitoneProcessing:
         step_frames: int,
         spread_width_m: float | None = None,
     ) -> None:
-        """Take a plate's sites and tones; without a width of the spread, each site is touched by itself."""
+        """Initialise with a plate's sites and tones; without a width of the spread, each site is touched by itself."""
         if step_frames < 1 or window_frames < 1:
             raise ValueError(f"step of {step_frames} and window of {window_frames} frames, each at least 1")
         self._sites = sites
@@ -89,7 +89,7 @@ class MultitoneProcessing:
         self._positions_m: list[tuple[float, float]] = [(x, y) for x, y in sites.positions_m.tolist()]
         self._covariance_m2 = [np.diag(std_m**2) for std_m in cell_std_m(sites.positions_m, sites.outline_m)]
         self._reach_m = reach_m
-        self._told_m: list[tuple[float, float]] = []  # places of the touches of the last reading
+        self._touch_places_m: list[tuple[float, float]] = []  # places of the touches of the last reading
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz), reach_m)
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
         self._evaluated_ticks: int | None = None
@@ -104,13 +104,13 @@ class MultitoneProcessing:
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
-        """Forget the drift and every contact: the board has booted or is configured anew."""
+        """Discard the drift and every contact: the board has booted or is configured anew."""
         events = self.end_contacts("the board started anew")
         self._frames.clear()
         self._drift.reset()
         self._errors.reset()
         self._last = self._evaluated_ticks = self._drifted = self._shifts = self._found = None
-        self._told_m = []
+        self._touch_places_m = []
         self._rejections = 0
         self._touched = False
         return events
@@ -163,7 +163,7 @@ class MultitoneProcessing:
         sigma_code: NDArray[np.uint8],
         known: NDArray[np.bool_],
     ) -> ForceReading | None:
-        """Take one frame, arrays (4, t) in the wire's units; gives a reading at every `step_frames`-th sequence number.
+        """Process one frame, arrays (4, t) in the wire's units; return a reading at every `step_frames`-th, else None.
 
         `sequence` and `board_ticks` are unwrapped; frames that are missing between two calls restart the window.
         """
@@ -197,11 +197,11 @@ class MultitoneProcessing:
             rejected = self._found is not None and self._found.status == "rejected"
             self._rejections = self._rejections + 1 if rejected else 0
             found = self._found = self._fit(self._spread, forces, self._found)
-            # What is too light for a contact is learnt as drift: a shock of temperature looks like that, site by site.
+            # What is too light for a contact counts as drift: a shock of temperature looks like that, site by site.
             load = self._spread.loads(found, ONSET_NEWTON)
             pressed = load >= ONSET_NEWTON
             if found.status == "rejected" and bool((np.abs(forces.force_newton) >= ONSET_NEWTON).any()):
-                # Far sites do not follow the law, or there is more: those near the touches tell of these alone.
+                # Far sites do not follow the law, or there is more: only the sites near the touches are used.
                 status, reason = "rejected", found.reason
                 load, pressed = np.zeros(len(heard)), np.ones(len(heard), dtype=bool)
                 if len(found.force_newton) < TOUCHES_MAX:
@@ -239,13 +239,13 @@ class MultitoneProcessing:
         )
 
     def _confirmed(self, touches: list[Touch]) -> list[Touch]:
-        """Leave out touches that neither a contact nor the reading before tells of: a fit to a change is no touch."""
-        before = [*self._told_m, *(contact.touch.position_m for contact in self._tracker.contacts)]
-        self._told_m = [touch.position_m for touch in touches]
+        """Return the touches near a contact or a touch of the reading before: a fit to a change is no touch."""
+        before = [*self._touch_places_m, *(contact.touch.position_m for contact in self._tracker.contacts)]
+        self._touch_places_m = [touch.position_m for touch in touches]
         return [t for t in touches if any(math.dist(t.position_m, place) <= self._reach_m for place in before)]
 
     def _forces(self, shifts: SiteShifts, drift: DriftReading, time_s: float) -> PressedSites:
-        """Force of every site, (m,), NaN where it is not heard.
+        """Return the force of every site, (m,), NaN where no channel counts it.
 
         Untouched sites are followed, too: what a press leaves in them must not pass for a touch.
         """
@@ -271,7 +271,7 @@ class MultitoneProcessing:
             forces.noise_newton**2,
             forces.systematic_newton**2,
             before,
-            # What lasts is looked into ever more seldom, what has just changed at once.
+            # The search is repeated with exponential back-off; a change starts it at once.
             search=self._rejections.bit_count() <= 1 or self._rejections % SEARCH_EVERY == 0,
         )
 
@@ -284,7 +284,7 @@ class MultitoneProcessing:
         pressed: NDArray[np.bool_],
         elapsed_s: float,
     ) -> DriftReading:
-        """Let drift follow what the touches leave over: what they put on far sites must not pass for drift of these."""
+        """Update the drift with what the touches leave over: their load on far sites must not pass for drift."""
         left = before.expected_shift + shifts.sensitivity * (forces.force_newton - load)
         own, shared = self._sites.model_error * load, SHARE_ERROR * load.max()
         error_newton2 = forces.noise_newton**2 + own**2 + shared**2
@@ -294,7 +294,7 @@ class MultitoneProcessing:
         return self._drift.update(left, variance, elapsed_s, shifts.kelvin, pressed & ~free, free)
 
     def _touches_of(self, found: Touches, forces: PressedSites, status: SensorStatus) -> list[Touch]:
-        # Misfit widens the errors; it is none of the noise.
+        # A poor fit widens the errors, but not the noise.
         widening = max(found.chi2 / found.freedom, 1.0) if found.freedom else 1.0
         touches = []
         for position_m, newton, covariance, noise in zip(

@@ -1,4 +1,4 @@
-"""The sensor's state from the readings' status: what lasts is said, what passes within a touch is not."""
+"""The sensor's state from the readings' status: conditions that last are announced, those within a touch are not."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -51,25 +51,25 @@ class SensorState:
 
     @property
     def _best(self) -> tuple[Condition, str]:
-        """The state of a sensor whose frames tell of nothing wrong."""
+        """The state of a sensor whose frames show nothing wrong."""
         return (Condition.UNCALIBRATED, self._expiry) if self._expiry else (Condition.ONLINE, self._good)
 
     def no_frames(self, reason: str, utc_ns: int) -> None:
-        """Say that nothing comes which could be judged."""
+        """Set the state to waiting: no frames come."""
         waiting = self._current is not None and self._current[0] is Condition.WAITING
         self._become((Condition.WAITING, reason), self._since_utc_ns if waiting else utc_ns)
 
     def update(
         self, status: str, reason: str, common_mode: Sequence[float], utc_ns: int, plate_kelvin: float = math.nan
     ) -> None:
-        """Take one reading's status and baseline; before the first judgement it counts at once."""
-        learnt = not all(map(math.isnan, common_mode))
+        """Update with one reading's status and baseline; a first condition is announced at once."""
+        known = not all(map(math.isnan, common_mode))
         drift = self._drift.update(common_mode, plate_kelvin, utc_ns * 1e-9)
         if (condition := _CONDITIONS.get(status)) is None:
             if drift:
                 condition, reason = Condition.DRIFTING, drift
             else:
-                condition, reason = self._best if learnt else (Condition.STARTING, reason)
+                condition, reason = self._best if known else (Condition.STARTING, reason)
         seen = (condition, reason)
         if self._current is not None and condition == self._current[0]:
             self._candidate = None

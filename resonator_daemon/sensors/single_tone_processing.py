@@ -43,7 +43,7 @@ class SingleToneProcessing:
         step_frames: int,
         load_sharing_exponent: float | None = None,
     ) -> None:
-        """Take a plate's sites; a touch loads them by distance^-exponent, None where they are touched one by one."""
+        """Initialise with a plate's sites; a touch loads them by distance^-exponent, None: they are touched singly."""
         if step_frames < 1:
             raise ValueError(f"step of {step_frames} frames, at least 1")
         channels = sites.f0_hz.shape[1]
@@ -64,7 +64,7 @@ class SingleToneProcessing:
             model_error=sites.model_error,
             hidden_fraction=hidden,
         )
-        # Two tones that are heard at once are so far apart at least, by channel.
+        # Two tones on a channel at once are so far apart at least, by channel.
         shifted_hz = 2.0 * float(np.abs(sites.sensitivity).max()) * sites.force_max_newton * sites.f0_hz.max(axis=0)
         codes_hz = np.diff(np.sort(sites.f0_hz, axis=0), axis=0)
         apart_hz = codes_hz.min(axis=0) if len(codes_hz) else np.full(channels, np.inf)
@@ -76,7 +76,7 @@ class SingleToneProcessing:
         self._tracker = ContactTracker(round(UNKNOWN_CONTACT_S * reference_hz))
         self._unheard = (math.nan,) * channels
         self._pilot_attenuation_db = [math.nan] * channels
-        self._told_sites: set[int] = set()  # by the last reading
+        self._touch_sites: set[int] = set()  # by the last reading
         self._quiet = [0] * channels
         self._crowded = self._quiet  # frames in a row in which no tone was the strongest
         self._last: tuple[int, int] | None = None  # sequence and ticks of the last frame
@@ -90,7 +90,7 @@ class SingleToneProcessing:
         return self._tracker.close(self._last[1], reason) if self._last else ()
 
     def restart(self) -> tuple[ContactEvent, ...]:
-        """Forget the baseline and every contact: the board has booted or is configured anew."""
+        """Discard the baseline and every contact: the board has booted or is configured anew."""
         events = self.end_contacts("the board started anew")
         self._windows.restart()
         self._common_mode.reset()
@@ -141,9 +141,9 @@ class SingleToneProcessing:
         return self.push(counted[0].index, ticks, b"".join([frame.payload for frame in counted])) if counted else []
 
     def push(self, first_sequence: int, board_ticks: Sequence[int], payload: bytes) -> list[ForceReading]:
-        """Take adjacent frames: their records as on the wire, one of each channel, frame after frame.
+        """Process adjacent frames: their records as on the wire, one of each channel, frame after frame.
 
-        Gives a reading at every `step_frames`-th sequence number, and between them where something has happened to a
+        Returns a reading at every `step_frames`-th sequence number, and between them where something has happened to a
         contact; how the frames are cut into blocks changes none. `first_sequence` is that of the first frame and
         `board_ticks` are those at the end of each; both are unwrapped. Frames that are missing between two calls
         restart the windows.
@@ -282,7 +282,7 @@ class SingleToneProcessing:
         )
 
     def _follow(self, board_ticks: int, pilot: tuple[float, ...], window: "_Window", *, untouched: bool) -> None:
-        """Let the baseline follow the pilot while nothing is touched, and become less certain meanwhile."""
+        """Update the baseline with the pilot while nothing is touched; otherwise increase its uncertainty."""
         before = board_ticks if self._evaluated_ticks is None else self._evaluated_ticks
         self._evaluated_ticks = board_ticks
         elapsed_s = max(board_ticks - before, 0) / self._reference_hz
@@ -298,7 +298,7 @@ class SingleToneProcessing:
             ]
 
     def _counted(self, window: "_Window", heard_hz: Sequence[float], pilot: Sequence[float]) -> list[ToneCount]:
-        """Tell what the channels that hear another tone than the pilot count, and how well."""
+        """Return what each channel with another tone than the pilot counts, and how well."""
         counts = [UNHEARD] * len(pilot)
         attenuation_db = window.attenuation_db
         gate_hz, residual_ticks2 = window.gates
@@ -343,11 +343,11 @@ class SingleToneProcessing:
         )
 
     def _confirmed(self, touches: list[Touch], frames: int) -> list[Touch]:
-        """Leave out touches of a window that has just begun and that the frame before did not tell of.
+        """Return the touches; of a window that has just begun only those that the frame before had, too.
 
-        While a tone takes over a corner, a window of two gates may say anything.
+        While a tone takes over a corner, a window of two gates may give any site.
         """
-        before, self._told_sites = self._told_sites, {touch.site for touch in touches}
+        before, self._touch_sites = self._touch_sites, {touch.site for touch in touches}
         if frames > self._onset_frames:
             return touches
         known = before | {contact.touch.site for contact in self._tracker.contacts}
@@ -370,7 +370,7 @@ class SingleToneProcessing:
         return "pilot_lost", self._missing(window)
 
     def _silent(self, tones: int, pilots: int, window: "_Window") -> tuple[SensorStatus, str]:
-        """Status where too few channels are heard to tell a touch from none."""
+        """Return the status where too few channels have a signal to distinguish a touch from none."""
         if self._settling(window):
             return "settling", self._missing(window)
         if tones:

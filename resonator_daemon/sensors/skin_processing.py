@@ -29,14 +29,14 @@ class SkinProcessing:
         youngs_modulus_pascal: float,
         gate_s: float,
     ) -> None:
-        """Take a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
+        """Initialise with a plate's tones as `ToneArray` does, (t, 4) and (t,), and the board's oscillators (t,)."""
         self._tones = ToneArray(f0_hz, sensitivity, oscillator_hz, site_index, signal_index, youngs_modulus_pascal)
         self._offset_hz = np.empty((4, len(f0_hz)))
         self._gate_s = gate_s
         self._common_mode = CommonMode(1, needed=BASELINE_READINGS, reading_std=COMMON_MODE_NOISE)
 
     def restart(self) -> None:
-        """Forget the baseline: the board has booted or is configured anew."""
+        """Discard the baseline: the board has booted or is configured anew."""
         self._common_mode.reset()
 
     def push(
@@ -46,7 +46,7 @@ class SkinProcessing:
         offset_hz16: NDArray[np.integer],
         variance_hz2: Floats,
     ) -> SkinReading:
-        """Take one frame, each array (4, t): offsets in 2^-16 Hz, and their variance, infinite where not known."""
+        """Process one frame, each array (4, t): offsets in 2^-16 Hz, and their variance, infinite where not known."""
         shape = (4, self._tones.tones)
         if offset_hz16.shape != shape or variance_hz2.shape != shape:
             raise ValueError(f"shapes {offset_hz16.shape} and {variance_hz2.shape} must be {shape}")

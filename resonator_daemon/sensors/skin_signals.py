@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from resonator_daemon.arrays import Floats
 
 SIGNALS: Final = 3  # p_n, eps_xz, eps_yz
-TONES_MIN: Final = 16  # fewer do not tell a common mode from a touch
+TONES_MIN: Final = 16  # fewer do not distinguish a common mode from a touch
 UNTOUCHED_SIGMAS: Final = 6.0
 NOISE_TOLERANCE: Final = 1.1  # stated variances come in steps of an eighth of an octave in sigma: 9 % either way
 RESIDUAL_CLIP: Final = 25.0  # so that a few bad tones do not pass for a touch
@@ -27,7 +27,7 @@ class Shifts(NamedTuple):
 
 
 class ToneArray:
-    """A plate's tones, each one signal of one site, as four corners hear them."""
+    """A plate's tones, each one signal of one site, as counted at four corners."""
 
     def __init__(
         self,
@@ -38,7 +38,7 @@ class ToneArray:
         signal_index: NDArray[np.integer],
         youngs_modulus_pascal: float,
     ) -> None:
-        """Take the plate's arrays by tone; sites count from 0 to the largest in `site_index`.
+        """Initialise with the plate's arrays by tone; sites count from 0 to the largest in `site_index`.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class ToneArray:
 
         g comes from the median over the tones. Untouched means that what is left of each tone, corners combined, is no
         more than its noise: mean of the squares, each clipped, within six standard deviations of a chi-square's. A
-        touch that moves most tones alike and the others not at all is told; one that moves all tones alike is not.
+        touch that moves most tones alike and the others not at all is detected; one that moves all tones alike is not.
         """
         weight = shifts.information
         shift = np.multiply(shifts.weight, shifts.shift, out=self._product).sum(axis=0)

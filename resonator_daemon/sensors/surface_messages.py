@@ -162,7 +162,7 @@ class SurfaceMessages:
             position_correlation=math.nan,
             force_newton=float(patch.force_newton[2]),
             noise_newton=float(patch.force_std_newton[2]),
-            systematic_newton=math.nan,  # nothing says how well the skin's elastic constants are known
+            systematic_newton=math.nan,  # the uncertainty of the skin's elastic constants is not known
             hidden_newton=0.0,
             peak_newton=contact.peak_newton,
             since_t_ns=since_ns,
@@ -192,7 +192,7 @@ def _patch(contact: "SkinContact", number: int | None) -> Patch:
 
 
 def _slip(contact: "SkinContact") -> _SlipFields:
-    """Say what the fit tells of slip; a friction coefficient only where that is known to a quarter."""
+    """Return the fields about slip; a friction coefficient only where it is known to a quarter."""
     slip = contact.slip
     if slip is None:
         return _UNKNOWN_SLIP

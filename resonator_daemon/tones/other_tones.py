@@ -1,8 +1,8 @@
 """Detection of a second tone on a channel: it bends the line that edges lie on.
 
 A tone of amplitude ratio r shifts each edge by up to r / (2 pi f), a beat's phase at a time. The regression lets
-through none of it but a little that looks like a line: what is left of the first and the last stamp tells r. Second
-differences of stamps see a beat of less than a tenth of the stamps' rate hardly, so that they go on telling the noise.
+through none of it but a little that looks like a line: what is left of the first and the last stamp gives r. Second
+differences of stamps hardly contain a beat of less than a tenth of the stamps' rate, so that they still give the noise.
 
 The regression's own error, up to 3 r / (pi^2 d T^2) for a distance d and a gate T, changes from gate to gate with the
 beat's phase: third differences of the gates' frequencies see that and no ramp of the force.

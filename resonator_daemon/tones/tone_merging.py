@@ -27,7 +27,7 @@ CHIRP_SHARE: Final = (
 class MergedTones(NamedTuple):
     """Offsets of the tones over the window and their standard deviation, NaN where no gate is known; shape as a gate's.
 
-    `resync` tells where the phases did not run on, so that the offset is the mean of the gates' own.
+    `resync` marks where the phases did not run on, so that the offset is the mean of the gates' own.
     """
 
     offset_hz: Floats
@@ -54,7 +54,7 @@ def merge_tones(
     phase_turn32, offset_hz16
         (k, ...), as the records have them: at mid-gate in 2^-32 turn, and in 2^-16 Hz.
     sigma_hz
-        (k, ...), standard deviation of each offset; it says how far phases may be off the offsets' prediction.
+        (k, ...), standard deviation of each offset; it limits how far phases may be off the offsets' prediction.
     known
         (k, ...); gates that are not known stay out, the phase runs on across them.
     gate_s

@@ -1,8 +1,9 @@
 """Counts of one channel that never wrap: edges and ticks of stamps as integers of any size, frequency over any time.
 
-The board's time, 64 bits wide, says how often the tick counter has wrapped. How often the edge counter has, also across
-frames that are lost, follows from the last gate's frequency. A step that neither explains starts the counts anew, and
-no frequency spans it. What a channel heard in lost frames is not known: edges across them are all that were counted.
+The board's time, 64 bits wide, determines how often the tick counter has wrapped. How often the edge counter has, also
+across frames that are lost, follows from the last gate's frequency. A step that neither explains starts the counts
+anew, and no frequency spans it. What a channel counted in lost frames is not known: edges across them are all that
+were counted.
 """
 
 import math

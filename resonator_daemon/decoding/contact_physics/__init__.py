@@ -1,1 +1,1 @@
-"""Compact contacts that push and obey Coulomb's law, on top of a linear map."""
+"""Compact contacts that push, under Coulomb's law of friction, on top of a linear map."""

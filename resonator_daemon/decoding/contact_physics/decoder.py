@@ -62,9 +62,9 @@ class _Found:
 
 
 class ContactDecoder:
-    """Decoder of compact contacts that push and obey Coulomb's law; about half the error of the linear map.
+    """Decoder of compact contacts that push, under Coulomb's law; about half the error of the linear map.
 
-    Frames are taken in the order of time: each begins where the one before ended; `reset` forgets.
+    Frames are decoded in the order of time: each starts from the result of the one before, until `reset`.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class ContactDecoder:
         Decoded
             Of the linear decoder's shape. `chi2`: mean square of what the traction leaves of the signals, in units of
             the noise. `status`: beside the linear decoder's, "constraint_dropped" where the signals contradict the
-            bounds; `reason` says which ones, and what is shown.
+            bounds; `reason` names them, and what is shown.
 
         Raises
         ------
@@ -183,7 +183,7 @@ class ContactDecoder:
         return True
 
     def _release(self) -> None:
-        """Forget the contact, and what was found out about it."""
+        """Discard the contact, and what was found out about it."""
         self._last: Solved | None = None
         self._reconsider()
 

@@ -20,12 +20,12 @@ _BOUNDS_COST = 0.1  # in chi2: what bounds that hold never cost
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Where a contact may be and which bounds it obeys."""
+    """Where a contact may be, and its bounds."""
 
     located: Located | None
     missed: Bools  # pixels (ny, nx) around load that the linear map does not show
     bounds: Bounds = "all"
-    reason: str = ""  # why it is not what the linear map and the friction coefficient say
+    reason: str = ""  # why it differs from the linear map and the friction coefficient
 
 
 @dataclass(frozen=True)

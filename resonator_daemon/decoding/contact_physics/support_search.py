@@ -60,7 +60,7 @@ class Frame:
     surface: Surface
     to_pixels: Interpolation  # from the surface's places
     pressure: Singles  # on the pixels, (ny, nx)
-    support: Bools  # where its pressure says that load may be, quick and rough, (ny, nx)
+    support: Bools  # where load may be by its pressure, a rough estimate, (ny, nx)
     centre: Floats  # of that pressure, in pixels (y, x)
     noise_floor: float  # noise variance that is reckoned with, over the declared one
     excess: float  # of the linear map's residual over that, at least 1

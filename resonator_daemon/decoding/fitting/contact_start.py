@@ -8,7 +8,7 @@ import numpy as np
 from resonator_daemon.arrays import Floats
 from resonator_daemon.decoding.fitting.contact_model import DiscModel
 
-_SMALLEST_RADIUS = 0.05  # depths, which signals hardly tell from none
+_SMALLEST_RADIUS = 0.05  # depths, which signals hardly distinguish from none
 _FORCE_LIMIT = 10.0  # times the largest that fits at the start
 _LEAST_FORCE = 1e-3  # of the largest that fits at the start
 

@@ -155,7 +155,7 @@ class ParametricDecoder:
     def decode_with_patch(self, signals: ArrayLike, *, displacement: bool = False) -> tuple[Decoded, Patch | None]:
         """Decode one frame (3, n); return its contact, too, None where there is none or it is not known.
 
-        Area and radius of the patch are those of the disc, not of a blurred map; its border flag says that the centre
+        Area and radius of the patch are those of the disc, not of a blurred map; its border flag is set if the centre
         lies among the outermost sites or beyond them.
         """
         frame = np.asarray(signals, np.float64)

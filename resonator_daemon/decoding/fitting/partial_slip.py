@@ -25,7 +25,7 @@ _TOO_LITTLE = "the contact slips too little to show in the signals"
 
 @dataclass(frozen=True)
 class PartialSlip:
-    """One contact in one frame. What is not known is NaN, and `reason` says why."""
+    """One contact in one frame. What is not known is NaN, with the cause in `reason`."""
 
     centre_m: Floats  # (2,)
     centre_std_m: Floats
@@ -37,7 +37,7 @@ class PartialSlip:
     slip_margin_std: float
     stick_ratio: float  # c / a
     stick_ratio_std: float
-    friction_coefficient: float  # as forces and stick radius of this frame tell, and what was known before
+    friction_coefficient: float  # from forces and stick radius of this frame, and what was known before
     friction_coefficient_std: float
     covariance: Floats  # (7, 7) of x, y, a, F_x, F_y, F_z, m
     chi2: float

@@ -29,7 +29,7 @@ class Shape:
     """The hypothesis of most evidence. Of the properties below it has those of its kind; the rest is NaN."""
 
     kind: Literal["paraboloid", "flat", "edge", "other"]  # "other": none explains the signals, or they are lost
-    log_evidence: dict[Kind, float]  # less a constant: differences tell
+    log_evidence: dict[Kind, float]  # less a constant: only differences count
     chi2: float  # of the best
     centre_m: Floats  # (2,)
     centre_std_m: Floats
@@ -52,7 +52,7 @@ class Shape:
 class ShapeFitter:
     """Fit of a paraboloid, which may slip in part, a flat round face, which may be tilted, and a straight edge.
 
-    A sphere counts as a paraboloid: while strains are small, signals cannot tell them apart.
+    A sphere counts as a paraboloid: while strains are small, signals do not distinguish them.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ class ShapeFitter:
         model = StraightEdge(self._hertz)
         known = np.isfinite(signals)
 
-        def misfit(begin: Floats) -> float:
+        def chi_square(begin: Floats) -> float:
             left = (signals - model(begin)[0])[known] / noise_std[known]
             return float(left @ left)
 
         begins = [np.append(begin, [direction, half_length_m]) for direction in _EDGE_DIRECTIONS]
-        return fit(model, min(begins, key=misfit), lower, upper, signals, noise_std)
+        return fit(model, min(begins, key=chi_square), lower, upper, signals, noise_std)
 
     def _describe_paraboloid(self, slip: PartialSlip, evidence: dict[Kind, float]) -> Shape:
         if np.isnan(slip.radius_m):

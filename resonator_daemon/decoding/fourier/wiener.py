@@ -141,7 +141,7 @@ class AveragedWiener:
     wieners
         One inverse for each prior, all with the same noise.
     samples_share
-        Samples measured over those transformed: the likelihood counts for so much, as repeated samples tell nothing.
+        Samples measured over those transformed: the likelihood counts for so much, as repeated samples add nothing.
     """
 
     def __init__(self, wieners: Sequence[SpectralWiener], samples_share: float) -> None:

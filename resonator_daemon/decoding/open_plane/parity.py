@@ -57,7 +57,7 @@ def offset_table(
 def fold(table: Floats, count: int, row_odd: int, column_odd: int) -> Floats:
     """Replace the last axis of offsets, 2 count - 1 long, by two axes of even or odd vectors.
 
-    Mirrored rows only repeat what the first half says; mirrored columns add.
+    Mirrored rows only repeat the first half; mirrored columns add.
     """
     rows = np.arange(half(count, row_odd))
     columns = np.arange(half(count, column_odd))
