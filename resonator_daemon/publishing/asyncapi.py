@@ -121,7 +121,7 @@ def _channel(address: str, about: str | None, *messages: str) -> Object:
         "address": address,
         "description": about,
         "messages": {message: {"$ref": f"#/components/messages/{message}"} for message in messages},
-        "parameters": {name: told for name, told in _PARAMETERS.items() if f"{{{name}}}" in address},
+        "parameters": {name: about for name, about in _PARAMETERS.items() if f"{{{name}}}" in address},
     }
 
 

@@ -1,4 +1,4 @@
-"""What a broker takes: as it says when it accepts a connection, and as it shows by ending one."""
+"""Limits of a broker: those it declares when it accepts a connection, and those it shows by ending one."""
 
 from collections import deque
 from typing import Any, Final, NamedTuple
@@ -7,12 +7,12 @@ SUSPECT_BYTES_MIN: Final = 1024
 SUSPECT_S: Final = 2.0
 FORGET_S: Final = 600.0  # then one more message of that size is tried: the broker's limit may have been raised
 
-_PACKET_BYTES_MAX: Final = 268_435_455 + 5  # that MQTT can say
+_PACKET_BYTES_MAX: Final = 268_435_455 + 5  # largest that MQTT can encode
 _FIXED_BYTES: Final = 5  # at most: type and remaining length
 
 
 class BrokerLimits(NamedTuple):
-    """Of one connection; where the broker says nothing, those of the protocol."""
+    """Limits of one connection; where the broker declares none, those of the protocol."""
 
     receive_maximum: int = 65_535  # messages of QoS 1 that are not acknowledged
     packet_bytes_max: int = _PACKET_BYTES_MAX

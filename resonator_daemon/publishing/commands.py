@@ -21,7 +21,7 @@ from resonator_daemon.toml_files.reading import nearest
 WAITING_MAX: Final = 32
 AT_ONCE: Final = 20
 PER_SECOND: Final = 10.0
-COMPLAINTS_AT_ONCE: Final = 5  # answers that say no more than "too many"
+COMPLAINTS_AT_ONCE: Final = 5  # refusals with "too many"
 COMPLAINTS_PER_SECOND: Final = 1.0
 WARN_AGAIN_S: Final = 60.0
 DEFERRED_S: Final = 8.0  # less than `requests.ANSWER_S`
@@ -227,7 +227,7 @@ class Commands:
             yield
         except CommandRefusedError as refused:
             self._refuse(asked, refused.code, refused.message, refused.hint)
-        except Exception as error:  # a stranger's command must not end the daemon, whatever it meets
+        except Exception as error:  # a command of any sender must not end the daemon
             kind = (asked.verb, type(error))
             if kind not in self._logged:
                 self._logged.add(kind)
@@ -252,10 +252,10 @@ def _request(verb: Verb, payload: bytes) -> Request:
     except ValidationError as error:
         findings = error.errors(include_url=False)[:_FINDINGS_MAX]
         raise CommandRefusedError(
-            "payload", "; ".join(_sentence(verb, found) for found in findings), "docs/mqtt.md and the topic schema tell"
+            "payload", "; ".join(_sentence(verb, found) for found in findings), "see docs/mqtt.md and the topic schema"
         ) from None
     except ValueError as error:
-        raise CommandRefusedError("payload", str(error), "send {} where nothing is to be said") from None
+        raise CommandRefusedError("payload", str(error), "send {} for a command without fields") from None
 
 
 def _sentence(verb: Verb, error: ErrorDetails) -> str:

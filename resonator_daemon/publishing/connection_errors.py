@@ -117,6 +117,6 @@ def _refused_by_tls(alert: str, broker: Mqtt) -> str:
 
 
 def _alert(error: ssl.SSLError) -> str | None:
-    """Return what the other end said of its reasons."""
+    """Return the reason that the other end gave; None without one."""
     found = re.fullmatch(r"(?:SSLV3|TLSV1|TLSV13)_ALERT_(\w+)", error.reason or "")
     return found and found[1].replace("_", " ").lower()

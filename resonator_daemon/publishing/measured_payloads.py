@@ -107,7 +107,7 @@ class Contact(Message):
 
 
 class EventContact(Contact):
-    """A contact as an event tells of it; what belongs to slip is null on plates without a skin, or not known."""
+    """A contact in an event; what belongs to slip is null on plates without a skin, or not known."""
 
     slip_margin: Float = Field(math.nan, description="1 - F_t / (mu F_n): 1 without shear, 0 where it slips")
     slip_margin_std: Float = Field(math.nan, description="its standard deviation")

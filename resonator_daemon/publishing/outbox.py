@@ -83,7 +83,7 @@ class Outbox:
         self._reports: BoundedQueue[_Stream] = BoundedQueue(STREAMS_WAITING_MAX, STREAM_BYTES_WAITING_MAX)
         self.stream_wait_max_s = stream_wait_max_s
         self._largest = LargestMessages()
-        self._too_large: set[str] = set()  # topics of which it was said
+        self._too_large: set[str] = set()  # topics of which it was logged
         self._pumping = False
         self._moved = asyncio.Event()
 

@@ -33,7 +33,7 @@ def pack(
     response_topic: str | None = None,
     packet_type: int = PacketTypes.PUBLISH,
 ) -> PackedProperties:
-    """Pack what is given; a content type is that of a payload of this schema, and says its version, too."""
+    """Return the given properties packed; with a content type, the version of the schema is added."""
     properties = Properties(packet_type)  # type: ignore[no-untyped-call]
     if content_type is not None:
         properties.ContentType = content_type

@@ -118,8 +118,8 @@ class Publisher:
         self._outbox = Outbox(self._account, spool_directory, stream_wait_max_s)
         self._paces: dict[str, Pace] = {}  # of main topics that are slowed down, by path
         self._streams: dict[tuple[str, str], _Stream] = {}  # by base and path
-        self._denied: set[str] = set()  # filters of which it was said
-        self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and what was said of them
+        self._denied: set[str] = set()  # filters whose refusal was logged
+        self._defects: set[tuple[str, type[Exception]]] = set()  # filters, and kinds of errors that were logged
         self._closed = False
         self._closing: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._ended = asyncio.Event()
@@ -331,7 +331,7 @@ class Publisher:
             if subscription.matches(message.topic):
                 try:
                     subscription.handle(message)
-                except Exception as error:  # a stranger's message must not end the process, whatever it meets
+                except Exception as error:  # a message of any sender must not end the process
                     kind = (subscription.topic_filter, type(error))
                     if kind not in self._defects:
                         self._defects.add(kind)

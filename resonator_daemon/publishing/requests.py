@@ -19,7 +19,7 @@ ANSWER_S: Final = 10.0
 
 
 class BrokerUnreachableError(UserError):
-    """No broker listens where the configuration or the command line says."""
+    """No broker listens at the address of the configuration or the command line."""
 
     exit_code = ExitCode.UNAVAILABLE
     code = "no_broker"
@@ -33,7 +33,7 @@ class NoAnswerError(UserError):
 
 
 class DeniedError(UserError):
-    """The broker's access rules do not let this user ask, or hear the answer."""
+    """The broker's access rules do not let this user send the command, or receive the answer."""
 
     exit_code = ExitCode.FAILED
     code = "denied"
@@ -74,7 +74,7 @@ async def request(
     BrokerUnreachableError
         Nobody listens at the broker's address.
     DeniedError
-        The broker said that it does not let this user do that; without MQTT 5 it cannot say so of the command.
+        The broker refuses this to the user; without MQTT 5 it does not report that of the command.
     NoAnswerError
         No answer came in time.
     """

@@ -32,7 +32,7 @@ ResultT = TypeVar("ResultT")
 
 
 class SpoolError(Exception):
-    """The disk does not do as it was told; nothing was changed."""
+    """A disk operation failed; nothing was changed."""
 
 
 class SpoolDamagedError(SpoolError):

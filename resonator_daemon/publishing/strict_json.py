@@ -1,4 +1,4 @@
-"""Reads a JSON object from strangers: what parsers may understand in more than one way is refused."""
+"""Strict reader of JSON objects from unknown senders: what parsers may read in more than one way is refused."""
 
 import json
 import math

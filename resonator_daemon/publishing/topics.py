@@ -37,7 +37,7 @@ class Topic(Generic[MessageT]):
     slow_hz
         Rate of a decimated copy beside it, on `slow_path`; None where there is none.
     expiry_s
-        After which a message is of no use to anyone, told to the broker with MQTT 5; None where it stays true.
+        Time after which a message is of no use, sent to the broker with MQTT 5; None where it stays true.
     """
 
     path: str

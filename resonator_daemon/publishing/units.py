@@ -1,4 +1,4 @@
-"""Units of the payloads' keys: each is the ending of a key, so that `info` can tell them all in one small table."""
+"""Units of the payloads' keys: each is the ending of a key, so that `info` lists them all in one small table."""
 
 from typing import Final
 

@@ -45,7 +45,7 @@ def _printable(text: str) -> str:
 
 
 class Request(BaseModel):
-    """Base of what a command says; `{}` where there is nothing to be said."""
+    """Base of the commands; `{}` for one without fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
